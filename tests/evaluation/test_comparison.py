@@ -41,7 +41,7 @@ def test_the_same_policy_against_itself_differs_in_nothing():
     found = differences([one], [one])
     assert {row.outcome for row in found} == {""}
     assert by_name(found)["stand/height_rmse"].interval.value == 0.0
-    assert "No difference between A and B is beyond chance" in verdict(found, "A", "B", (1, 1))
+    assert "No difference between A and B is significant" in verdict(found, "A", "B", (1, 1))
 
 
 def test_small_gains_on_the_same_scenarios_are_found_by_pairs():
@@ -71,7 +71,7 @@ def test_who_falls_more_is_worse_and_the_words_say_in_what():
     said = verdict(found, "A", "B", (1, 1))
     assert said.startswith("A is worse than B in 1 metric of ")
     assert "(stand/survival), and better in none." in said
-    assert "tells policies apart, not methods" in said
+    assert "compares policies, not methods" in said
 
 
 def test_one_is_better_in_this_and_worse_in_that():

@@ -158,9 +158,9 @@ def test_pictures_of_results_are_plain(of_zeros):
 @pytest.mark.parametrize(
     ("name", "word", "key", "message"),
     [
-        ("stand", "protocol.stand=null", "protocol", "there is no test in it"),
-        ("stand", "protocol.settle_s=60", "protocol.stand.horizon_s", "60 s is over before anything counts"),
-        ("walk", "protocol.settle_s=15", "protocol.steps.drive_s", "15 s is over before"),
+        ("stand", "protocol.stand=null", "protocol", "the protocol has no test"),
+        ("stand", "protocol.settle_s=60", "protocol.stand.horizon_s", "60 s ends before its steps count"),
+        ("walk", "protocol.settle_s=15", "protocol.steps.drive_s", "15 s ends before"),
         ("walk", "protocol.walk.ang_vel_z=[]", "protocol.walk.ang_vel_z", "is out of range"),
         ("push", "protocol.push.pulses_s=[]", "protocol.push.pulses_s", "is out of range"),
         ("terrain", "protocol.terrain.size=[4.0]", "protocol.terrain.size", "is out of range"),
@@ -177,7 +177,7 @@ def test_a_protocol_that_would_tell_nothing_is_refused(name, word, key, message)
 def test_a_grid_of_steps_may_leave_out_one_axis_but_not_both():
     read_section(Protocol, protocol("walk", "protocol.steps.ang_vel_z=[]"), "protocol")
     none = protocol("walk", "protocol.steps.ang_vel_z=[]", "protocol.steps.lin_vel_x=[]")
-    with pytest.raises(ConfigError, match="no speed to step to") as caught:
+    with pytest.raises(ConfigError, match="the step test has no speed") as caught:
         read_section(Protocol, none, "protocol")
     assert caught.value.key == "protocol.steps.lin_vel_x"
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from evaluation.conftest import protocol, stub_env, zeros
-from wheelleg_exp.evaluation.disturbance_tests import Late, worlds
+from wheelleg_exp.evaluation.disturbance_tests import DelayedPolicy, worlds
 from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Protocol
@@ -178,7 +178,7 @@ def test_noise_is_on_the_named_observations_alone(changed):
 
 def test_a_late_policy_gives_what_was_decided_before():
     count = iter(range(1, 10))
-    policy = Late(lambda observations: torch.full((1, 1), float(next(count))), 2)
+    policy = DelayedPolicy(lambda observations: torch.full((1, 1), float(next(count))), 2)
     assert [float(policy({})) for _ in range(5)] == [0.0, 0.0, 1.0, 2.0, 3.0]
     policy.reset()
     assert float(policy({})) == 0.0

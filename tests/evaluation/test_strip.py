@@ -136,6 +136,6 @@ def test_who_falls_or_never_moves_comes_over_no_strip(task, make):
 
 def test_an_episode_that_ends_before_the_strip_does_is_refused():
     node = protocol("terrain", "protocol.strip.horizon_s=4.0")
-    with pytest.raises(ConfigError, match="does not lead behind the strip") as caught:
+    with pytest.raises(ConfigError, match="does not reach beyond the strip") as caught:
         read_section(Protocol, node, "protocol")
     assert caught.value.key == "protocol.strip.horizon_s"

@@ -377,7 +377,7 @@ def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase
     said = wheelleg(
         "train", *words, "--config-dir", tmp_path, "+pipeline.phases.first.gate.overrides=['protocol.stand=null']"
     )
-    assert (said.status, "gate.overrides: phase 'first': protocol: there is no test in it" in said.err) == (2, True)
+    assert (said.status, "gate.overrides: phase 'first': protocol: the protocol has no test" in said.err) == (2, True)
     assert not (tmp_path / "pipelines").exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from jobs.small import Trained, trained_once
@@ -50,7 +51,11 @@ def _composed(overrides: tuple[str, ...], primary: str, config_dirs: tuple[Path,
 def _compose_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compose the same config once for all tests."""
 
-    def once(overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()) -> Composed:
+    def once(
+        overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = (), **more: Any
+    ) -> Composed:
+        if more:
+            return compose(overrides, primary=primary, config_dirs=config_dirs, **more)
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)

@@ -52,7 +52,7 @@ def test_without_hydra_source_and_asset_the_rest_stands(page, run):
     for folder in (run.hydra, run.source, run.asset):
         shutil.rmtree(folder)
     found = page(run)
-    assert "is not kept in this run" in found.section("settings")
+    assert "were not recorded" in found.section("settings")
     assert "Return, mean of the last 100 ended episodes" in found.section("learning")
 
 

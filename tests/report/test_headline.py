@@ -29,7 +29,7 @@ def test_a_play_tells_where_it_strayed_and_what_its_motors_bore(page, root):
     add_play(run, drift_m=0.0123, yaw_drift_deg=1.5, action_rate_per_s=75.0, power_net_w=0.5, **groups, **signs)
     found = page(run)
     assert "Drift 12 mm largest after 1 s, mean of its episodes; turned by 1.5°" in found.text
-    assert "Torque 5.8 N·m RMS of the wheels after 1 s; 25 % at the limit; changes its sign 10 times a s" in found.text
+    assert "Torque 5.8 N·m RMS of the wheels after 1 s; 25 % at the limit; 10 sign changes per s" in found.text
     assert "Power 0.50 W" in found.text
     standing = found.section("standing")
     assert "Torque, RMS, after 1 s (legs) 0.100 N·m 1 500 steps of 7 episodes" in standing
@@ -51,7 +51,7 @@ def test_figures_that_there_are_none_of_are_dashes_and_say_why(page, root):
     found = page(run)
     assert "nan" not in found.text.split()
     assert "Base height, mean, after 1 s – 0 steps of 0 episodes Pitch, RMS, after 1 s – " in found.section("standing")
-    assert "none lasted that long" in found.section("standing")
+    assert "no episode lasted that long" in found.section("standing")
 
 
 def test_the_last_episode_of_each_environment_counts_once(page, root):
@@ -77,7 +77,7 @@ def test_figures_of_a_play_say_of_which_steps_and_episodes_they_are(page, root):
 def test_an_older_play_that_counts_twice_says_so(page, root):
     run = make_run(root)
     add_play(run, ended_by={"time_out": 6, "base_contact": 2, "leg_contact": 2})
-    assert "what two terminations ended counts for both" in page(run).section("standing")
+    assert "an episode with two terminations counts for both" in page(run).section("standing")
 
 
 def test_the_last_play_counts_and_all_are_listed(page, root):
@@ -111,8 +111,8 @@ def test_an_interrupted_run_can_be_resumed(page, root):
 
 def test_a_running_run_says_how_far_it_is(page, root):
     found = page(make_run(root, status="running"))
-    assert "Training is under way: iteration 3 of 110 is done." in found.text
-    assert "still goes on" in found.section("trust")
+    assert "Training is running: iteration 3 of 110 is done." in found.text
+    assert "still running" in found.section("trust")
 
 
 def test_a_run_whose_process_is_gone_has_crashed(page, root):
@@ -121,7 +121,7 @@ def test_a_run_whose_process_is_gone_has_crashed(page, root):
     change_manifest(run, process=process)
     found = page(run)
     assert found.text.startswith("crashed")
-    assert "The process of this training is gone; iteration 3 of 110 was written. It can be resumed." in found.text
+    assert "The process of this training died; iteration 3 of 110 was written. It can be resumed." in found.text
 
 
 def test_a_run_that_ended_before_its_first_iteration_has_a_page(page, root):

@@ -24,15 +24,15 @@ def test_a_run_without_overrides_differs_in_nothing(page, root):
     write_text(run.hydra / "overrides.yaml", "[]\n")
     text = page(run).section("settings")
     assert "Nothing was changed on the command line." in text
-    assert "nothing differs" in text
+    assert "the task's current default" in text
 
 
 def test_terms_that_an_override_removed_or_added_name_it(page, root):
     run = make_run(root, ["~env.events.push_robot", "+reward@env.rewards=action_acceleration"])
     text = page(run).section("settings")
     assert "env.events.push_robot" in text
-    assert "not there override ~env.events.push_robot" in text
-    assert "env.rewards.action_acceleration not there" in text
+    assert "not set override ~env.events.push_robot" in text
+    assert "env.rewards.action_acceleration not set" in text
     assert "weight: -0.005} override +reward@env.rewards=action_acceleration" in text
 
 
@@ -46,7 +46,7 @@ def test_a_value_that_the_configs_no_longer_give_is_of_that_time(page, root):
     run = make_run(root)
     file = run.params / "agent.yaml"
     write_yaml(file, {**read_yaml(file), "save_interval": 7})
-    assert "agent.save_interval 50 7 the configs of that time" in page(run).section("settings")
+    assert "agent.save_interval 50 7 the configs at the time of the run" in page(run).section("settings")
 
 
 def test_values_of_the_users_own_files_are_listed(page, root, tmp_path):
@@ -57,7 +57,7 @@ def test_values_of_the_users_own_files_are_listed(page, root, tmp_path):
     assert "1 value set by files outside the stock configs" in text
     assert "env.decimation 4" in text
     assert "task/mine.yaml:3" in text
-    assert "nothing differs" in text
+    assert "the task's current default" in text
 
 
 def test_a_task_that_is_not_here_leaves_the_overrides(page, root):
@@ -74,4 +74,4 @@ def test_overrides_that_no_longer_compose_leave_the_values(page, root):
     run = make_run(root, ["env.rewards.base_height.weight=-30"])
     write_text(run.hydra / "overrides.yaml", json.dumps(["env.rewards.gone.weight=1"]))
     text = page(run).section("settings")
-    assert "env.rewards.base_height.weight -1000.0 -30 the configs of that time" in text
+    assert "env.rewards.base_height.weight -1000.0 -30 the configs at the time of the run" in text

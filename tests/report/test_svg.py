@@ -65,5 +65,5 @@ def test_the_drawing_scales_and_says_what_it_shows():
 
 def test_what_is_no_svg_is_refused():
     for text in ("", "<html/>", "<svg>"):
-        with pytest.raises(ValueError, match="no SVG"):
+        with pytest.raises(ValueError, match="not SVG"):
             clean(text, "p", "t")

@@ -93,7 +93,7 @@ def test_what_differs_in_the_environment_without_effect_is_still_told(a, b):
         ("hardware", "memory_gib"),
         ("versions", "torch"),
     }
-    assert "differs, and changed no number" in found.lines()
+    assert "these differ, but changed no number" in found.lines()
 
 
 def test_settings_that_change_no_number_are_told_and_do_not_count(a, b):
@@ -109,7 +109,7 @@ def test_equal_tensors_in_other_bytes_are_identical_and_told(a, b):
     path = b.checkpoint(2)
     torch.save(torch.load(path, weights_only=True), path)  # the name of the file is inside
     assert path.read_bytes() != a.checkpoint(2).read_bytes()
-    assert "1 equal, stored in other bytes" in identical(a, b).parts["checkpoints"].text
+    assert "1 equal, in different bytes" in identical(a, b).parts["checkpoints"].text
 
 
 def test_the_same_files_committed_differently_are_the_same_code(a, b):
@@ -374,10 +374,7 @@ def test_a_shorter_run_is_different_and_its_common_part_is_told(a, b):
     synthetic.shorten(b, 3)
     first = different(a, b)
     assert (first.iteration, first.part, first.name) == (3, "length", "B stops")
-    assert (
-        compared(a, b).reason
-        == "B stops after iteration 2 (finished); the 3 iterations that both have are equal to the bit"
-    )
+    assert compared(a, b).reason == "B stops after iteration 2 (finished); the 3 common iterations are equal to the bit"
     assert different(b, a).name == "A stops"
 
 
@@ -385,7 +382,7 @@ def test_a_shorter_run_that_differs_says_where(a, b):
     synthetic.shorten(b, 3)
     set_scalar(b, 1, 0.5)
     assert different(a, b).iteration == 1
-    assert compared(a, b).reason.endswith("the 3 iterations that both have differ")
+    assert compared(a, b).reason.endswith("the 3 common iterations differ")
 
 
 def test_the_common_part_alone_can_be_asked_for(a, b):
@@ -414,7 +411,7 @@ def test_a_crashed_run_is_shorter_and_its_cut_files_are_not_compared(a, b):
     synthetic.crash(b)
     b.recording.write_bytes(b.recording.read_bytes()[:-40])
     found = identical(a, b)
-    assert found.parts["recording"].text == "a run broke off"
+    assert found.parts["recording"].text == "a run did not end by itself"
     synthetic.shorten(b, 3)
     assert "B stops after iteration 2 (crashed)" in compared(a, b).reason
 
@@ -546,7 +543,7 @@ def test_other_code_that_changes_no_number_is_identical_and_told(a, b):
     other_code(b)
     found = identical(a, b)
     assert found.reason == (
-        "equal to the bit in 5 iterations, though the code differs (/home/me/pet: changed terms.py)"
+        "equal to the bit in 5 iterations, although the code differs (/home/me/pet: changed terms.py)"
     )
     assert any(line.strip().startswith("code.tree") for line in found.lines())
     assert "  /home/me/pet: changed terms.py" in found.lines()
@@ -556,7 +553,7 @@ def test_other_code_that_changes_no_number_is_identical_and_told(a, b):
 def test_code_that_was_not_kept_is_not_shown_to_be_equal(a, b):
     for run in (a, b):
         synthetic.edit_source(run, status="patch_too_large", tree=None, patch_sha256=None, patch=None)
-    assert identical(a, b).reason.endswith("though the code was not kept")
+    assert identical(a, b).reason.endswith("although the code was not recorded")
     drop_nan(a, b)
     rounded(b)
     set_fact(b, "hardware", cpu="another CPU")

@@ -148,17 +148,17 @@ def test_what_a_finished_run_must_have_is_missed_though_its_manifest_never_named
         synthetic.record(run)
     status, out, err = wheelleg("verify", pair[0].path)
     assert (status, err) == (1, "")
-    assert f"  {name} is missing, and the manifest does not name it" in out.splitlines()
+    assert f"  {name} is missing, and the manifest does not list it" in out.splitlines()
     status, out, err = wheelleg("verify", *(run.path for run in pair))
     assert (status, err) == (1, "")
-    assert f"B: {name} is missing, and the manifest does not name it" in out.splitlines()
+    assert f"B: {name} is missing, and the manifest does not list it" in out.splitlines()
 
 
 SEALED_AGAIN = {
     "config": (lambda run: synthetic.flip(run.hydra / "config.yaml"), "params/env.yaml is not the config's env"),
     "patch": (lambda run: synthetic.flip(run.source / "source.patch"), "source/source.patch is not the patch"),
     "no patch": (lambda run: (run.source / "source.patch").unlink(), "source/source.patch is missing"),
-    "checkpoint": (lambda run: run.checkpoint(4).unlink(), "the last one is model_4.pt"),
+    "checkpoint": (lambda run: run.checkpoint(4).unlink(), "last checkpoint is model_4.pt"),
     "recording": (lambda run: synthetic.flip(run.recording), "damaged from byte"),
 }
 

@@ -120,7 +120,7 @@ def of_format_1(run, **digest):
 def test_a_manifest_of_format_1_holds_by_its_values_and_says_so(run):
     of_format_1(run, digest=True)
     assert failures(run) == {}
-    assert any("its digest is of its values" in note for note in notes(run))
+    assert any("its digest is of rounded values" in note for note in notes(run))
     of_format_1(run, flipped="0" * 64)
     only(run, "manifest", "manifest.json was changed")
 
@@ -161,7 +161,7 @@ def test_a_file_of_the_users_own_is_told_and_wrong_is_nothing(run):
     (run.path / "notes.txt").write_text("mine")
     (run.path / "play").mkdir()
     (run.path / "play" / "half.rrd").write_bytes(b"")
-    assert [note.split()[0] for note in notes(run) if "does not name it" in note] == ["notes.txt", "play/half.rrd"]
+    assert [note.split()[0] for note in notes(run) if "does not list it" in note] == ["notes.txt", "play/half.rrd"]
 
 
 @pytest.mark.parametrize("name", ["model_9.pt", "failure.npz", "params/extra.yaml", "exported/policy2.onnx"])
@@ -258,7 +258,7 @@ def test_a_checkpoint_beyond_the_log_is_wrong(run):
     content = checkpoint.load(run.path / "model_4.pt", finite=False)
     (run.path / "model_7.pt").write_bytes(checkpoint.serialize({**content, "iter": 7}))
     synthetic.record(run)
-    assert any("model_7.pt" in f and "log does not have" in f for f in failures(run)["checkpoints"])
+    assert any("model_7.pt" in f and "not in the log" in f for f in failures(run)["checkpoints"])
 
 
 def test_digests_of_an_earlier_definition_are_told_and_not_held_against_the_run(run):
@@ -428,7 +428,7 @@ def test_a_resume_that_broke_off_before_it_wrote_its_settings_is_no_damage(run):
     assert "files" in failures(run)
     entry = {"when": "2026-11-20T10:00:00.000000Z", "files_to_write": {"params/agent.yaml": "..."}}
     synthetic.edit(run, lambda data: data["resumes"].append(entry))
-    assert any("params/agent.yaml is not changed yet" in note for note in notes(run))
+    assert any("params/agent.yaml is not rewritten yet" in note for note in notes(run))
 
 
 @pytest.mark.parametrize("recorded", [{}, {"RATE": "0.25"}])

@@ -104,7 +104,7 @@ def test_what_neither_run_has_is_noted_and_the_other_figure_decides():
     found = judge(a, b, None, whole=True)
     assert found.within
     assert [excess.name for excess in found.end] == ["Train/mean_episode_length"]
-    assert found.lines()[-1] == "not compared at the end, for neither run has it: Train/mean_reward"
+    assert found.lines()[-1] == "not compared at the end, because neither run has it: Train/mean_reward"
 
 
 @pytest.mark.parametrize("gone", [None, "nan"])

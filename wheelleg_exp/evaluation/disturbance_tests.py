@@ -22,11 +22,11 @@ from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exi
 
 @dataclass
 class Pushes:
-    """Changes the velocity of the whole robot at one moment, or evenly over a pulse, in its own level axes.
+    """Change the velocity of the robot in its own level axes, at one moment or evenly over a pulse.
 
     Args:
         rollout: the rollout whose episodes are pushed.
-        options: when, how long, in which directions.
+        options: time, duration, and directions of the pushes.
     """
 
     rollout: Rollout
@@ -43,7 +43,7 @@ class Pushes:
         self._longest = max(steps)
 
     def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return what pushes with changes of velocity, m/s, (N,), called before each step with its number."""
+        """Return a callback for each step's number that changes velocities by ``change``, m/s, (N,), in total."""
         env = self.rollout.env
         each = self.direction * (change / self.pulse).unsqueeze(1)
 
@@ -66,14 +66,13 @@ class Pushes:
 def push_columns(
     rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
 ) -> tuple[Columns, Trajectories]:
-    """Return what pushes each episode survives and how it recovers from the reference push; (N,) each.
+    """Return the limit of each episode's push and its recovery from the reference push; (N,) each.
 
-    ``limit_m_s`` is found by halving [0, highest]: every episode is rolled ``iterations`` times from the same start,
-    with the middle of what is left of its interval; 0 where it survived none. ``limit_normalised`` divides it by
-    √(g h), h the height before the push. ``recovery_s`` is the time after the reference push from which on tilt and
-    height stay in their bands, at least for ``recovered_s``; NaN where they never left them, because there is nothing
-    to recover from. ``recovered`` is 1 where the bands hold from ``within_s`` on at the latest and the episode lived,
-    else 0.
+    ``limit_m_s`` is found by bisection of [0, highest]. Every episode is rolled ``iterations`` times from the same
+    start, with the middle of its remaining interval. The limit is 0 if the robot survived no push. ``limit_normalised``
+    is the limit over √(g h), with h the height before the push. ``recovery_s`` is the time after the reference push
+    until tilt and height stay in their bands for at least ``recovered_s``; NaN if they never left the bands.
+    ``recovered`` is 1 if the bands hold at the latest from ``within_s`` on and the episode survived, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -93,12 +92,12 @@ def push_columns(
 
 
 def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
-    """Return how the episodes came back from a push (see ``push_columns``).
+    """Return how the episodes recovered from a push (see ``push_columns``).
 
     Args:
         made: the episodes.
-        options: when the push was, and what counts as recovered.
-        height: that the base should have, m, (N,).
+        options: the time of the push, and the bands.
+        height: the target height of the base, m, (N,).
     """
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
@@ -113,7 +112,7 @@ def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns
 
 
 def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
-    """Return what tells a part of several rollouts as one."""
+    """Return a progress callback that reports several rollouts as one."""
     if tell is None:
         return None
     return lambda done, of: tell(part * of + done, parts * of)
@@ -124,26 +123,26 @@ _EVENTS = "wheelleg_exp.mdp.events"
 
 @dataclass(frozen=True)
 class World:
-    """A change of the world.
+    """A changed world.
 
     Attributes:
-        sweep: what is changed.
-        value: to what.
+        sweep: the changed property.
+        value: its new value.
         cfg: the changed ``env`` section.
-        late: control steps by which actions come late.
+        delay_steps: delay of actions, control steps.
     """
 
     sweep: str
     value: float
     cfg: dict[str, Any] = field(repr=False)
-    late: int = 0
+    delay_steps: int = 0
 
 
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
-    """Yield the unchanged world (``nominal``) and each changed one.
+    """Yield the unchanged world (``nominal``) and each changed world.
 
-    Masses, centres of mass, gains and friction are set by events after the task's own of the same kind, whose draws
-    they replace; noise is added to the terms that ``noise_std`` names, in place of their own.
+    Events set masses, centres of mass, gains, and friction. They run after the task's own events of the same kind and
+    replace their draws. Noise replaces the noise of the observation terms that ``noise_std`` names.
 
     Args:
         cfg: the ``env`` section of the evaluation.
@@ -231,12 +230,12 @@ def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float
     return changed
 
 
-class Late:
-    """A policy whose actions come late by whole control steps; zeros come first.
+class DelayedPolicy:
+    """A policy whose actions are delayed by whole control steps; the first actions are zeros.
 
     Args:
         policy: the policy.
-        steps: by how many.
+        steps: the delay.
     """
 
     def __init__(self, policy: Policy, steps: int) -> None:
@@ -244,14 +243,14 @@ class Late:
         self._waiting: list[torch.Tensor] = []
 
     def reset(self) -> None:
-        """Forget what is under way."""
+        """Drop the delayed actions and reset the policy."""
         self._waiting = []
         reset: Callable[[], None] | None = getattr(self._policy, "reset", None)
         if reset is not None:
             reset()
 
     def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
-        """Return the actions that were decided on ``steps`` ago."""
+        """Return the actions that the policy returned ``steps`` calls ago."""
         actions = self._policy(observations)
         self._waiting.append(actions)
         return self._waiting.pop(0) if len(self._waiting) > self._steps else torch.zeros_like(actions)

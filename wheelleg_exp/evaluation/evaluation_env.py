@@ -26,27 +26,27 @@ from wheelleg_exp.managers import Env
 
 CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
-_DISTURBING = ("interval", "step")  # modes of events that act while an episode runs
-_MOST_CONTACTS = 8  # of one wheel: on a height field it has several
+_DISTURBING = ("interval", "step")  # modes of events that act during an episode
+_MOST_CONTACTS = 8  # per wheel: a wheel on a height field has several contacts
 
 
 def evaluation_cfg(
     env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
 ) -> dict[str, Any]:
-    """Return a task's ``env`` section changed for an evaluation.
+    """Return a task's ``env`` section, changed for an evaluation.
 
-    Events that act during an episode, time-outs, rewards, curricula and recorders are gone; commands, terminations that
-    are failures, observations with their noise, and events at startup and reset stay.
+    Removed are events that act during an episode, time-outs, rewards, curricula, and recorders. Commands, terminations
+    that are failures, observations with their noise, and events at startup and reset stay.
 
     Args:
         env_cfg: the composed ``env`` section, plain.
         protocol: the protocol.
         num_envs: number of episodes.
-        horizon_s: how long each is, s.
+        horizon_s: length of each episode, s.
         ground: whether the task's own ground stays.
 
     Raises:
-        ConfigError: the task has no command of the protocol's name.
+        ConfigError: the task lacks the protocol's command.
     """
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
@@ -58,8 +58,11 @@ def evaluation_cfg(
             nearest=nearest_name(protocol.command, commands),
         )
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
-    cfg["events"] = {name: node for name, node in cfg["events"].items() if _is_kept(node)}
-    cfg["terminations"] = {name: node for name, node in cfg["terminations"].items() if _is_failure(node)}
+    events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
+    cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
+    # Only failures end an episode here; the horizon replaces the time-out.
+    ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
+    cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}
     cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
     if ground == "flat":
         cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
@@ -71,20 +74,11 @@ def evaluation_cfg(
 
 
 def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
-    """Return the name of a contact sensor on every body, or None: a second one would only cost time."""
+    """Return the name of a contact sensor on every body, or None. A second sensor would only cost time."""
     for name, node in sensors.items():
         if isinstance(node, Mapping) and node.get("_target_") == _SENSOR and node.get("body_names") == [".*"]:
             return name
     return None
-
-
-def _is_kept(node: Any) -> bool:
-    return isinstance(node, Mapping) and node.get("mode") not in _DISTURBING
-
-
-def _is_failure(node: Any) -> bool:
-    """Return whether a termination is none that cuts off: the horizon alone does that here."""
-    return isinstance(node, Mapping) and not node.get("time_out")
 
 
 def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
@@ -105,16 +99,16 @@ def _contacts(protocol: Protocol) -> dict[str, Any]:
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build the environment; who has ended is left as it is, and stops counting.
+    """Build the environment. An episode that has ended is not reset.
 
     Raises:
-        ConfigError: something in ``cfg`` is wrong, or the robot does not move freely.
+        ConfigError: a setting in ``cfg`` is wrong, or the robot's base is fixed.
     """
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
         raise ConfigError(
-            "only robots whose base moves freely are evaluated", key="env.robot.base", expected="floating"
+            "only robots with a floating base can be evaluated", key="env.robot.base", expected="floating"
         )
     return env
 
@@ -126,7 +120,7 @@ def base_link(mjcf: Path) -> str:
 
 
 def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:
-    """Return the base height that is asked for, m: the protocol's, else what the task's rewards name, else None."""
+    """Return the target height of the base, m: the protocol's, else that of the task's rewards, else None."""
     height = rewarded_height(env_cfg) if protocol.target_height is None else protocol.target_height
     return None if height is None else float(height)
 
@@ -139,20 +133,21 @@ def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class RobotParts:
-    """What metrics ask of a robot; indices are into its joints.
+    """The robot's parts that metrics use; indices are into its joints.
 
     Attributes:
-        joint_names: of all joints, (J,).
+        joint_names: names of all joints, (J,).
         wheels: joints of driven wheels that carry the robot, (W,).
-        contacts: name of the contact sensor that senses every body.
-        wheel_bodies: the wheels' bodies, as columns of that sensor, (W,).
-        wheel_offsets: how far to the left of the base each wheel stands, m, (W,); None where no way is forwards.
-        left: driven joints of the legs on the left, (P,).
+        contacts: name of the contact sensor on every body.
+        wheel_bodies: columns of the wheels' bodies in that sensor, (W,).
+        wheel_offsets: distance of each wheel to the left of the base, m, (W,); None if the robot has no forward
+            direction.
+        left: driven joints of the left legs, (P,).
         right: their mirror images, (P,).
-        sign: the image of ``left`` at q is ``right`` at sign · q, (P,).
+        sign: the mirror image of ``left`` at q is ``right`` at sign · q, (P,).
         groups: joints of each actuator group by name.
-        effort_limit: of each joint in each environment, N·m, (N, J); infinite where there is none.
-        mass: of the robot, kg.
+        effort_limit: limit of each joint in each environment, N·m, (N, J); inf without a limit.
+        mass: mass of the robot, kg.
         gravity: m/s².
     """
 
@@ -171,7 +166,7 @@ class RobotParts:
 
 
 def parts_of(env: Env) -> RobotParts:
-    """Look at the robot of an environment at its default pose."""
+    """Return the parts of an environment's robot at its default pose."""
     robot, model, device = env.scene.robot, env.scene.model, env.device
     names = robot.joint_names
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]
@@ -184,7 +179,7 @@ def parts_of(env: Env) -> RobotParts:
         if pair.left != pair.right and pair.left in driven and pair.right in driven and pair.left not in rolling
     ]
     contacts = contact_sensor(env.cfg["scene"]["sensors"])
-    assert contacts is not None  # the evaluation's config has one
+    assert contacts is not None  # evaluation_cfg added one
     bodies = env.scene[contacts].body_names
 
     def indices(found: list[int]) -> torch.Tensor:

@@ -20,25 +20,25 @@ from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositi
 
 Array = np.ndarray[Any, Any]
 
-# Weights of position, pitch, speed and pitch rate (m, rad, m/s, rad/s), and of the wheels' acceleration, rad/s².
+# LQR weights of position, pitch, speed, and pitch rate (m, rad, m/s, rad/s), and of the wheels' acceleration, rad/s².
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
-_HEADING = 4.0  # 1/s, of the turning speed on the error of the heading
-_MOST_ERROR = 0.05  # rad, of the lean's error that is integrated: a push or a fall must not wind it up
+_HEADING = 4.0  # 1/s: gain from the heading error to the yaw rate
+_MOST_ERROR = 0.05  # rad: bound on the integrated error, so that a push or a fall does not wind up the integrator
 
 
 @dataclass(frozen=True)
 class Pendulum:
-    """A body on one axle of wheels, whose legs hold still; all at the default pose.
+    """A body on one axle of wheels, with still legs, at the default pose.
 
     Attributes:
-        mass: of all but the wheels, kg.
-        height: of its centre of mass over the axle, m.
-        lean: pitch at which that centre stands over the axle, rad; forward down is positive.
-        inertia: of all but the wheels about the axle, kg·m².
-        rolling: kg by which the wheels resist being rolled: their mass and their inertia over the radius squared.
-        radius: of the wheels, m.
-        track: between the outermost contacts, m.
+        mass: mass without the wheels, kg.
+        height: height of its centre of mass over the axle, m.
+        lean: pitch at which that centre is above the axle, rad; positive is forward and down.
+        inertia: inertia without the wheels about the axle, kg·m².
+        rolling: resistance of the wheels to rolling, kg: their mass, and their inertia over the radius squared.
+        radius: radius of the wheels, m.
+        track: distance between the outermost contacts, m.
         gravity: m/s².
     """
 
@@ -53,12 +53,12 @@ class Pendulum:
 
     @property
     def pole(self) -> float:
-        """How fast it falls while the wheels hold their speed relative to the body, 1/s."""
+        """The rate at which it falls while the wheels keep their speed relative to the body, 1/s."""
         return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
 
     @property
     def _coupling(self) -> float:
-        """Resistance to rolling of body and wheels together, kg·m."""
+        """Resistance of body and wheels together to rolling, kg·m."""
         return self.mass * self.height + (self.mass + self.rolling) * self.radius
 
     @property
@@ -67,11 +67,11 @@ class Pendulum:
         return self.inertia + self.mass * self.height * self.radius + self._coupling * self.radius
 
     def linear(self) -> tuple[Array, Array]:
-        """Return A (4, 4) and B (4, 1) of the state [position, pitch, speed, pitch rate] about the lean.
+        """Return A (4, 4) and B (4, 1) of the state [position, pitch, speed, pitch rate], linearised at the lean.
 
-        The input u is the acceleration of the wheels relative to the body, so the armature drops out. With the
-        pitch θ and the axle's speed v = r (w + θ'):
-        ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
+        The input u is the acceleration of the wheels relative to the body, so the armature cancels. With the pitch θ
+        and the axle's speed v = r (w + θ'): ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``,
+        where m_w is ``rolling``.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -81,7 +81,7 @@ class Pendulum:
         return a, b
 
     def gains(self, step_dt: float) -> Array:
-        """Return K (4,) of u = -K [position, pitch, speed, pitch rate], the discrete optimum at a control rate.
+        """Return the optimal gains K (4,) of u = -K [position, pitch, speed, pitch rate] in discrete time.
 
         Args:
             step_dt: the control step, s.
@@ -95,13 +95,13 @@ class Pendulum:
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
-    """Return the pendulum that a robot is at its default pose, and its parts; it stands on ``standing`` wheels.
+    """Return the pendulum model of a robot at its default pose, and the robot's anatomy.
 
     Args:
-        env: the environment; its compiled model, not what was randomised.
+        env: the environment; its compiled model is used, without randomisation.
 
     Raises:
-        ConfigError: the robot does not stand on driven wheels of one axle that roll one way.
+        ConfigError: the robot does not stand on driven wheels of one axle that roll in one direction.
     """
     robot, model = env.scene.robot, env.scene.model
     data = at_default(model, robot)
@@ -110,9 +110,9 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.sign]
     if not wheels or len(wheels) < len(anatomy.standing) or not anatomy.one_axle or anatomy.forward is None:
         raise ConfigError(
-            "the reference controller balances robots on one axle of driven wheels, and this is none",
+            "the reference controller can only balance a robot on one axle of driven wheels",
             key="env.robot",
-            expected="a policy alone: leave the reference out",
+            expected="no reference for this robot: evaluate the policy alone",
         )
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
     forward, up = (base @ np.array(axis) for axis in (anatomy.forward, anatomy.up))
@@ -138,7 +138,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
 
 
 def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
-    """Return the inertia of bodies about an axis through a point, or each through its own centre, kg·m²."""
+    """Return the inertia of bodies about an axis through a point, or through each body's own centre, kg·m²."""
     total = 0.0
     for body in bodies:
         frame = data.ximat[body].reshape(3, 3)
@@ -151,28 +151,28 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """The balancer: a policy that reads the state without noise, and sets what the task's actions let it set.
+    """An LQR balancer as a policy. It reads the state without noise and acts through the task's actions.
 
-    Wheel targets are ``w + u / b`` with the wheels' speed w, the optimal acceleration u and the bandwidth b of the
-    wheels' drive; the difference of left and right turns towards the commanded heading. All other joints are told
-    to hold their defaults. The commanded speed is followed by a point that moves at it, so errors do not add up.
+    The target of a wheel is ``w + u / b``: its speed w, the optimal acceleration u, and the bandwidth b of the wheels'
+    drive. A difference between left and right turns the robot to the commanded heading. All other joints hold their
+    defaults. The position target moves at the commanded speed, so errors do not accumulate.
 
-    A fifth state is the integrator: the lean at which this robot balances, which its own centre of mass, a wrench and
-    the slope of the ground displace. It integrates the pitch acceleration that the linear model does not explain, with
-    the time constant of the pole. In balance that error is 0, so the position has no offset. Commands do not wind
-    the integrator up, because the model explains what they do.
+    An integrator estimates the lean at which this robot balances. Its centre of mass, a wrench, and the slope of the
+    ground shift that lean. The integrator adds up the pitch acceleration that the linear model does not explain, with
+    the time constant of the pole. The error is 0 in balance, so the position has no offset. Commands do not wind up the
+    integrator, because the model explains their effect.
 
     Args:
         env: the environment.
         command: name of the velocity command.
 
     Attributes:
-        pendulum: the model that it is made for.
-        gains: K, on position, pitch, speed and pitch rate.
+        pendulum: the linear model's parameters.
+        gains: K, for position, pitch, speed and pitch rate.
         bandwidth: b, 1/s.
 
     Raises:
-        ConfigError: the robot is no balancer, or its actions set no wheel speeds.
+        ConfigError: the robot cannot balance, or its actions set no wheel speeds.
     """
 
     name = "reference"
@@ -187,7 +187,7 @@ class Reference:
         names = [wheel.joint for wheel in wheels]
         self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
-        sides = {"left": -1.0, "right": 1.0, "middle": 0.0}  # of the speed that turns to the left
+        sides = {"left": -1.0, "right": 1.0, "middle": 0.0}  # sign of the wheel speed in a left turn
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
         self.bandwidth = _bandwidth(env, names)
         self._forward = torch.tensor(anatomy.forward, dtype=torch.float32, device=device)
@@ -198,7 +198,7 @@ class Reference:
         self._before = torch.zeros(3, env.num_envs, device=device)  # pitch, pitch rate and wheel speed
 
     def describe(self) -> dict[str, Any]:
-        """Return what it was made from, plain."""
+        """Return the model and the gains for JSON."""
         return {
             "pendulum": asdict(self.pendulum),
             "pole_per_s": self.pendulum.pole,
@@ -208,7 +208,7 @@ class Reference:
         }
 
     def __call__(self, observations: Mapping[str, Any] | None = None) -> torch.Tensor:
-        """Return raw actions (N, A); observations are not read."""
+        """Return raw actions (N, A). The observations are not used."""
         del observations
         env, data = self._env, self._env.scene.robot.data
         pitch, rate = self._pitch(data), data.root_ang_vel_b @ self._left
@@ -234,13 +234,13 @@ class Reference:
         """Integrate one control step and return the lean at which each robot balances, rad, (N,).
 
         Args:
-            fresh: whose episode starts, (N,) bool.
+            fresh: whether an episode starts, (N,) bool.
             state: pitch, pitch rate and wheel speed, (3, N).
         """
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
         _, pitching, rolling = (state - self._before) / dt
-        pitch = (state[0] + self._before[0]) / 2  # halfway, where the differences are
+        pitch = (state[0] + self._before[0]) / 2  # at the middle of the step, like the finite differences
         apparent = pitch - (pitching - b[3][0] * rolling) / a[3][1] - self.pendulum.lean
         error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR)
         self._lean = torch.where(fresh, 0.0, self._lean + self.pendulum.pole * dt * error)
@@ -252,7 +252,7 @@ class Reference:
         return torch.atan2(gravity @ self._forward, -(gravity @ self._up))
 
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions that make these wheel speeds and hold everything else at its default."""
+        """Return the raw actions for these wheel speeds; all other joints stay at their defaults."""
         data = self._env.scene.robot.data
         limits = data.soft_joint_vel_limits[:, self._wheels]
         speeds = data.default_joint_vel.clone()
@@ -262,7 +262,7 @@ class Reference:
 
 
 def _bandwidth(env: Env, wheels: list[str]) -> float:
-    """Return how fast the wheels' drive follows its target, 1/s: damping over armature, at most once a control step."""
+    """Return the bandwidth of the wheels' drive, 1/s: damping over armature, at most one per control step."""
     robot = env.scene.robot
     ids = [robot.joint_names.index(name) for name in wheels]
     damping = robot.data.default_joint_damping[0, ids].mean()
@@ -272,10 +272,10 @@ def _bandwidth(env: Env, wheels: list[str]) -> float:
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:
-    """Return the task's action terms in order, each with the joints that it sets.
+    """Return the task's action terms in order, each with its joints.
 
     Raises:
-        ConfigError: a term cannot be asked for a target, or none sets the wheels' speeds.
+        ConfigError: a term cannot invert a target, or no term sets the wheels' speeds.
     """
     found: list[tuple[JointAction, torch.Tensor]] = []
     manager, names = env.action_manager, env.scene.robot.joint_names
@@ -283,7 +283,7 @@ def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]
         term = manager.get_term(name)
         if not isinstance(term, (JointPositionAction, JointVelocityAction, JointEffortAction)):
             raise ConfigError(
-                "the reference controller cannot tell this action which target it wants",
+                "the reference controller cannot compute this action from a joint target",
                 key=f"env.actions.{name}",
                 expected="actions that scale and offset: positions, velocities, efforts",
             )
@@ -291,7 +291,7 @@ def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]
     driven = {joint for term, _ in found if isinstance(term, JointVelocityAction) for joint in term.joint_names}
     if not set(wheels) <= driven:
         raise ConfigError(
-            "the reference controller sets wheel speeds, and no action does",
+            "the reference controller sets wheel speeds, but no action of the task does",
             key="env.actions",
             expected="a velocity action of " + ", ".join(wheels),
         )

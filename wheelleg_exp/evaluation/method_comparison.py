@@ -22,14 +22,14 @@ from wheelleg_exp.managers.streams import stream_seed
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """One metric of several trainings that differ by their seed.
+    """One metric over several trainings that differ by their seed.
 
     Attributes:
         metric: ``group/metric``.
-        unit: of all numbers.
+        unit: unit of all numbers.
         better: ``higher``, ``lower``, or empty.
-        values: of each training.
-        mean: over the trainings, with its interval clustered by training.
+        values: value of each training.
+        mean: mean over the trainings, with its interval clustered by training.
         interquartile_mean: over the trainings.
     """
 
@@ -43,17 +43,17 @@ class OverSeeds:
 
 @dataclass(frozen=True)
 class Difference:
-    """One metric of one method against another's.
+    """The difference of two methods in one metric.
 
     Attributes:
         metric: ``group/metric``.
-        unit: of all numbers.
-        better: ``higher``, ``lower``, or empty: of worst values too, in which nothing tells more from chance.
-        first: of the method in question: the mean over its trainings.
-        second: of the one that it is held against.
+        unit: unit of all numbers.
+        better: ``higher``, ``lower``, or empty. It is empty for worst values, whose differences cannot be tested.
+        first: mean over the trainings of the method in question.
+        second: mean over the trainings of the other method.
         interval: first minus second, with its bootstrap interval.
-        test: of the episodes; None for metrics that no single column of episodes makes up.
-        p: of the test, corrected for how many metrics are tested (Holm); None without a test.
+        test: test of the episodes; None for metrics of several columns.
+        p: p value of the test, corrected for the number of metrics (Holm); None without a test.
     """
 
     metric: str
@@ -67,32 +67,32 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """``better`` or ``worse`` where the first method is so beyond chance, else empty.
+        """``better`` or ``worse`` if the first method's difference is significant, else empty.
 
-        The corrected test has to say so, in the direction of the means; where there is none, the interval has to leave
-        out 0.
+        The corrected test must be significant and agree with the sign of the means. Without a test, the interval must
+        exclude 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
-            return ""  # most episodes differ one way, the means, or the ranks that were tested, by a few, the other
+            return ""  # the median or the ranks point one way, and a few episodes pull the means the other way
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values, None for what is no number."""
+        """Return the difference for JSON, with None for NaN and inf."""
         return plain({**asdict(self), "outcome": self.outcome})
 
 
 def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
-    """Return every metric that all evaluations have, over them.
+    """Return every metric that all evaluations have, over the trainings.
 
     Args:
-        evaluations: of trainings that differ by their seed, in the same scenarios.
+        evaluations: evaluations of trainings that differ by their seed, in the same scenarios.
 
     Raises:
-        RunDirectoryError: they are of different scenarios.
+        RunDirectoryError: their scenarios differ.
     """
     require_same_scenarios(evaluations)
     found = []
@@ -106,16 +106,16 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 
 
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
-    """Return how one method differs from another in every metric that both have.
+    """Return the differences of two methods in every metric that both have.
 
-    Episodes that began alike are pairs, and several trainings of a method count with their mean in each scenario.
+    Episodes with the same start are pairs. Several trainings of a method count with their mean in each scenario.
 
     Args:
-        first: evaluations of the method in question, one for each training seed.
-        second: those of the one that it is held against.
+        first: evaluations of the method in question, one per training seed.
+        second: evaluations of the other method.
 
     Raises:
-        RunDirectoryError: they are of different scenarios.
+        RunDirectoryError: their scenarios differ.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)
@@ -125,22 +125,22 @@ def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> li
 
 
 def paired(evaluations: Sequence[Evaluation], test: str) -> bool:
-    """Return whether the episodes of a test began alike in all evaluations."""
+    """Return whether the episodes of a test had the same starts in all evaluations."""
     return len({evaluation.starts_sha256.get(test) for evaluation in evaluations}) == 1
 
 
 def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
-    """Raise RunDirectoryError unless all evaluations are of the same scenarios."""
+    """Raise RunDirectoryError unless all evaluations have the same scenarios."""
     digests = list(dict.fromkeys(evaluation.scenarios_sha256 for evaluation in evaluations))
     if len(digests) > 1:
         raise RunDirectoryError(
-            "evaluations of different scenarios are no comparison: " + ", ".join(d[:12] for d in digests),
-            expected="one protocol, with the same numbers and seed, for all of them",
+            "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests),
+            expected="the same protocol, numbers, and seed for all evaluations",
         )
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON: None for what is no number."""
+    """Return a value for JSON, with None for NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -149,7 +149,7 @@ def plain(value: Any) -> Any:
 
 
 def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:
-    """Return the metrics that all evaluations have, with what they are of the episodes."""
+    """Return the metrics that all evaluations have."""
     first = evaluations[0]
     tests = list(dict.fromkeys(first.episodes["test"].tolist()))
     shared = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
@@ -177,9 +177,9 @@ def _difference(
     drawn = [significance.clustered_means(_draws(metric, group), generator) for group in (first, second)]
     count = min(map(len, drawn))
     interval = significance.interval(means[0] - means[1], drawn[0][:count] - drawn[1][:count], generator)
-    if metric.reduce is worst:  # the largest of a sample is no sample: neither a test nor a bootstrap tells of it
-        beside = Interval(interval.value, math.nan, math.nan, math.nan)
-        return Difference(metric.name, metric.unit, "", means[0], means[1], beside, None, None)
+    if metric.reduce is worst:  # neither a test nor a bootstrap is valid for the maximum of a sample
+        bare = Interval(interval.value, math.nan, math.nan, math.nan)
+        return Difference(metric.name, metric.unit, "", means[0], means[1], bare, None, None)
     test = _test(metric, first, second, are_pairs) if len(metric.columns) == 1 else None
     return Difference(metric.name, metric.unit, metric.better, means[0], means[1], interval, test, None)
 
@@ -206,39 +206,39 @@ _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 
 
 def verdict(found: Sequence[Difference], first: str, second: str, trainings: Sequence[int]) -> str:
-    """Return in words what the differences come to.
+    """Return a summary of the differences in words.
 
     Args:
         found: the differences.
-        first: what the method in question is called.
-        second: what the other is called.
-        trainings: of how many each is that was trained.
+        first: name of the method in question.
+        second: name of the other method.
+        trainings: number of trainings of each method.
     """
     tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
     better = [row.metric for row in tested if row.outcome == "better"]
     worse = [row.metric for row in tested if row.outcome == "worse"]
     if not better and not worse:
-        said = f"No difference between {first} and {second} is beyond chance in any of {len(tested)} metrics."
+        text = f"No difference between {first} and {second} is significant in any of {len(tested)} metrics."
     elif not worse:
-        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
+        text = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
     elif not better:
-        said = f"{first} is worse than {second} in {_listed(worse, len(tested))}, and better in none."
+        text = f"{first} is worse than {second} in {_listed(worse, len(tested))}, and better in none."
     else:
-        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {_listed(worse)}."
+        text = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {_listed(worse)}."
     if min(trainings, default=0) == 1:
-        said += " One training of a method alone tells policies apart, not methods: another seed may train another."
-    return said
+        text += " A single training per method compares policies, not methods: another seed can give another result."
+    return text
 
 
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
-    """Return in one line whether a method recovers from harder pushes than another; empty where none were measured.
+    """Return one line that says whether a method survives harder pushes than another; empty without push tests.
 
-    It is better where it survives harder pushes of every kind (at once, and over each length of a pulse) beyond chance.
+    It is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
 
     Args:
         found: the differences.
-        first: what the method in question is called.
-        second: what the other is called.
+        first: name of the method in question.
+        second: name of the other method.
     """
     rows = {row.metric: row for row in found}
     kinds = [name.removeprefix(_WORST) for name in rows if name.startswith(_WORST)]
@@ -252,13 +252,13 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         word = "better in some pushes and worse in others than"
     else:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
-    said = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
+    text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
     ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
-    said += f" {second[0].upper()}{second[1:]} survives {' and '.join(ratios)} that {first} survives." if ratios else ""
+    text += f" {second[0].upper()}{second[1:]} survives {' and '.join(ratios)} that {first} survives." if ratios else ""
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
-    told = " and ".join(f"{word} in {count}" for count, word in counts if count)
-    return said + (f" Of {len(single)} directions and kinds it is {told}." if told else "")
+    tally = " and ".join(f"{word} in {count}" for count, word in counts if count)
+    return text + (f" Of {len(single)} directions and kinds it is {tally}." if tally else "")
 
 
 def _push(kind: str, article: str = "the") -> str:

@@ -29,13 +29,13 @@ def mean(columns: Sequence[Array]) -> Array:
 
 
 def quadratic(columns: Sequence[Array]) -> Array:
-    """Return the root of the mean square over episodes: of RMS values, that of all their steps, episodes alike."""
+    """Return the root mean square over episodes. All episodes have the same weight."""
     found: Array = np.sqrt(np.square(columns[0]).mean(axis=-1))
     return found
 
 
 def worst(columns: Sequence[Array]) -> Array:
-    """Return the largest."""
+    """Return the largest value."""
     found: Array = columns[0].max(axis=-1)
     return found
 
@@ -47,7 +47,7 @@ def median(columns: Sequence[Array]) -> Array:
 
 
 def gain(columns: Sequence[Array]) -> Array:
-    """Return the least-squares slope of the second column (velocity) on the first (command)."""
+    """Return the least-squares slope of the second column (velocity) over the first (command)."""
     command, velocity = columns
     centred = command - command.mean(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -56,17 +56,17 @@ def gain(columns: Sequence[Array]) -> Array:
 
 
 def skill(columns: Sequence[Array]) -> Array:
-    """Return (score - still) / (1 - still): 0 stands still, 1 tracks perfectly, below 0 is worse than standing."""
+    """Return (score - still) / (1 - still): 0 for standing still, 1 for perfect tracking."""
     score, still = (column.mean(axis=-1) for column in columns)
     found: Array = (score - still) / (1.0 - still)
     return found
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
-    """Return the share of cells in which nobody fell and the mean errors are within the band.
+    """Return the share of cells without a fall whose mean errors are within the band.
 
     Args:
-        columns: cell; errors of both axes as shares of the command, infinite where an episode fell.
+        columns: the cell, and the errors of both axes as shares of the command; inf if the episode fell.
         band: the largest share.
     """
     cell, *errors = columns
@@ -77,7 +77,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
             count = mine.sum(axis=-1)
             sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
             good = np.all([total <= band * count for total in sums], axis=0)
-            passed.append(np.where(count > 0, good, np.nan))  # a resample may leave a cell out
+            passed.append(np.where(count > 0, good, np.nan))  # a resample can lack a cell
         found: Array = np.nanmean(passed, axis=0)
     return found
 
@@ -88,59 +88,59 @@ def everything(rows: Mapping[str, Array]) -> Array:
 
 
 def moving(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes that are told to move."""
+    """Return the episodes with a nonzero command."""
     return (rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0)
 
 
 def still(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes that are told to stand."""
+    """Return the episodes with a zero command."""
     return ~moving(rows)
 
 
 def surviving(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes that are told to move and lived to the end."""
+    """Return the episodes with a nonzero command that survived to the end."""
     return moving(rows) & (rows["survived"] == 1.0)
 
 
 def commanded(rows: Mapping[str, Array], axis: str) -> Array:
-    """Return the episodes that are told to move along one axis."""
+    """Return the episodes with a nonzero command along one axis."""
     return rows[f"command_{axis}"] != 0.0
 
 
 def cell_is(rows: Mapping[str, Array], name: str) -> Array:
-    """Return the episodes of the cell of a name, or of those whose names begin with one that ends in ``/``."""
+    """Return the episodes of a cell; a name that ends in ``/`` selects all cells with this prefix."""
     cells = rows["cell_name"].astype(str)
     found: Array = np.char.startswith(cells, name) if name.endswith("/") else cells == name
     return found
 
 
 def cell_ends(rows: Mapping[str, Array], ending: str) -> Array:
-    """Return the episodes of the cells whose name ends so."""
+    """Return the episodes of the cells whose names have this suffix."""
     found: Array = np.char.endswith(rows["cell_name"].astype(str), ending)
     return found
 
 
 def worst_median(columns: Sequence[Array]) -> Array:
-    """Return the least of the cells' medians; columns are cell and value."""
+    """Return the lowest median of a cell. The columns are cell and value."""
     return _least(columns, np.nanmedian)
 
 
 def worst_mean(columns: Sequence[Array]) -> Array:
-    """Return the least of the cells' means; columns are cell and value."""
+    """Return the lowest mean of a cell. The columns are cell and value."""
     return _least(columns, np.nanmean)
 
 
 def _least(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
     cell, value = columns
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a resample may leave a cell without episodes
+        warnings.simplefilter("ignore", RuntimeWarning)  # a resample can lack a cell
         each = [of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)]
         found: Array = np.nanmin(each, axis=0)
     return found
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
-    """Return how many levels, from the first on, have at least a share of successes; columns are level and success."""
+    """Return the number of levels from the first with this share of successes. Columns: level and success."""
     level, success = columns
     passed = np.ones(level.shape[:-1], dtype=bool)
     count = np.zeros(level.shape[:-1])
@@ -172,16 +172,16 @@ def changed(rows: Mapping[str, Array]) -> Array:
 
 @dataclass(frozen=True)
 class Metric:
-    """What one metric is.
+    """The declaration of one metric.
 
     Attributes:
         name: ``group/metric``.
-        test: of the episodes that it is of.
-        columns: of the episodes, numbers; rows in which one is NaN are left out.
+        test: the test of its episodes.
+        columns: its numeric columns; episodes with NaN in one of them are skipped.
         reduce: makes one number of the columns.
-        unit: of the number.
+        unit: unit of the number.
         better: ``higher``, ``lower``, or empty.
-        rows: which of the test's episodes.
+        rows: selects episodes of the test.
     """
 
     name: str
@@ -193,7 +193,7 @@ class Metric:
     rows: Rows = everything
 
     def kept(self, episodes: Mapping[str, Array]) -> Array:
-        """Return which of all the episodes the metric is of, (E,) bool."""
+        """Return the mask of the metric's episodes among all episodes, (E,) bool."""
         mine = np.asarray(episodes["test"] == self.test)
         rows = {name: column[mine] for name, column in episodes.items()}
         kept = self.rows(rows)
@@ -203,19 +203,19 @@ class Metric:
         return mine
 
     def values(self, episodes: Mapping[str, Array]) -> list[Array]:
-        """Return the columns over the episodes that the metric is of, (E,) each."""
+        """Return the columns of the metric's episodes, (E,) each."""
         kept = self.kept(episodes)
         return [episodes[name][kept] for name in self.columns]
 
 
 def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
-    """Return a metric of its episodes drawn with replacement again and again, (B,); of equal seeds the same draws.
+    """Return bootstrap values of a metric, (B,). Equal seeds draw the same episodes.
 
     Args:
         metric: the metric.
         episodes: the columns.
-        seed: of the resampling, whose stream has the metric's name.
-        resamples: how often is drawn, B.
+        seed: seed of the draws; the stream has the metric's name.
+        resamples: number of resamples, B.
     """
     columns = metric.values(episodes)
     count = len(columns[0])
@@ -227,13 +227,13 @@ def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resample
 
 
 def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
-    """Return a metric of the episodes, with its 95 % percentile bootstrap interval over episodes.
+    """Return a metric with its 95 % percentile bootstrap interval over episodes.
 
     Args:
         metric: the metric.
         episodes: the columns.
-        seed: of the resampling.
-        resamples: how often is drawn.
+        seed: seed of the draws.
+        resamples: number of resamples.
     """
     columns = metric.values(episodes)
     if not len(columns[0]):
@@ -249,15 +249,15 @@ def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, A
 
     Args:
         test: the test.
-        columns: of its episodes: metrics whose columns are not there are left out.
-        protocol: the composed protocol, plain: what its tests count as a band and as passed.
+        columns: the columns of its episodes. Metrics without their columns are skipped.
+        protocol: the composed protocol, plain: its bands and pass limits.
     """
     if test == "walk":
         found = _of_walking(columns, float((protocol.get("walk") or {}).get("band", 0.1)))
     elif test == "terrain":
         found = _of_terrain(columns, float((protocol.get("terrain") or {}).get("pass_share", 0.9)))
     else:
-        found = _SIMPLY[test](columns)
+        found = _WITHOUT_OPTIONS[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]
 
 
@@ -268,8 +268,8 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
 
 
-# Column, unit, how it is reduced: of every test, over the episodes that it is asked for.
-_ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
+# Column, unit, reduction, and better direction of the metrics that several tests share.
+_SHARED: tuple[tuple[str, str, Reduce, str], ...] = (
     ("height_rmse_m", "m", quadratic, "lower"),
     ("height_mean_m", "m", mean, ""),
     ("pitch_rms_rad", "rad", quadratic, "lower"),
@@ -295,14 +295,14 @@ _ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
 _ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
 
 
-def _alike(test: str, columns: Mapping[str, Array], rows: Rows) -> Iterator[Metric]:
+def _shared_metrics(test: str, columns: Mapping[str, Array], rows: Rows) -> Iterator[Metric]:
     for name in columns:
         if name.startswith(("torque_rms_", "torque_share_")):
             unit = "N·m" if name.startswith("torque_rms_") else ""
             yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
         elif name.startswith("saturation_"):
             yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
-    for name, unit, reduce, better in _ALIKE:
+    for name, unit, reduce, better in _SHARED:
         yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
 
 
@@ -321,7 +321,7 @@ def _short(name: str) -> str:
 def _of_standing(columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield from _survival("stand", columns)
     yield from _drift("stand/", "stand", everything)
-    yield from _alike("stand", columns, everything)
+    yield from _shared_metrics("stand", columns, everything)
 
 
 def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
@@ -339,7 +339,7 @@ def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
     yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
     yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")
     yield from _drift("walk/zero_", test, still)
-    yield from _alike(test, columns, moving)
+    yield from _shared_metrics(test, columns, moving)
 
 
 def _of_steps(columns: Mapping[str, Array]) -> Iterator[Metric]:
@@ -386,7 +386,7 @@ def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Met
         yield Metric(f"terrain/success/{cell}", test, ("success",), mean, better=better, rows=rows)
         yield Metric(f"terrain/distance_ratio/{cell}", test, ("distance_ratio",), mean, better=better, rows=rows)
     yield Metric("terrain/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
-    yield from _alike(test, columns, everything)
+    yield from _shared_metrics(test, columns, everything)
 
 
 def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
@@ -417,7 +417,7 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
 
 
-_SIMPLY: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {  # those that ask the protocol for nothing
+_WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {
     "stand": _of_standing,
     "steps": _of_steps,
     "push": _of_pushing,

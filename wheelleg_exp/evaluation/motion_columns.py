@@ -18,9 +18,9 @@ Columns = dict[str, torch.Tensor]
 
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
-    """Return whether each episode lived to the end and to some moments, and when it failed; (N,) each.
+    """Return whether each episode survived to the end and to given moments, and when it failed; (N,) each.
 
-    ``time_to_failure_s`` is the horizon where there was none: so its mean is of a censored time, and no more than it.
+    ``time_to_failure_s`` is the horizon without a failure. Its mean is therefore a lower bound of the true mean.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -33,7 +33,7 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 
 
 def posture(made: Trajectories, settle_s: float, target: float | None) -> Columns:
-    """Return height and attitude over the steps after settling; (N,) each, NaN where an episode was shorter."""
+    """Return height and attitude after settling; (N,) each, NaN for shorter episodes."""
     counted = made.counted(settle_s)
     columns = {} if target is None else {"height_rmse_m": rms(made.height - target, counted)}
     return columns | {
@@ -47,10 +47,10 @@ def posture(made: Trajectories, settle_s: float, target: float | None) -> Column
 
 
 def drift(made: Trajectories, settle_s: float) -> Columns:
-    """Return how far each robot strays from where it was when it had settled; (N,) each.
+    """Return the drift of each robot from its pose after settling; (N,) each.
 
-    ``drift_max_m`` is max‖xy - xy(settle)‖, ``drift_speed_m_s`` the size of the least-squares slope of xy,
-    ``yaw_drift_rad`` max|yaw - yaw(settle)| and ``yaw_drift_rad_s`` the size of its slope.
+    ``drift_max_m`` is max‖xy - xy(settle)‖. ``drift_speed_m_s`` is the norm of the least-squares slope of xy.
+    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` the absolute slope of the yaw.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)
@@ -65,7 +65,7 @@ def drift(made: Trajectories, settle_s: float) -> Columns:
 
 
 def stance(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return the share of steps with every wheel down, and how unlike left and right legs are, rad; (N,) each."""
+    """Return the share of steps with all wheels down, and the asymmetry of left and right legs, rad; (N,) each."""
     counted = made.counted(settle_s)
     columns = {}
     if len(parts.wheels):
@@ -79,14 +79,14 @@ def stance(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
 def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
     """Return errors and skill on both commanded axes; (N,) each.
 
-    With the command c and the velocity v in the base's axes, over the steps after settling:
+    With the command c and the velocity v in the base's axes, after settling:
 
-    * ``error_<axis>``: √mean (v - c)² while the episode lived;
-    * ``error_<axis>_with_falls``: the same, but of an episode that fell no less than |c|, the error of standing
-      still: an early fall must not look better than a late one;
+    * ``error_<axis>``: √mean (v - c)² while the episode survives;
+    * ``error_<axis>_with_falls``: the same, but at least |c| for an episode that fell. |c| is the error of standing
+      still; so an early fall is never better than a late one.
     * ``velocity_<axis>``: mean v from ``steady_s`` on;
     * ``score_<axis>``: mean exp(-(v - c)²/std²) over all steps to the horizon, 0 after a fall;
-      ``still_<axis>``: exp(-c²/std²), what standing still would have earned.
+    * ``still_<axis>``: exp(-c²/std²), the score of standing still.
     """
     columns: Columns = {}
     axes = (("vx", made.vel[..., 0], 0, options.std_lin_vel_x), ("wz", made.ang[..., 2], 2, options.std_ang_vel_z))
@@ -106,10 +106,10 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
 
 
 def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return ``error_wheels_m_s``: RMS of how much faster the base is over each wheel than it was told to be; (N,).
+    """Return ``error_wheels_m_s``: the RMS error of the velocity over each wheel; (N,).
 
-    At a distance y to the left of the base it is told to move at v - w y, with the commanded speed v and yaw rate w:
-    what both errors come to on the ground. Nothing of a robot that has no way forwards.
+    A point at a distance y to the left of the base is commanded to move at v - w y, with the commanded speed v and yaw
+    rate w. The result is empty for a robot without a forward direction.
     """
     if parts.wheel_offsets is None:
         return {}
@@ -121,7 +121,7 @@ def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Colum
 
 
 def errors(made: Trajectories, settle_s: float) -> Columns:
-    """Return ``error_<axis>``: √mean (v - c)² of both axes after settling, while the episode lived; (N,) each."""
+    """Return ``error_<axis>``: √mean (v - c)² of both axes after settling, while the episode survives; (N,) each."""
     settled = made.counted(settle_s)
     return {
         "error_vx": rms(made.vel[..., 0] - made.command[..., 0], settled),
@@ -130,12 +130,12 @@ def errors(made: Trajectories, settle_s: float) -> Columns:
 
 
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
-    """Return how far steady velocities are off, and whether episodes are within the band; (N,) each.
+    """Return the errors of steady velocities, and whether episodes are within the band; (N,) each.
 
-    ``off_<axis>`` is the size of the mean velocity's error as a share of the command, or of the smallest command of
-    the grid that is not 0 where the command is 0; infinite for who fell. ``in_band`` is 1 where both are at most
-    ``options.band``, else 0. ``sign_<axis>`` is 1 where the robot moves the way that it was told to, 0 where it does
-    not or fell.
+    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. If the command is 0, the grid's
+    smallest nonzero command replaces it. A fallen episode has inf. ``in_band`` is 1 if both are at most
+    ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot moves in the commanded direction, and 0 if not or after
+    a fall.
     """
     found: Columns = {}
     good = ~made.fell
@@ -151,18 +151,17 @@ def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
 
 
 def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Columns:
-    """Return how the three steps were answered; (N,) each, NaN for what a fall or a velocity outside its band hides.
+    """Return the responses to three command steps; (N,) each, NaN after a fall or a missing response.
 
-    * ``settle_s``: after the step 0 → c, until the velocity is last outside the band around c;
+    * ``settle_s``: after the step 0 → c, the time until the velocity stays within the band around c;
     * ``overshoot``: largest velocity beyond c while driving, as a share of c;
-    * ``reversal_s``: after the step c → -c, likewise to the band around -c;
-    * ``stop_s``: after the step -c → 0, until the speed is last above the band;
-    * ``stop_distance``: how far the robot goes on after that, along where it was heading, m, or turns, rad.
+    * ``reversal_s``: after the step c → -c, the same for the band around -c;
+    * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
+    * ``stop_distance``: distance after that step along the previous heading, m, or the turned angle, rad.
 
-    ``asked`` is c of each episode, (N, 3). Of stops there are those alone of robots that were driving as told.
+    ``asked`` is c of each episode, (N, 3). The stop columns only exist for robots that drove as commanded.
 
-    ``<answer>_did`` is 1 where there was such a time, else 0. The turning episodes have their columns with ``_wz``,
-    the driving ones with ``_vx``.
+    ``<answer>_did`` is 1 if there is such a time, else 0. Columns end in ``_wz`` for turning and ``_vx`` for driving.
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -179,9 +178,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         columns[f"settle_s_{name}"] = kept(last_exit((share - 1.0).abs() > options.band, windows[0], dt))
         columns[f"overshoot_{name}"] = kept(largest(share - 1.0, windows[0]).clamp(min=0.0))
         columns[f"reversal_s_{name}"] = kept(last_exit((share + 1.0).abs() > options.band, windows[1], dt))
-        drove = at(share, windows[2]) < -options.band  # who never moved, or moved another way, has nothing to stop
+        drove = at(share, windows[2]) < -options.band  # a robot that did not drive as commanded cannot stop
         columns[f"stop_s_{name}"] = kept(last_exit(share.abs() > options.band, windows[2], dt), mine & drove)
-        for answer in ("settle", "reversal", "stop"):  # whether it did at all
+        for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
         beyond = largest(_beyond(made, name, windows[2], command), windows[2])
@@ -190,7 +189,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
 
 
 def _beyond(made: Trajectories, name: str, window: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
-    """Return how far each robot is beyond where it was told to stop, along -c, (T, N), m or rad."""
+    """Return the distance of each robot beyond the place of its stop command, along -c, (T, N), m or rad."""
     yaw = made.unwrapped_yaw()
     if name == "wz":
         return (yaw - at(yaw, window)) * -command.sign()
@@ -199,16 +198,16 @@ def _beyond(made: Trajectories, name: str, window: torch.Tensor, command: torch.
     return (way[..., 0] * heading.cos() + way[..., 1] * heading.sin()) * -command.sign()
 
 
-_SPEED_HZ = 10.0  # from here on power is chatter: a body of this size moves at a few hertz
+_SPEED_HZ = 10.0  # power above this frequency is chatter: a body of this size moves at a few hertz
 
 
 def effort(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
     """Return torques and saturation of each actuator group, and the wheels' speed and sign changes; (N,) each.
 
-    ``torque_rms_<group>`` is over joints and physics steps, N·m; ``torque_share_<group>`` the same as a share of each
-    joint's effort limit; ``saturation_<group>`` the share of physics steps at the limit, ``saturation_max_<group>``
-    that of the joint that is there most. ``wheel_sign_changes_per_s`` counts, per wheel, how often the torque passes
-    from beyond the dead band on one side to beyond it on the other.
+    ``torque_rms_<group>`` is over joints and physics steps, N·m. ``torque_share_<group>`` is the same as a share of
+    each joint's effort limit. ``saturation_<group>`` is the share of physics steps at the limit, and
+    ``saturation_max_<group>`` that of the group's most saturated joint. ``wheel_sign_changes_per_s`` counts, per wheel,
+    how often the torque crosses the whole dead band.
     """
     counted = made.counted(settle_s)
     columns: Columns = {}
@@ -226,10 +225,10 @@ def effort(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
 
 
 def energy(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return power, work and cost of transport after settling; (N,) each.
+    """Return power, work, and cost of transport after settling; (N,) each.
 
-    Gross counts ∑|τ q̇| Δt, net ∑|(τ - I_a q̈) q̇| Δt: without what swings the armature. The cost of transport is
-    energy / (m g d) with d the length of the way in the plane; NaN for robots that were told to stand.
+    Gross sums ∑|τ q̇| Δt. Net sums ∑|(τ - I_a q̈) q̇| Δt, without the power that accelerates the armature. The cost of
+    transport is energy / (m g d), with d the length of the path in the plane. It is NaN for robots with a zero command.
     """
     counted = made.counted(settle_s)
     duration = counted.sum(dim=0) * made.dt
@@ -251,12 +250,12 @@ def energy(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
 
 
 def smoothness(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return how much actions and torques jump from step to step; (N,) each.
+    """Return how much actions and torques change from step to step; (N,) each.
 
-    ``action_rate_per_s`` is mean|Δa|/Δt, ``action_acceleration_per_s2`` mean|Δ²a|/Δt², over the action's components;
-    ``torque_difference_rms_nm`` the RMS of a control step's change of torque; ``fast_power_share`` the share of the
-    driven joints' torque power spectrum, its mean left out, above 10 Hz (of episodes that lived to the end).
-    Both sample the torque at the last physics step of each control step.
+    ``action_rate_per_s`` is mean|Δa|/Δt and ``action_acceleration_per_s2`` mean|Δ²a|/Δt², over the action's components.
+    ``torque_difference_rms_nm`` is the RMS change of torque per control step. ``fast_power_share`` is the share of the
+    driven joints' torque power spectrum above 10 Hz, without its mean, for episodes that survived. Torques are sampled
+    at the last physics step of each control step.
     """
     counted, dt = made.counted(settle_s), made.dt
     later, latest = counted[1:] & counted[:-1], counted[2:] & counted[1:-1] & counted[:-2]
@@ -272,9 +271,9 @@ def smoothness(made: Trajectories, parts: RobotParts, settle_s: float) -> Column
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the share of the power of (T, N, J) above 10 Hz, (N,); NaN for who does not count to the end.
+    """Return the share of the power of (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
 
-    A still signal has no power, and so none that is fast: 0.
+    The share of a constant signal is 0.
     """
     whole = counted[-1]
     begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0

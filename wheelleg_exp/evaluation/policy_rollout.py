@@ -22,35 +22,35 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Gives a velocity command term what it is to ask for, in the place of its draws.
+    """Hold the values of a velocity command term instead of its random draws.
 
     Args:
         env: the environment.
         name: the term.
 
     Raises:
-        ConfigError: the term is no velocity command.
+        ConfigError: the term is not a velocity command.
     """
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
         if not isinstance(term, UniformVelocityCommand):
             raise ConfigError(
-                f"'{name}' is no velocity command",
+                f"'{name}' is not a velocity command",
                 key=f"env.commands.{name}",
-                expected="a command of wheelleg_exp.mdp.commands.UniformVelocityCommand, or of a class of it",
+                expected="a wheelleg_exp.mdp.commands.UniformVelocityCommand, or a subclass",
             )
         self._term = term
         self._held = torch.zeros(env.num_envs, 3, device=env.device)
-        setattr(term, "draw", self._draw)  # noqa: B010  # this one object alone draws no more
+        setattr(term, "draw", self._draw)  # noqa: B010  # replaces the draw of this object only
 
     @property
     def command(self) -> torch.Tensor:
-        """What is asked for now, v_x, v_y in m/s and w_z in rad/s, (N, 3), however slowly the term gets there."""
+        """The requested velocities v_x, v_y in m/s and w_z in rad/s, (N, 3), before the term's rate limit."""
         return self._term.asked
 
     def hold(self, command: torch.Tensor) -> None:
-        """Ask for velocities (N, 3) from now on, through resets too."""
+        """Request velocities (N, 3) from now on, also after resets."""
         self._held.copy_(command)
         self._draw(torch.arange(len(command), device=command.device))
 
@@ -63,26 +63,27 @@ Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
-FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"  # endings beside the terminations
+# Endings of the rollout itself, in addition to the task's terminations.
+FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"
 
 
 class Rollout:
-    """Rolls policies through scenarios in one environment, as often as asked, from the same starts.
+    """Roll policies through scenarios in one environment, each time from the same starts.
 
     Args:
-        env: an environment of ``task.build``, one row for each scenario.
+        env: an environment of ``evaluation_env.build``, one row per scenario.
         scenarios: the table.
         command: name of the velocity command.
-        fall_tilt: tilt from which on a robot has fallen, rad.
-        contact_force: force from which on a wheel is on the ground, N.
-        saturation: share of the effort limit from which on an actuator is at it.
+        fall_tilt: tilt from which a robot counts as fallen, rad.
+        contact_force: force from which a wheel counts as on the ground, N.
+        saturation: share of the effort limit from which an actuator counts as saturated.
         deadband: share of the effort limit up to which a torque has no sign.
-        settle_s: time at the start of each episode whose torques do not count, s.
+        settle_s: time at the start of each episode without counted torques, s.
 
     Attributes:
         parts: the robot's parts.
-        endings: names of what may end an episode; the last columns are the rollout's own.
-        starts: sha256 of the state that the last episodes started from, and of what was randomised.
+        endings: names of what can end an episode; the last ones are the rollout's own.
+        starts: sha256 of the last start states and of the randomised values.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class Rollout:
         self.endings = (*env.termination_manager.active_terms, FALLEN, NOT_FINITE, NOT_FINITE_ACTION)
 
     def start(self, seed: int) -> Observations:
-        """Reset every environment, with the streams of ``seed`` begun anew, and return the first observations."""
+        """Reset every environment with the streams of ``seed``, and return the first observations."""
         self._held.hold(self._commands[:, 0])
         observations, _ = self.env.reset(seed)
         self._meter.start()
@@ -117,7 +118,7 @@ class Rollout:
         return observations
 
     def _starts_digest(self) -> str:
-        """Return the sha256 of the state that the episodes start from, and of what was randomised."""
+        """Return the sha256 of the start states and of the randomised values."""
         sim = self.env.scene.sim
         digest = hashlib.sha256(sim.motion.cpu().numpy().tobytes())
         wrench = self.env.scene.robot.permanent_wrench
@@ -131,8 +132,8 @@ class Rollout:
 
         Args:
             policy: from observations by group to raw actions (N, A).
-            seed: of the streams that starts are drawn from.
-            tell: told how many steps of how many are done.
+            seed: seed of the streams of the starts.
+            tell: called with the number of finished steps and of all steps.
             disturb: called before each control step with its number.
         """
         env = self.env
@@ -151,7 +152,7 @@ class Rollout:
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
-                self._held.hold(self._commands[:, segment])  # the observation that this step returns shows it
+                self._held.hold(self._commands[:, segment])  # before the step, so that its observation has the command
             self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)
             failed, why = self._failed(numbers)
@@ -165,7 +166,7 @@ class Rollout:
         return made
 
     def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return who has failed in this step, and what of ``endings`` did it."""
+        """Return which episodes failed in this step, and the index of the cause in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
         not_finite = manager.terminated & ~manager.fired.any(dim=0)

@@ -1,4 +1,4 @@
-"""From a task, a policy and a protocol to an evaluation: test by test, each in an environment of its own."""
+"""Evaluate a policy by a protocol, test by test, each test in its own environment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
-from wheelleg_exp.evaluation.disturbance_tests import Late, push_columns, worlds
+from wheelleg_exp.evaluation.disturbance_tests import DelayedPolicy, push_columns, worlds
 from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg, target_height
 from wheelleg_exp.evaluation.metric_catalogue import Array, figure, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns
@@ -31,15 +31,15 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """What is evaluated, and how.
+    """The policy to evaluate, and its protocol.
 
     Attributes:
         env_cfg: the composed ``env`` section, plain.
         mjcf: the robot's MJCF file.
         make_policy: makes the policy for an environment.
         protocol: the protocol.
-        seed: of the starts.
-        tell: told the test, and how many of its steps are done of how many.
+        seed: seed of the starts.
+        tell: called with the test, its finished steps, and all of its steps.
     """
 
     env_cfg: Mapping[str, Any]
@@ -69,13 +69,13 @@ class Subject:
         )
 
     def teller(self, test: str) -> RolloutTell | None:
-        """Return what is told how far one test is."""
+        """Return the progress callback of one test."""
         tell = self.tell
         return None if tell is None else lambda done, of: tell(test, done, of)
 
     @property
     def target(self) -> float | None:
-        """The base height that is asked for, m."""
+        """The target height of the base, m."""
         return target_height(self.env_cfg, self.protocol)
 
 
@@ -92,11 +92,11 @@ def evaluate(
     Args:
         env_cfg: the composed ``env`` section, plain.
         mjcf: the robot's MJCF file.
-        make_policy: makes, for an environment, a callable from observations by group to raw actions (N, A); if it has
-            a ``reset``, that is called before each rollout.
+        make_policy: makes, for an environment, a callable from observations by group to raw actions (N, A). If the
+            callable has a ``reset``, it is called before each rollout.
         protocol: the composed ``protocol``, plain.
-        seed: of the scenarios; the protocol's by default.
-        tell: told the test, and how many of its steps are done of how many.
+        seed: seed of the scenarios; by default the protocol's.
+        tell: called with the test, its finished steps, and all of its steps.
 
     Raises:
         ConfigError: the protocol or the task is wrong.
@@ -123,14 +123,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class Part:
-    """What one test found.
-
-    Attributes:
-        test: its name.
-        starts: sha256 of where its episodes began.
-        columns: of its episodes.
-        about: the robot and its engine.
-    """
+    """The result of one test: the sha256 of its starts, the columns of its episodes, and the robot and its engine."""
 
     test: str
     starts: str
@@ -186,7 +179,7 @@ def _placed(subject: Subject, table: Scenarios) -> Rollout:
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
-    """Return the episodes of every changed world, the unchanged one first, in an environment each."""
+    """Return the episodes of every changed world, the unchanged world first, each in its own environment."""
     options = subject.protocol.robust
     assert options is not None
     cfg, found, starts = subject.cfg(table), [], []
@@ -196,14 +189,15 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     for number, world in enumerate(each):
         rollout = subject.rollout(table, world.cfg)
         policy = subject.make_policy(rollout.env)
-        made = rollout.roll(Late(policy, world.late) if world.late else policy, subject.seed)
+        delayed = DelayedPolicy(policy, world.delay_steps) if world.delay_steps else policy
+        made = rollout.roll(delayed, subject.seed)
         columns = motion_columns.survival(made, []) | motion_columns.posture(
             made, subject.protocol.settle_s, subject.target
         )
         columns |= motion_columns.errors(made, subject.protocol.settle_s)
-        told = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
-        told["world"] = np.full(table.size, float(number))
-        found.append(identity(rollout, made) | told | _numbers(columns))
+        changed = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
+        changed["world"] = np.full(table.size, float(number))
+        found.append(identity(rollout, made) | changed | _numbers(columns))
         starts.append(rollout.starts)
         if tell is not None:
             tell(number + 1, len(each))
@@ -223,8 +217,8 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
         columns |= motion_columns.tracking(made, settle, options.walk) | motion_columns.wheel_error(made, parts, settle)
         columns |= motion_columns.within_band(made, columns, options.walk)
     if test == "steps" and options.steps is not None:
-        told = rollout.scenarios.commands()[:, 1].to(made.command.device)
-        columns |= motion_columns.responses(made, options.steps, told)
+        commands = rollout.scenarios.commands()[:, 1].to(made.command.device)
+        columns |= motion_columns.responses(made, options.steps, commands)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:
@@ -237,24 +231,25 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return the columns that say which episode a row is, what it was told, and how it ended."""
+    """Return the columns that identify each episode, its command, and its ending."""
     table = rollout.scenarios
     cell = table.cell_of()
-    told = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()  # of steps, the one after standing
+    # The second command of the step test is the one after standing; all other tests have one command.
+    commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {
         "test": np.full(table.size, table.test),
         "cell": cell.double().cpu().numpy(),
         "cell_name": np.array(table.names)[cell.cpu().numpy()],
         "episode": torch.arange(table.size).remainder(table.episodes).double().cpu().numpy(),
-        "command_vx": told[:, 0],
-        "command_wz": told[:, 2],
+        "command_vx": commands[:, 0],
+        "command_wz": commands[:, 2],
         "ended_by": endings[made.ended_by.cpu().numpy()],
     }
 
 
 def about(rollout: Rollout) -> dict[str, Any]:
-    """Return what results must name: the robot's profile and drives, the time steps, the engine."""
+    """Return the facts of every result: the robot's profile and drives, the time steps, and the engine."""
     env, parts = rollout.env, rollout.parts
     robot = env.cfg["robot"]
     armature = env.scene.robot.data.joint_armature[0].tolist()
@@ -275,7 +270,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
 
 
 def joined(parts: list[dict[str, Array]]) -> dict[str, Array]:
-    """Return the rows of several tests in one table; NaN, or an empty text, where a test has no such column."""
+    """Return the rows of several tests in one table; missing columns are NaN, or an empty text."""
     names = list(dict.fromkeys(name for part in parts for name in part))
     found = {}
     for name in names:

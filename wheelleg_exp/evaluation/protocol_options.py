@@ -15,11 +15,11 @@ Speeds = Annotated[list[float], NotEmpty()]
 
 def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
     if not steps["lin_vel_x"] and not steps["ang_vel_z"]:
-        yield Broken("lin_vel_x", "there is no speed to step to", "a speed here or in ang_vel_z")
+        yield Broken("lin_vel_x", "the step test has no speed", "a speed here or in ang_vel_z")
 
 
 def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield the key that says how long the episodes of each test are, and how long that is, s."""
+    """Yield the key of each test's episode length, and the length, s."""
     for test in ("stand", "walk", "terrain", "strip", "robust"):
         if protocol[test] is not None:
             yield f"{test}.horizon_s", protocol[test]["horizon_s"]
@@ -33,21 +33,21 @@ def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
     lengths, settle = list(_lengths(protocol)), protocol["settle_s"]
     if not lengths:
         tests = "stand, walk, steps, push, terrain, strip, robust"
-        yield Broken("", "there is no test in it", f"one of {tests} that is not null")
+        yield Broken("", "the protocol has no test", f"one of {tests} that is not null")
     for key, seconds in lengths:
         if seconds <= settle:
-            message = f"an episode of {seconds:g} s is over before anything counts"
+            message = f"an episode of {seconds:g} s ends before its steps count"
             yield Broken(key, message, f"episodes longer than protocol.settle_s, {settle:g} s")
 
 
 @dataclass(frozen=True)
 class Stand:
-    """``protocol.stand``: the command is zero.
+    """``protocol.stand``: standing with a zero command.
 
     Attributes:
         episodes: number of episodes.
-        horizon_s: how long each is, s.
-        survival_s: the moments at which survival is told, s; those after the horizon are left out.
+        horizon_s: length of each episode, s.
+        survival_s: moments at which survival is measured, s; moments after the horizon are skipped.
     """
 
     episodes: Count
@@ -57,17 +57,17 @@ class Stand:
 
 @dataclass(frozen=True)
 class Walk:
-    """``protocol.walk``: every pair of a forward and a turning speed, held from the start.
+    """``protocol.walk``: every pair of a forward speed and a yaw rate, constant over the episode.
 
     Attributes:
-        episodes: number of episodes of each cell of the grid.
-        horizon_s: how long each is, s.
+        episodes: number of episodes per cell of the grid.
+        horizon_s: length of each episode, s.
         lin_vel_x: forward speeds, m/s.
-        ang_vel_z: turning speeds, rad/s.
-        steady_s: from when on the mean velocity is of a steady drive, s.
-        band: share of the command that a steady error may be.
-        std_lin_vel_x: of the skill score's exp(-e²/std²), m/s.
-        std_ang_vel_z: likewise, rad/s.
+        ang_vel_z: yaw rates, rad/s.
+        steady_s: start of the steady drive, from which the mean velocity is taken, s.
+        band: largest steady error as a share of the command.
+        std_lin_vel_x: std of the skill score's exp(-e²/std²), m/s.
+        std_ang_vel_z: the same for the yaw rate, rad/s.
     """
 
     episodes: Count
@@ -83,14 +83,14 @@ class Walk:
 @relation(_some_step)
 @dataclass(frozen=True)
 class Steps:
-    """``protocol.steps``: stand, drive, reverse, stop; on one axis at a time.
+    """``protocol.steps``: stand, drive, reverse, stop, on one axis at a time.
 
     Attributes:
-        episodes: number of episodes of each cell.
-        stand_s: how long the robot stands first, s.
-        drive_s: how long each of the three commands holds, s.
+        episodes: number of episodes per cell.
+        stand_s: duration of standing at the start, s.
+        drive_s: duration of each of the three commands, s.
         lin_vel_x: forward speeds, m/s.
-        ang_vel_z: turning speeds, rad/s.
+        ang_vel_z: yaw rates, rad/s.
         band: share of the command within which the velocity has settled.
     """
 
@@ -104,21 +104,21 @@ class Steps:
 
 @dataclass(frozen=True)
 class Push:
-    """``protocol.push``: how hard a standing robot may be pushed, found by bisection in each episode by itself.
+    """``protocol.push``: the hardest push that a standing robot survives, found by bisection for each episode.
 
     Attributes:
-        episodes: number of episodes of each direction and kind.
-        directions: number of directions, evenly around the robot, the first forwards.
-        pulses_s: over how long the change of velocity is spread, s; 0 is a kick.
-        at_s: when the push begins, s.
-        after_s: how long the robot must live from then on, s.
+        episodes: number of episodes per direction and duration.
+        directions: number of directions, evenly around the robot, the first forward.
+        pulses_s: durations of the change of velocity, s; 0 is a kick.
+        at_s: start of the push, s.
+        after_s: time that the robot must survive from then on, s.
         highest: largest change of velocity, m/s.
-        iterations: of the bisection.
+        iterations: number of bisection steps.
         reference: change of velocity of the push whose recovery is timed, m/s.
-        recovered_tilt: tilt of who has recovered, rad.
-        recovered_height: distance of the base from its target height, m, likewise.
-        recovered_s: how long both must hold, s.
-        within_s: by when after the push, s.
+        recovered_tilt: largest tilt of a recovered robot, rad.
+        recovered_height: largest distance of a recovered base from its target height, m.
+        recovered_s: time for which both must hold, s.
+        within_s: longest time to recovery after the push, s.
     """
 
     episodes: Count
@@ -137,17 +137,17 @@ class Push:
 
 @dataclass(frozen=True)
 class Terrain:
-    """``protocol.terrain``: driving straight on, one tile an episode, by kind and level.
+    """``protocol.terrain``: driving straight on one tile per episode, by kind and level.
 
     Attributes:
-        episodes: number of episodes of each tile.
-        horizon_s: how long each is, s.
+        episodes: number of episodes per tile.
+        horizon_s: length of each episode, s.
         lin_vel_x: forward speed, m/s; the robot must not leave its tile.
-        distance_share: share of the commanded way from which on an episode has succeeded.
-        pass_share: share of successes from which on a level is passed.
+        distance_share: share of the commanded distance from which an episode has succeeded.
+        pass_share: share of successes from which a level is passed.
         size: edges of a tile, m.
         levels: number of levels.
-        scene: the scene whose ground's kinds of tiles are driven on; its other settings are the ground's own.
+        scene: the scene whose terrain has the kinds of tiles.
     """
 
     episodes: Count
@@ -163,31 +163,31 @@ class Terrain:
 def _room_behind(strip: Mapping[str, Any]) -> Iterator[Broken]:
     way, there = strip["lin_vel_x"] * strip["horizon_s"], strip["before"] + strip["length"]
     if way <= there:
-        message = f"in {strip['horizon_s']:g} s the commanded way, {way:g} m, does not lead behind the strip"
+        message = f"in {strip['horizon_s']:g} s the commanded distance, {way:g} m, does not reach beyond the strip"
         yield Broken("horizon_s", message, f"more than {there / strip['lin_vel_x']:g} s")
 
 
 @relation(_room_behind)
 @dataclass(frozen=True)
 class Strip:
-    """``protocol.strip``: straight on from level ground over a strip of rough ground, and on, on level ground.
+    """``protocol.strip``: straight from level ground over a strip of rough ground to level ground.
 
     Attributes:
-        episodes: number of episodes of each strip.
-        horizon_s: how long each is, s.
+        episodes: number of episodes per strip.
+        horizon_s: length of each episode, s.
         lin_vel_x: forward speed, m/s.
-        amplitudes: how rough each strip is: its heights are drawn from U(-a, a), m.
-        before: where the strip begins, m from where the robot does.
-        length: of the strip, m.
-        width: of the strip, m.
-        horizontal_scale: distance of the heights that are drawn, m.
-        vertical_scale: heights are whole multiples of it, m.
-        distance_share: share of the commanded way from which on an episode has succeeded.
-        quiet_s: how long before the strip it is seen how quiet the robot is, s.
-        quiet_factor: how many times as much as then its pitch may swing when it has recovered.
-        quiet_floor: RMS swing of the pitch that counts as quiet in any case, rad.
-        recovered_s: over how long that swing is taken, s.
-        within_s: by when after the strip, s.
+        amplitudes: roughness of each strip: its heights are drawn from U(-a, a), m.
+        before: distance from the start to the strip, m.
+        length: length of the strip, m.
+        width: width of the strip, m.
+        horizontal_scale: spacing of the drawn heights, m.
+        vertical_scale: step of the heights, m.
+        distance_share: share of the commanded distance from which an episode has succeeded.
+        quiet_s: time before the strip over which the pitch is measured, s.
+        quiet_factor: largest pitch swing of a recovered robot, as a factor on the swing before the strip.
+        quiet_floor: RMS pitch swing that always counts as quiet, rad.
+        recovered_s: time over which the swing is measured, s.
+        within_s: longest time to recovery after the strip, s.
     """
 
     episodes: Count
@@ -209,18 +209,18 @@ class Strip:
 
 @dataclass(frozen=True)
 class Robust:
-    """``protocol.robust``: one thing of the world changed at a time, for every episode alike.
+    """``protocol.robust``: one property of the world changed at a time, the same for every episode.
 
     Attributes:
-        episodes: number of episodes of each value and command.
-        horizon_s: how long each is, s.
+        episodes: number of episodes per value and command.
+        horizon_s: length of each episode, s.
         lin_vel_x: forward speeds, m/s.
         friction: coefficients between the robot and the ground.
         mass: factors on the masses of all bodies.
         com: shifts of the base's centre of mass along x, m.
-        delay_s: by how much actions come late, s; whole control steps.
+        delay_s: delays of the actions, s; whole control steps.
         noise: factors on ``noise_std``.
-        noise_std: standard deviation of the noise on observations by their function's name, in its unit.
+        noise_std: standard deviation of the observation noise by the name of the observation's function, in its unit.
         gains: factors on kp and kd of all actuators.
     """
 
@@ -239,26 +239,26 @@ class Robust:
 @relation(_something_counts)
 @dataclass(frozen=True)
 class Protocol:
-    """``protocol``: fixed scenarios and how they are judged.
+    """``protocol``: fixed scenarios and their evaluation.
 
     Attributes:
-        name: what results are called by.
-        seed: of the scenarios: of all that starts and randomisations are drawn from.
-        settle_s: seconds at the start of each episode that no metric but survival counts: the drop.
-        command: the velocity command of the task that is held.
-        fall_tilt: tilt from which on a robot has fallen, rad, whatever the task's terminations say.
-        contact_force: force from which on a wheel is on the ground, N.
-        torque_deadband: share of the effort limit that a torque must pass for its sign to count.
-        saturation: share of the effort limit from which on an actuator is at it.
-        target_height: of the base over the ground, m; null takes what the task's rewards name.
+        name: name of the protocol in results.
+        seed: seed of the scenarios: of all starts and randomisations.
+        settle_s: time at the start of each episode that only survival counts: the drop, s.
+        command: the task's velocity command that the protocol sets.
+        fall_tilt: tilt from which a robot has fallen, rad, whatever the task's terminations are.
+        contact_force: force from which a wheel is on the ground, N.
+        torque_deadband: share of the effort limit above which the sign of a torque counts.
+        saturation: share of the effort limit from which an actuator is saturated.
+        target_height: height of the base over the ground, m; null takes the height that the task's rewards name.
         ground: ``flat``: a plane with the task's friction; ``own``: the task's ground.
-        resamples: of the bootstrap behind each interval.
+        resamples: number of bootstrap resamples behind each interval.
         stand: standing.
         walk: the grid of commands.
-        steps: responses to steps of the command.
+        steps: responses to command steps.
         push: recovery from pushes.
         terrain: driving over tiles of rough ground.
-        strip: driving from level ground over rough ground and on.
+        strip: driving from level ground over rough ground and back.
         robust: standing and driving in a changed world.
     """
 

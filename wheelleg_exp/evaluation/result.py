@@ -1,4 +1,4 @@
-"""What an evaluation found: one row for each episode, and metrics with their intervals."""
+"""Result of an evaluation: one row per episode, and metrics with their intervals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class Figure:
     """One metric.
 
     Attributes:
-        value: over the episodes that have it; NaN where none has.
+        value: over the episodes that have it; NaN if no episode has it.
         low: lower end of the 95 % bootstrap interval over episodes.
         high: upper end.
-        episodes: how many have it.
-        unit: of the three; empty for shares and ratios.
-        better: ``higher``, ``lower``, or empty where neither is.
+        episodes: number of episodes that have it.
+        unit: unit of the three; empty for shares and ratios.
+        better: ``higher``, ``lower``, or empty.
     """
 
     value: float
@@ -33,23 +33,23 @@ class Figure:
     better: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values, None for what is no number."""
+        """Return the metric for JSON, with None for NaN and inf."""
         numbers = {name: _plain(getattr(self, name)) for name in ("value", "low", "high")}
         return {**numbers, "episodes": self.episodes, "unit": self.unit, "better": self.better}
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How good a policy was in the scenarios of a protocol.
+    """The result of an evaluation by a protocol.
 
     Attributes:
         protocol: the composed protocol, plain.
-        seed: of the scenarios' starts.
-        scenarios_sha256: of the table of commands and its seed: equal for every policy under one protocol.
-        starts_sha256: of where the episodes began and what was randomised, by test: equal where the task's starts are,
-            and then episodes of two policies are pairs.
+        seed: seed of the scenarios' starts.
+        scenarios_sha256: digest of the table of commands and its seed: equal for every policy under one protocol.
+        starts_sha256: digest of the start states and randomised values by test. If it is equal, the episodes of two
+            policies are pairs.
         episodes: columns by name, (E,) each: numbers, NaN where an episode has none, or texts.
-        metrics: by ``group/metric``.
+        metrics: metrics by ``group/metric``.
         about: the robot and its profile, armature, time step, device.
     """
 
@@ -62,7 +62,7 @@ class Evaluation:
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all but the episodes as plain values."""
+        """Return the result without the episodes for JSON."""
         return {
             "format": FORMAT,
             "protocol": dict(self.protocol),
@@ -77,7 +77,7 @@ class Evaluation:
         """Return the value of a metric.
 
         Raises:
-            KeyError: the protocol has no such metric.
+            KeyError: the protocol does not have the metric.
         """
         return self.metrics[metric].value
 

@@ -1,4 +1,4 @@
-"""Fixed scenarios: which command each episode is given, when, and the digest that says that two tables are the same."""
+"""Fixed scenarios: the commands of each episode over time, and the digest of such a table."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Vec3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Scenarios:
-    """One episode a row; those of a cell are asked for the same.
+    """A table with one episode per row. The episodes of a cell have the same commands.
 
     Attributes:
-        test: the test that they belong to.
-        horizon_s: how long every episode is, s.
-        times: when the commands begin, s, the first at 0, (K,).
-        cells: the commands of each cell, (C, K, 3): v_x, v_y in m/s, w_z in rad/s.
-        names: of the cells, (C,).
-        episodes: number of episodes of each cell.
-        settings: what else decides the episodes, as text: pushes, tiles, a changed world.
+        test: the test of the table.
+        horizon_s: length of every episode, s.
+        times: start times of the commands, s, the first at 0, (K,).
+        cells: commands of each cell, (C, K, 3): v_x, v_y in m/s, w_z in rad/s.
+        names: names of the cells, (C,).
+        episodes: number of episodes per cell.
+        settings: further settings of the episodes as text: pushes, tiles, a changed world.
     """
 
     test: str
@@ -43,7 +43,7 @@ class Scenarios:
         return len(self.cells) * self.episodes
 
     def cell_of(self) -> torch.Tensor:
-        """Return the cell of each episode, (N,) long: the first episodes are of the first cell."""
+        """Return the cell of each episode, (N,) long. The first episodes belong to the first cell."""
         return torch.arange(len(self.cells)).repeat_interleave(self.episodes)
 
     def commands(self) -> torch.Tensor:
@@ -51,24 +51,24 @@ class Scenarios:
         return torch.tensor(self.cells)[self.cell_of()]
 
     def digest(self, seed: int) -> str:
-        """Return the sha256 of the table and of the seed that its starts are drawn from."""
+        """Return the sha256 of the table and of the seed of its starts."""
         table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, self.settings, seed]
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
 
 def combined_digest(tables: Sequence[Scenarios], seed: int) -> str:
-    """Return one sha256 of several tables, in order."""
+    """Return one sha256 of several tables in order."""
     return hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
 
 
 def standing(options: Stand) -> Scenarios:
-    """Return episodes whose command is zero."""
+    """Return episodes with a zero command."""
     zero: Vec3 = (0.0, 0.0, 0.0)
     return Scenarios("stand", float(options.horizon_s), (0.0,), ((zero,),), ("stand",), options.episodes)
 
 
 def walking(options: Walk) -> Scenarios:
-    """Return episodes over the grid of commands, forward speed by forward speed."""
+    """Return episodes over the grid of commands, by forward speed."""
     pairs = [(float(x), float(z)) for x, z in product(options.lin_vel_x, options.ang_vel_z)]
     cells = tuple(((x, 0.0, z),) for x, z in pairs)
     names = tuple(f"vx={x:g} wz={z:g}" for x, z in pairs)
@@ -76,7 +76,7 @@ def walking(options: Walk) -> Scenarios:
 
 
 def stepping(options: Steps) -> Scenarios:
-    """Return episodes that stand, are told c, then -c, then to stop, for each c of both axes."""
+    """Return episodes with the commands 0, c, -c, 0, for each c of both axes."""
     zero: Vec3 = (0.0, 0.0, 0.0)
     forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
     turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
@@ -88,7 +88,7 @@ def stepping(options: Steps) -> Scenarios:
 
 
 def pushing(options: Push) -> Scenarios:
-    """Return episodes that stand and are pushed, direction by direction, kind of push by kind."""
+    """Return standing episodes with pushes, by direction and duration."""
     zero: Vec3 = (0.0, 0.0, 0.0)
     names = tuple(
         f"{360.0 * turn / options.directions:g}° over {pulse:g} s"
@@ -101,7 +101,7 @@ def pushing(options: Push) -> Scenarios:
 
 
 def on_terrain(options: Terrain) -> Scenarios:
-    """Return episodes that drive straight on, kind of tile by kind, level by level."""
+    """Return episodes that drive straight, by kind of tile and level."""
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
@@ -111,7 +111,7 @@ def on_terrain(options: Terrain) -> Scenarios:
 
 
 def over_strips(options: Strip) -> Scenarios:
-    """Return episodes that drive straight on over a strip of rough ground, strip by strip."""
+    """Return episodes that drive straight over a strip of rough ground, by strip."""
     names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
     settings = json.dumps(asdict(options), sort_keys=True)
@@ -120,7 +120,7 @@ def over_strips(options: Strip) -> Scenarios:
 
 
 def in_changed_world(options: Robust) -> Scenarios:
-    """Return the episodes of one changed world: straight on at each speed."""
+    """Return the episodes of one changed world: driving straight at each speed."""
     cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
     names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
     settings = json.dumps(asdict(options))

@@ -11,19 +11,19 @@ from scipy import stats
 
 Array = np.ndarray[Any, Any]
 
-LEVEL = 0.95  # of every interval
-ALPHA = 0.05  # below it a difference counts as one
+LEVEL = 0.95  # confidence level of every interval
+ALPHA = 0.05  # a difference with a smaller p value is significant
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A value and where it may lie.
+    """A value and its confidence interval.
 
     Attributes:
         value: the statistic.
         low: lower end of the 95 % interval.
         high: upper end.
-        floor: the noise floor: a difference between two such values that chance alone exceeds once in 20 times.
+        floor: the noise floor: the difference of two such values that chance exceeds once in 20 times.
     """
 
     value: float
@@ -34,18 +34,17 @@ class Interval:
 
 @dataclass(frozen=True)
 class Test:
-    """Whether two columns of episodes differ.
+    """A statistical test of two columns of episodes.
 
     Attributes:
-        test: ``McNemar`` or ``Wilcoxon`` of pairs; ``Fisher`` or ``Mann-Whitney`` where episodes are no pairs.
+        test: ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
         p: two-sided probability of a difference at least this large by chance.
-        pairs: how many pairs there are; episodes of the lesser group where there are none.
-        untied: how many of the pairs differ; None without pairs.
-        difference: of shares, or the median of the pairs' differences: the second minus the first; of medians
-            without pairs.
-        effect: which way the test itself points, and how far, from -1 to 1, above 0 where the second is larger: of
-            ranks the rank-biserial correlation (Kerby, 2014), of outcomes the difference of shares. Ranks may point
-            another way than the median, where many differ a little one way and some far the other.
+        pairs: number of pairs; without pairs, the number of episodes of the smaller group.
+        untied: number of pairs that differ; None without pairs.
+        difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
+        effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
+            (Kerby, 2014), or the difference of shares. Its sign can differ from the median's, if many episodes differ
+            slightly one way and some strongly the other way.
     """
 
     test: str
@@ -57,10 +56,10 @@ class Test:
 
 
 def interquartile_mean(values: Array) -> float:
-    """Return the mean of the middle half: a quarter is left out at either end, rounded down; NaN of nothing.
+    """Return the mean of the middle half of the values; NaN without values.
 
-    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (2021). With fewer than four
-    values nothing is left out.
+    A quarter of the values, rounded down, is dropped at either end. With fewer than four values, none is dropped.
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (2021).
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else float("nan")
 
@@ -68,12 +67,12 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return the mean over training seeds with its percentile bootstrap interval, clustered by seed.
 
-    With one seed this is the interval over its episodes, and says nothing of another training.
+    With one seed, the interval is over its episodes. It then says nothing about another training.
 
     Args:
         values: the metric of each seed, (S,).
-        drawn: of each seed, the metric of its episodes drawn with replacement again and again, (B,) each.
-        generator: of the draws.
+        drawn: bootstrap values of the metric over the episodes of each seed, (B,) each.
+        generator: generator of the draws.
     """
     finite = [value for value in values if np.isfinite(value)]
     value = float(np.mean(finite)) if finite else float("nan")
@@ -81,14 +80,14 @@ def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.ran
 
 
 def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
-    """Return means over training seeds drawn with replacement, each with an own draw of its episodes, (B,).
+    """Return means over training seeds drawn with replacement, each with its own draw of episodes, (B,).
 
-    Of the episodes of one seed no two are independent draws of the method that was trained, so whole seeds are drawn,
-    and within each its episodes: Davison and Hinkley, Bootstrap Methods (1997), 3.8. One seed's draws stay in order.
+    The episodes of one seed are not independent draws of the trained method. So whole seeds are drawn, and then the
+    episodes of each: Davison and Hinkley, Bootstrap Methods (1997), 3.8. The draws of a single seed stay in order.
 
     Args:
-        drawn: of each seed, the metric of its episodes drawn with replacement again and again, (B,) each.
-        generator: of the draws.
+        drawn: bootstrap values of the metric over the episodes of each seed, (B,) each.
+        generator: generator of the draws.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -104,7 +103,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
 
 
 def interval(value: float, drawn: Array, generator: np.random.Generator) -> Interval:
-    """Return a value with the percentile interval and the noise floor of its bootstrap's values, (B,)."""
+    """Return a value with the percentile interval and the noise floor of its bootstrap values, (B,)."""
     finite = drawn[np.isfinite(drawn)]
     if not len(finite):
         return Interval(value, float("nan"), float("nan"), float("nan"))
@@ -112,27 +111,27 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 
 
 def percentiles(drawn: Array) -> tuple[float, float]:
-    """Return the ends of the 95 % percentile interval of a bootstrap's values, (B,)."""
+    """Return the ends of the 95 % percentile interval of bootstrap values, (B,)."""
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(drawn, (tail, 100 - tail))
     return float(low), float(high)
 
 
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
-    """Return the 95 % quantile of the difference between two independent draws of a bootstrap, (B,).
+    """Return the 95 % quantile of the difference between two independent draws of bootstrap values, (B,).
 
-    Of two evaluations of one and the same method with as many seeds and episodes, one time in twenty the values lie
-    further apart: 1.96 √2 standard errors where the values are normal.
+    If one method is evaluated twice with as many seeds and episodes, the two values differ by more once in 20 times.
+    For normal values it is 1.96 √2 standard errors.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))
 
 
 def mcnemar(first: Array, second: Array) -> Test:
-    """Return the exact McNemar test of paired outcomes, of two policies on the same scenarios.
+    """Return the exact McNemar test of paired outcomes of two policies on the same scenarios.
 
-    Only scenarios in which one succeeded and the other did not tell them apart; under chance each is as likely:
-    the two-sided binomial test of Dwass (1955), McNemar (1947).
+    Only scenarios in which exactly one policy succeeded count. By chance both cases are equally likely: the two-sided
+    binomial test of Dwass (1955), McNemar (1947).
 
     Args:
         first: outcomes, 1 or 0, (E,).
@@ -145,7 +144,7 @@ def mcnemar(first: Array, second: Array) -> Test:
 
 
 def wilcoxon(first: Array, second: Array) -> Test:
-    """Return the Wilcoxon signed-rank test of paired errors; pairs that are equal count for neither.
+    """Return the Wilcoxon signed-rank test of paired errors. Equal pairs are dropped.
 
     Args:
         first: errors, (E,), finite.
@@ -162,7 +161,7 @@ def wilcoxon(first: Array, second: Array) -> Test:
 
 
 def fisher(first: Array, second: Array) -> Test:
-    """Return Fisher's exact test of outcomes, 1 or 0, of two policies on scenarios of their own."""
+    """Return Fisher's exact test of outcomes, 1 or 0, of two policies on different scenarios."""
     table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
     p = float(stats.fisher_exact(table).pvalue)
     share = float(second.mean() - first.mean())
@@ -170,7 +169,7 @@ def fisher(first: Array, second: Array) -> Test:
 
 
 def mann_whitney(first: Array, second: Array) -> Test:
-    """Return the Mann-Whitney test of errors of two policies on scenarios of their own."""
+    """Return the Mann-Whitney test of errors of two policies on different scenarios."""
     equal = len(np.unique(np.concatenate((first, second)))) == 1
     found = stats.mannwhitneyu(second, first)
     effect = float(2.0 * found.statistic / (len(first) * len(second)) - 1.0)
@@ -181,11 +180,7 @@ def mann_whitney(first: Array, second: Array) -> Test:
 
 
 def holm(tests: Mapping[str, float]) -> dict[str, float]:
-    """Return the p values corrected for how many tests there are (Holm, 1979), by the same names.
-
-    Args:
-        tests: p by name.
-    """
+    """Return the p values by name, corrected for the number of tests (Holm, 1979)."""
     ordered = sorted(tests, key=lambda name: tests[name])
     corrected, least = {}, 0.0
     for rank, name in enumerate(ordered):

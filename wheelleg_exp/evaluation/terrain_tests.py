@@ -19,21 +19,21 @@ from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
 from wheelleg_exp.evaluation.trajectories import Trajectories, last_exit, mean, rms
 from wheelleg_exp.sim.terrain.generator import ORIGIN_WINDOW
 
-_BORDER = 2.0  # m of level ground around all tiles, so that no edge is near
+_BORDER = 2.0  # m of level ground around all tiles
 
 
 def tiles(options: Terrain, seed: int) -> dict[str, Any]:
-    """Return the node of the ground: a column for each kind of tile, a row for each level.
+    """Return the terrain section: one column per kind of tile, one row per level.
 
     Args:
-        options: which kinds, how many levels, how large.
-        seed: of all chance in the ground.
+        options: kinds, levels, and size of the tiles.
+        seed: seed of the terrain's random heights.
     """
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # The window in which robots begin stays as wide in m: the floor of a pit does not grow with its tile.
+    # The start window keeps its width in m, because the floor of a pit does not grow with its tile.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -51,21 +51,21 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
 
 
 def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
-    """Let every episode begin on the tile of its cell."""
+    """Start every episode on the tile of its cell."""
     env = rollout.env
     ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
-    assert ground.terrain_origins is not None  # the evaluation's ground has tiles
+    assert ground.terrain_origins is not None  # a terrain of `tiles` has origins
     ground.terrain_types.copy_(cell // options.levels)
     ground.terrain_levels.copy_(cell % options.levels)
     ground.env_origins.copy_(ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
 
 
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
-    """Return how far each robot came, and whether that is a success; (N,) each.
+    """Return the distance of each robot, and whether it succeeded; (N,) each.
 
-    ``distance_ratio`` is the way from the start along the first heading, at the last step that the episode lived, as a
-    share of the commanded speed times the horizon. ``success`` is 1 where the episode lived and the ratio is at least
-    ``distance_share``, else 0. ``kind`` and ``level`` say which tile.
+    ``distance_ratio`` is the distance from the start along the first heading, at the last step before a failure, over
+    the commanded speed times the horizon. ``success`` is 1 if the episode survived and the ratio is at least
+    ``distance_share``, else 0. ``kind`` and ``level`` identify the tile.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
     ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
@@ -78,7 +78,7 @@ def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
 
 
 def along_heading(made: Trajectories) -> torch.Tensor:
-    """Return how far each robot came along its first heading, m, (N,), at the last step that the episode lived."""
+    """Return the distance of each robot along its first heading, m, (N,), at its last step before a failure."""
     last = (made.alive.sum(dim=0) - 1).clamp(min=0)
     there = made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2]
     way = (there - made.pos[0, :, :2]).double()
@@ -86,18 +86,18 @@ def along_heading(made: Trajectories) -> torch.Tensor:
     return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
 
 
-_STRIP_ROOM = 1.0  # m of level ground beyond what the commanded way needs, before and behind
+_STRIP_ROOM = 1.0  # m of level ground beyond both ends of the commanded path
 
 
 def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return the node of the ground: a column for each strip, one row, and level ground around.
+    """Return the terrain section: one column per strip, one row, and level ground around.
 
     Args:
-        options: how rough the strips are, how long and wide.
-        terrain: the node whose friction the ground has.
-        seed: of the heights.
+        options: roughness, length, and width of the strips.
+        terrain: the terrain section whose friction is copied.
+        seed: seed of the heights.
     """
-    rim = options.horizontal_scale  # the tile's outer points are at height 0, so that the strip begins without a step
+    rim = options.horizontal_scale  # the outer points are at height 0, so that the strip has no step at its edge
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
     way = options.lin_vel_x * options.horizon_s
     return {
@@ -117,10 +117,10 @@ def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[
 
 
 def place_before_strip(rollout: Rollout, options: Strip) -> None:
-    """Let every episode begin on the level ground before the strip of its cell."""
+    """Start every episode on the level ground before the strip of its cell."""
     env = rollout.env
     terrain, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
-    assert terrain.terrain_origins is not None  # the evaluation's ground has tiles
+    assert terrain.terrain_origins is not None  # a terrain of `strip_ground` has origins
     terrain.terrain_types.copy_(cell)
     terrain.terrain_levels.zero_()
     begin = terrain.terrain_origins[0, cell].clone()
@@ -131,12 +131,12 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 
 @dataclass(frozen=True)
 class Phases:
-    """Which steps of an episode are where; a robot that comes back over an edge changes nothing.
+    """The steps of each episode before, on, and behind the strip. Crossing an edge back changes nothing.
 
     Attributes:
-        before: the last ``quiet_s`` seconds before the strip, of who comes to it, (T, N) bool.
-        on: from then on, until it has left the strip, (T, N) bool.
-        behind: from then on, (T, N) bool.
+        before: the last ``quiet_s`` seconds before the strip, for episodes that reach it, (T, N) bool.
+        on: the steps from then until the robot leaves the strip, (T, N) bool.
+        behind: the steps after the strip, (T, N) bool.
     """
 
     before: torch.Tensor
@@ -145,7 +145,7 @@ class Phases:
 
 
 def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
-    """Return which steps are before, on and behind the strip, by where the root link is along x."""
+    """Return the steps before, on, and behind the strip, by the x coordinate of the root link."""
     x, alive = made.pos[..., 0], made.alive
     come = (alive & (x >= options.before)).cummax(dim=0).values
     gone = (alive & (x > options.before + options.length)).cummax(dim=0).values
@@ -156,14 +156,13 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
-    """Return how each robot comes over the strip; (N,) each, NaN where it never was there.
+    """Return how each robot crosses the strip; (N,) each, NaN if it never reached it.
 
-    ``distance_ratio`` and ``success`` are as of ``on_terrain.ways``; ``error_vx_<where>`` and ``swing_rad_<where>`` are
-    RMS values before, on and behind the strip, of v_x - c and of the pitch about its own mean before: the task's wrench
-    makes each robot lean otherwise. ``recovery_s`` is the time after the strip from which on the pitch is as quiet as
-    before: its swing over the coming ``recovered_s`` seconds is at most ``quiet_factor`` times that before, or
-    ``quiet_floor``. ``recovered`` is 1 where it is at most ``within_s``
-    and the episode lived, else 0.
+    ``distance_ratio`` and ``success`` are those of ``ways``. ``error_vx_<where>`` is the RMS of v_x - c, and
+    ``swing_rad_<where>`` the RMS of the pitch about its mean before the strip; the mean is subtracted because a wrench
+    makes each robot lean differently. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing
+    over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most
+    ``quiet_floor``. ``recovered`` is 1 if that time is at most ``within_s`` and the episode survived, else 0.
     """
     found = phases(made, options, settle_s)
     ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)

@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 
 class EffortMeter(SensorBase):
-    """Sees every physics step, as sensors do, but is no part of the model: chatter within a control step counts.
+    """Sum torques and work over every physics step, so that chatter within a control step counts.
 
-    Power is torque times the mean of the speeds before and after the step; the net power leaves out what only turns
-    the armature, I_a q̈, which is exactly what the armature's kinetic energy gains.
+    The meter is updated like a sensor, but is not part of the model. Power is torque times the mean of the speeds
+    before and after the step. The net power leaves out I_a q̈, the torque that only accelerates the armature; its work
+    is exactly the armature's gain of kinetic energy.
 
     Args:
         env: the environment; the meter joins its scene.
-        saturation: share of the effort limit from which on an actuator is at it.
+        saturation: share of the effort limit from which an actuator counts as saturated.
         deadband: share of the effort limit up to which a torque has no sign.
         dt: the physics step, s.
 
@@ -38,7 +39,7 @@ class EffortMeter(SensorBase):
         peak: largest sum over the joints of max(τ q̇, 0), W, (N,).
         saturated: number of physics steps at the effort limit, (N, J).
         squares: ∑τ² over the physics steps, (N·m)², (N, J).
-        sign_changes: how often τ passed from beyond the dead band on one side to beyond it on the other, (N, J).
+        sign_changes: how often τ crossed the whole dead band, (N, J).
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -50,20 +51,20 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        self._steps = torch.zeros((), device=env.device)  # a tensor, so that a captured step counts too
+        self._steps = torch.zeros((), device=env.device)  # a tensor, so that replays of a CUDA graph count, too
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
 
     def start(self) -> None:
-        """Begin a rollout: armatures may have been drawn anew."""
+        """Start a rollout with the armatures of this reset."""
         self._armature = self._data.joint_armature
 
     def begin(self, counted: torch.Tensor | bool) -> None:
-        """Begin a control step.
+        """Start a control step.
 
         Args:
-            counted: whether the previous control step counts, for all or (N,): a sign change between a step that does
-                not count and one that does is not counted.
+            counted: whether the previous control step counts, for all or (N,). A sign change after a step that does not
+                count is not counted.
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
@@ -71,7 +72,7 @@ class EffortMeter(SensorBase):
         self._steps.zero_()
 
     def update(self) -> None:
-        """Take up the physics step that has just run."""
+        """Add the physics step that has just run."""
         data = self._data
         torque, before, after = data.applied_torque, data.joint_vel_before, data.joint_vel
         speed = (before + after) / 2
@@ -85,7 +86,7 @@ class EffortMeter(SensorBase):
         limits, size = data.joint_effort_limits, torque.abs()
         self.saturated += size >= self._share * limits
         self.squares += torque.square()
-        has_sign = size > torch.nan_to_num(self._deadband * limits, posinf=0.0)  # NaN has none
+        has_sign = size > torch.nan_to_num(self._deadband * limits, posinf=0.0)  # false for a NaN torque
         sign = torch.where(has_sign, torque.sign(), self._sign)
         self.sign_changes += sign * self._sign < 0.0
         self._sign.copy_(sign)
@@ -100,35 +101,35 @@ class EffortMeter(SensorBase):
         return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Do nothing: sums begin with each control step."""
+        """Do nothing: the sums restart with each control step."""
 
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes; what follows an episode's end is of no meaning.
+    """T control steps of N episodes. Values after the end of an episode are undefined.
 
     Attributes:
         dt: the control step, s.
         alive: whether the episode still runs after the step, (T, N) bool.
-        pos: of the root link, from the environment's origin, m, (T, N, 3).
-        height: of the root link over the ground straight below, m, (T, N).
-        roll: of the base, rad, (T, N).
-        pitch: of the base, rad, (T, N).
-        yaw: of the base, rad, in -pi to pi, (T, N).
-        vel: of the base's centre of mass in its own axes, m/s, (T, N, 3): what velocity commands are held against.
+        pos: position of the root link from the environment's origin, m, (T, N, 3).
+        height: height of the root link over the ground below it, m, (T, N).
+        roll: roll of the base, rad, (T, N).
+        pitch: pitch of the base, rad, (T, N).
+        yaw: yaw of the base, rad, in -pi to pi, (T, N).
+        vel: velocity of the base's centre of mass in its own axes, m/s, (T, N, 3), which velocity commands refer to.
         ang: angular velocity of the base in its own axes, rad/s, (T, N, 3).
-        command: what was asked for during the step, (T, N, 3).
-        action: what the policy gave, (T, N, A).
+        command: command during the step, (T, N, 3).
+        action: action of the policy, (T, N, A).
         joint_pos: rad, (T, N, J).
         joint_vel: rad/s, (T, N, J).
-        torque: of the actuators in the last physics step, N·m, (T, N, J).
-        torque_rms: of the actuators over the physics steps of the control step, N·m, (T, N, J).
-        sign_changes: how often the torque of each wheel changed its sign during the step, (T, N, W).
+        torque: torque in the last physics step, N·m, (T, N, J).
+        torque_rms: RMS torque over the physics steps of the control step, N·m, (T, N, J).
+        sign_changes: sign changes of each wheel's torque during the step, (T, N, W).
         down: whether each wheel was on the ground, (T, N, W) bool.
-        work: gross, net and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
+        work: gross, net, and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
         saturated: share of the step at the effort limit, (T, N, J).
-        fell_at: the step in which each episode failed, from 1; 0 where it did not, (N,) long.
-        ended_by: index of what ended it, (N,) long; -1 where nothing did.
+        fell_at: number of the step in which each episode failed, from 1; 0 without a failure, (N,) long.
+        ended_by: index of the cause, (N,) long; -1 without a failure.
     """
 
     dt: float
@@ -155,7 +156,7 @@ class Trajectories:
 
     @classmethod
     def empty(cls, steps: int, n: int, parts: RobotParts, actions: int, env: ManagerBasedRLEnv) -> Self:
-        """Return room for T steps of N episodes, in which nobody is alive yet."""
+        """Return buffers for T steps of N episodes, none of them alive."""
         joints, wheels = len(parts.joint_names), len(parts.wheels)
 
         def room(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -189,7 +190,7 @@ class Trajectories:
         alive: torch.Tensor,
         force: float,
     ) -> None:
-        """Take up one step of the environment."""
+        """Store one step of the environment."""
         data = env.scene.robot.data
         pos, gravity = data.root_pos_w, data.projected_gravity_b
         self.alive[step], self.command[step], self.action[step] = alive, command, action
@@ -208,7 +209,7 @@ class Trajectories:
         self.saturated[step] = meter.shares()
 
     def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
-        """Note who failed in a step; only the first failure of each episode counts."""
+        """Store the failures of a step. Only the first failure of each episode counts."""
         first = failed & (self.fell_at == 0)
         self.ended_by = torch.where(first, why, self.ended_by)
         self.fell_at = torch.where(first, step + 1, self.fell_at)
@@ -220,11 +221,11 @@ class Trajectories:
 
     @property
     def fell(self) -> torch.Tensor:
-        """Who failed, (N,) bool."""
+        """Whether each episode failed, (N,) bool."""
         return self.fell_at > 0
 
     def counted(self, begin_s: float, end_s: float | None = None) -> torch.Tensor:
-        """Return which steps count: those of living episodes that end after ``begin_s``, up to ``end_s``, (T, N)."""
+        """Return the mask of counted steps: of running episodes, after ``begin_s`` up to ``end_s``, (T, N)."""
         moments = torch.arange(1, self.steps + 1, device=self.alive.device)
         window = moments > round(begin_s / self.dt)
         if end_s is not None:
@@ -238,7 +239,7 @@ class Trajectories:
 
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the mean of (T, N, ...) over the steps that count and over what follows, (N,); NaN without steps."""
+    """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
     total = torch.where(counted, flat, 0.0).sum(dim=0)
@@ -246,18 +247,18 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the root of the mean square of (T, N, ...) over the steps that count, (N,); NaN without steps."""
+    """Return the root mean square of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
     return mean(values.double().square(), counted).sqrt()
 
 
 def largest(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the largest of (T, N) over the steps that count, (N,); NaN without steps."""
+    """Return the largest value of (T, N) over counted steps, (N,); NaN without steps."""
     found = torch.where(counted, values.double(), -torch.inf).amax(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
 
 def total(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the sum of (T, N) over the steps that count, (N,); NaN without steps."""
+    """Return the sum of (T, N) over counted steps, (N,); NaN without steps."""
     found = torch.where(counted, values.double(), 0.0).sum(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
@@ -273,13 +274,13 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return (T, N, ...) at the moment when the steps that count begin: at the end of the step before, (N, ...)."""
+    """Return (T, N, ...) at the last step before the counted steps, (N, ...)."""
     first = (counted.int().argmax(dim=0) - 1).clamp(min=0)
     return values[first, torch.arange(values.shape[1], device=values.device)]
 
 
 def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return how long after the first counted step (T, N) is last outside, s, (N,); NaN where it ends outside."""
+    """Return the time from the first counted step to the last step outside, s, (N,); NaN if the end is outside."""
     begin = counted.int().argmax(dim=0)
     steps = torch.arange(1, len(outside) + 1, device=outside.device).unsqueeze(1)
     last = torch.where(counted & outside, steps, 0).amax(dim=0)

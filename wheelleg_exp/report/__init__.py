@@ -43,17 +43,18 @@ def make_report(
     *,
     pictures: bool = True,
 ) -> Report:
-    """Write the report of a run, or of several: of a sweep into its folder, else as ``comparison.html``.
+    """Write the report of one run, or one report of several runs.
 
     Args:
         run: a path, an id, ``latest``, the folder of an agent's run, or a sweep; or several of these.
         root: the folder of all runs.
-        output: the file; by default ``report.html`` in the run directory.
+        output: the file; by default ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for
+            several runs.
         command: the command line, for the manifest.
-        pictures: whether pictures of the robot are made.
+        pictures: whether to draw pictures of the robot.
 
     Raises:
-        WheellegError: there is no such run, or the file cannot be written or is something else.
+        WheellegError: the run does not exist, or the file cannot be written or is not a report of this run.
     """
     from wheelleg_exp.report import provenance_section as trust
     from wheelleg_exp.report.pictures_section import Look

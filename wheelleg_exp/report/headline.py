@@ -11,17 +11,17 @@ from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
-_GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out
+_GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out, for the colour of a card
 _TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def tone(subject: Subject) -> Tone:
-    """Return how to take the run's status."""
+    """Return the tone of the run's status."""
     return _TONES.get(subject.status, "")
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the figures of the run's last play, or of the agent's run; empty without."""
+    """Return the figures of the run's last play, or of the agent's run; empty if there are none."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -30,13 +30,13 @@ def played(subject: Subject) -> dict[str, Any]:
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
-    """Return how many episodes of a play ended; None where it does not tell."""
+    """Return how many episodes of a play ended; None if unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
 
 
 def planned(subject: Subject) -> int | None:
-    """Return up to how many iterations the training was to go: as configured, or as its last resume says."""
+    """Return the planned number of iterations: that of the config, or of the last resume."""
     found = subject.setting("agent.max_iterations")
     for entry in subject.manifest.get("resumes", []):
         for text in entry.get("overrides") or []:
@@ -46,16 +46,16 @@ def planned(subject: Subject) -> int | None:
 
 
 def done(subject: Subject) -> int:
-    """Return how many iterations were done."""
+    """Return the number of finished iterations."""
     last = max((series.at[-1] for series in subject.scalars.values()), default=-1)
     kept = (subject.manifest.get("results") or {}).get("iterations")
     return kept if isinstance(kept, int) and subject.status == "finished" else last + 1
 
 
 def seconds(subject: Subject) -> float | None:
-    """Return the seconds of the training as its results tell, else from its start to its end.
+    """Return the duration of the training, s: that of its results, else from its start to its end.
 
-    None when they are not known: a resumed run was stopped in between.
+    It is None for a resumed run, which was stopped for an unknown time.
     """
     if subject.manifest.get("resumes"):
         return None
@@ -69,7 +69,7 @@ def seconds(subject: Subject) -> float | None:
 
 
 def target_height(subject: Subject) -> float | None:
-    """Return the base height, m, that a reward of the task names; None when none does."""
+    """Return the base height of the task's rewards, m; None if no reward names one."""
     rewards = subject.setting("env.rewards")
     for term in rewards.values() if isinstance(rewards, Mapping) else ():
         height = term.get("target_height") if isinstance(term, Mapping) else None
@@ -79,16 +79,16 @@ def target_height(subject: Subject) -> float | None:
 
 
 def time_outs(subject: Subject) -> list[str]:
-    """Return the terminations that end an episode because its time is up."""
+    """Return the names of the terminations that are time-outs."""
     terms = subject.setting("env.terminations")
     found = terms.items() if isinstance(terms, Mapping) else ()
     return [str(name) for name, term in found if isinstance(term, Mapping) and term.get("time_out")]
 
 
 def reached_end(subject: Subject) -> float | None:
-    """Return the share of environments whose last episode of the training ran to the time-out and did not fail.
+    """Return the share of environments whose last training episode reached the time-out and did not fail.
 
-    A run that does not count them tells the share of the time-outs, those at which it failed included.
+    A run that does not count such episodes only has the share of all time-outs, which includes simultaneous failures.
     """
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
@@ -99,7 +99,7 @@ def reached_end(subject: Subject) -> float | None:
 
 
 def sentence(subject: Subject) -> str:
-    """Return what became of it, in one or two sentences."""
+    """Return the outcome of the run in one or two sentences."""
     figures, status = played(subject), subject.status
     if status == AGENT:
         agent = str(subject.agent_figures.get("agent", "an agent without a policy"))
@@ -107,7 +107,7 @@ def sentence(subject: Subject) -> str:
     count, total = done(subject), planned(subject)
     progress = f"iteration {number(count)} of {number(total)}" if total else counted(count, "iteration")
     if status == "running":
-        return f"Training is under way: {progress} is done. {_stood(subject, figures)}".strip()
+        return f"Training is running: {progress} is done. {_stood(subject, figures)}".strip()
     if status != "finished":
         return f"{_broken(subject, progress)} {_stood(subject, figures)}".strip()
     if figures:
@@ -123,7 +123,7 @@ def _broken(subject: Subject, progress: str) -> str:
     if subject.status == "interrupted":
         return f"Training was interrupted after {progress}; it can be resumed."
     if subject.status == "crashed":
-        return f"The process of this training is gone; {progress} was written. It can be resumed."
+        return f"The process of this training died; {progress} was written. It can be resumed."
     return f"Training failed after {progress}{why.rstrip('.')}."
 
 
@@ -135,14 +135,12 @@ def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
     full = f" of {exact(length)} s" if isinstance(length, (int, float)) else ""
     stood = round(survival * episodes)
     who = "It" if subject.status == AGENT else "The policy"
-    told = (
-        f"all {counted(episodes, 'episode')}"
-        if stood == episodes
-        else f"{number(stood)} of {number(episodes)} episodes"
-    )
+    some, every = f"{number(stood)} of {number(episodes)} episodes", f"every one of {counted(episodes, 'episode')}"
     if episodes == 1:
-        told = "its one episode"
-    text = f"{who} stays up through {told}{full}" if stood else f"{who} falls in {_every(episodes)}{full}"
+        some = every = "its one episode"
+    elif stood == episodes:
+        some = f"all {counted(episodes, 'episode')}"
+    text = f"{who} stays up through {some}{full}" if stood else f"{who} falls in {every}{full}"
     error, goal = figures.get("height_rmse_m"), target_height(subject)
     if not stood or not isinstance(error, (int, float)) or goal is None:
         return text + "."
@@ -150,12 +148,8 @@ def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
     return f"{text}, {number(1e3 * error, 2)} mm (RMS, {when}) off its target height of {exact(1e3 * goal)} mm."
 
 
-def _every(episodes: int) -> str:
-    return "its one episode" if episodes == 1 else f"every one of {counted(episodes, 'episode')}"
-
-
 def cards(subject: Subject, verdict: Card | None) -> list[Card]:
-    """Return the key figures: how it stands first, what it cost and whether to trust it last."""
+    """Return the key figures: the plays first, then the training, then reproducibility."""
     figures = played(subject)
     found = list(_of_play(subject, figures) if figures else _of_training(subject))
     if subject.status != AGENT:
@@ -183,7 +177,7 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
 
 
 def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
-    """Yield where it strayed, how smooth it is and what its motors bear; an older play does not tell."""
+    """Yield drift, torque, smoothness, and power. Older plays lack them."""
     turned = figures.get("yaw_drift_deg")
     if is_number(figures.get("drift_m")):
         note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
@@ -192,10 +186,8 @@ def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
     if torques:
         group = max(torques, key=lambda name: torques[name])
         limit, signs = (figures.get(key, {}).get(group) for key in ("at_limit", "sign_changes_per_s"))
-        told = (
-            f"RMS of the {group} {when}; {percent(limit)} at the limit; changes its sign {number(signs, 2)} times a s"
-        )
-        yield Card("Torque", number(torques[group], 2), "N·m", told)
+        note = f"RMS of the {group} {when}; {percent(limit)} at the limit; {number(signs, 2)} sign changes per s"
+        yield Card("Torque", number(torques[group], 2), "N·m", note)
     if is_number(figures.get("action_rate_per_s")):
         yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
     if is_number(figures.get("power_net_w")):
@@ -226,12 +218,12 @@ def _effort(subject: Subject) -> Card:
 
 
 def tone_of(share: float) -> Tone:
-    """Return how to take a share of episodes that reached the time-out."""
+    """Return the tone of a share of episodes that reached the time-out."""
     return "good" if share >= _GOOD else "warn" if share >= _FAIR else "bad"
 
 
 def facts(subject: Subject) -> list[tuple[str, str]]:
-    """Return what was run: robot, size, seed, when, on what."""
+    """Return the facts of the run: robot, size, seed, time, machine."""
     manifest, choices = subject.manifest, subject.choices
     asset, profile = subject.setting("env.robot.asset"), subject.setting("env.robot.profile")
     robot = f"{asset} ({profile})" if asset and profile else str(asset or choices.get("robot") or "")
@@ -252,7 +244,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
 
 
 def command(subject: Subject) -> str:
-    """Return the command line that made the run, as one would type it."""
+    """Return the command line of the run."""
     import shlex
 
     words = subject.manifest.get("command")

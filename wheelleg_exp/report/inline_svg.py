@@ -39,35 +39,35 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 
 
 def clean(svg: str, prefix: str, title: str) -> str:
-    """Return the drawing without prolog, scripts, links and styles of foreign origin.
+    """Return an SVG without prolog, scripts, links, and foreign styles.
 
     Args:
         svg: a whole SVG document.
-        prefix: what its names begin with from now on, so that two drawings of a page share none.
-        title: what it shows, for those who do not see it.
+        prefix: a prefix for its ids, so that two drawings of a page share no id.
+        title: description for readers who do not see the drawing.
 
     Raises:
-        ValueError: it is no SVG.
+        ValueError: the text is not SVG.
     """
     try:
         root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
     except ElementTree.ParseError as error:
-        raise ValueError(f"this is no SVG: {error}") from error
+        raise ValueError(f"this is not SVG: {error}") from error
     if _local(root.tag) != "svg":
-        raise ValueError("this is no SVG")
+        raise ValueError("this is not SVG")
     kept = _copy(root, prefix)
     box = (root.get("viewBox") or f"0 0 {_length(root, 'width')} {_length(root, 'height')}").split()
     kept.set("viewBox", " ".join(box))
     kept.set("width", box[2])
     kept.set("height", box[3])
-    kept.set("stroke-linejoin", "round")  # what a style sheet of the drawing's own would say of the whole page
+    kept.set("stroke-linejoin", "round")  # from the drawing's style sheet, which would apply to the whole page
     kept.set("role", "img")
     kept.set("aria-label", title)
     return ElementTree.tostring(kept, encoding="unicode")
 
 
 def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
-    """Return a copy with what is allowed, free of namespaces, which HTML does not need."""
+    """Return a copy with the allowed elements and without namespaces, which HTML does not need."""
     copy = ElementTree.Element(_local(element.tag), dict(_attributes(element, prefix)))
     copy.text, copy.tail = element.text, element.tail
     for child in element:
@@ -95,19 +95,19 @@ def _length(root: ElementTree.Element, name: str) -> str:
     return re.sub(r"[^\d.]", "", root.get(name, "")) or "100"
 
 
-# in; a phone's column is about 345 px, on which letters of 8.5 pt are then as large as they should be.
+# Inches. A phone's column is about 345 px wide, on which 8.5 pt letters then have the right size.
 _WIDTH, _HEIGHT = 3.9, 2.15
 _MOST_COLUMNS = 3
-_LETTER, _LEGEND_ROW = 0.075, 0.17  # in, of a legend below its panel
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # inches, of a legend below its panel
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
     """Return panels as drawings of the page.
 
     Args:
-        panels: what is drawn.
-        prefix: what the names inside the drawings begin with; of one page's calls each needs its own.
-        paired: whether they belong together two by two.
+        panels: the panels.
+        prefix: the prefix of the ids inside the drawings; unique per page.
+        paired: whether the panels form pairs.
     """
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
@@ -117,24 +117,17 @@ def _plot(panel: Panel, prefix: str) -> Plot:
 
     height = max(_HEIGHT, min(0.85 * panel.height, 4.0))
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))
-    said = _only_words(figure)
-    if said:
-        return Plot("", panel.title, said)
+    axes = figure.axes[0]
+    if not axes.axison and not [*axes.lines, *axes.collections, *axes.patches, *axes.images]:
+        return Plot("", panel.title, " ".join(text.get_text() for text in axes.texts))  # a panel of text only
     with styled():
         rows = _legends_below(figure)
     figure.set_size_inches(_WIDTH, height + _LEGEND_ROW * rows)
     return Plot(_rounded(clean(figure_svg(figure), prefix, panel.title)), panel.title)
 
 
-def _only_words(figure: Figure) -> str:
-    """Return what a panel says when it draws nothing else."""
-    axes = figure.axes[0]
-    drawn_ = [*axes.lines, *axes.collections, *axes.patches, *axes.images]
-    return "" if drawn_ or axes.axison else " ".join(text.get_text() for text in axes.texts)
-
-
 def _legends_below(figure: Figure) -> int:
-    """Move legends that stand beside the axes below them, where a narrow page has room; return their rows."""
+    """Move legends from beside the axes to below them, because a page can be narrow. Return their number of rows."""
     rows = 0
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -151,5 +144,5 @@ def _legends_below(figure: Figure) -> int:
 
 
 def _rounded(svg: str) -> str:
-    """Return the drawing with coordinates of a hundredth of a point, which nobody can tell from finer ones."""
+    """Return the drawing with coordinates rounded to a hundredth of a point, which is not visible."""
     return re.sub(r"(?<=[\s\"(,])-?\d+\.\d{3,}(?=[\s\"),])", lambda match: f"{float(match.group()):.2f}", svg)

@@ -11,7 +11,7 @@ Tone = Literal["", "good", "warn", "bad"]
 
 @dataclass(frozen=True)
 class Card:
-    """One key figure: what it is, its value and unit, and what to hold it against."""
+    """One key figure: label, value, unit, and a note for comparison."""
 
     label: str
     value: str
@@ -25,11 +25,11 @@ class Cell:
     """One cell of a table.
 
     Attributes:
-        text: what it says.
-        number: whether it stands at the right, in digits of one width.
-        code: whether it is something to type or a digest.
-        bar: a share in -1 … 1 that is drawn as a bar in place of alone standing digits, or None.
-        tone: how to take it.
+        text: its text.
+        number: whether it is right-aligned with digits of equal width.
+        code: whether it is code or a digest.
+        bar: a share in -1 … 1 to draw as a bar behind the text, or None.
+        tone: good, warn, bad, or neutral.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Note:
-    """A sentence that must not be overlooked: what is missing, damaged or doubtful."""
+    """A sentence that must be noticed: something is missing, damaged, or doubtful."""
 
     text: str
     tone: Tone = "warn"
@@ -66,7 +66,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Code:
-    """Lines to be typed, or printed by a program."""
+    """Lines to type, or a program's output."""
 
     text: str
     label: str = ""
@@ -75,7 +75,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and what they are."""
+    """Pairs of a name and a value."""
 
     rows: Sequence[tuple[str, str]]
     kind: str = "facts"
@@ -86,10 +86,10 @@ class Table:
     """Rows under headings; the first cell of a row is its heading.
 
     Attributes:
-        title: what it is.
+        title: its title.
         columns: the headings.
         rows: the cells.
-        titled: whether the title is shown; what stands above may say it already.
+        titled: whether the title is shown; a heading above can replace it.
     """
 
     title: str
@@ -101,7 +101,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A drawing: clean SVG (see ``svg.clean``; empty where words are enough), its title, and what stands below it."""
+    """A drawing: clean SVG (see ``inline_svg.clean``; empty if the caption is enough), its title, and its caption."""
 
     svg: str
     title: str
@@ -110,7 +110,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Plots:
-    """Drawings beside each other where there is room; ``paired`` ones always two in a row, or one."""
+    """Drawings side by side if there is room; ``paired`` drawings always one or two in a row."""
 
     plots: Sequence[Plot]
     paired: bool = False
@@ -119,7 +119,7 @@ class Plots:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, its size in pixels, what it shows, and its caption."""
+    """A picture as a data URI, with its size in pixels, alternative text, and caption."""
 
     uri: str
     width: int
@@ -139,7 +139,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Beside:
-    """Blocks that stand beside each other where there is room."""
+    """Blocks side by side if there is room."""
 
     blocks: Sequence[Block]
     kind: str = "beside"
@@ -147,7 +147,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class More:
-    """Blocks that are shown on demand, and always on paper."""
+    """Blocks that are collapsed on the screen and always printed."""
 
     summary: str
     blocks: Sequence[Block]

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
-_HIGH, _FULL = 0.01, 0.1  # shares of the time at the effort limit that are worth a colour
+_HIGH, _FULL = 0.01, 0.1  # shares of the time at the effort limit, for the colour of a cell
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Tables of a recording, and what they are of; a subject that it does not hold has none."""
+    """Tables of a recording; a table is empty if the recording lacks its data."""
 
     scope: Sequence[Block] = ()
     tracking: Sequence[Block] = ()
@@ -53,7 +53,7 @@ def measured(recording: Recording) -> Measured:
 
 
 def _scope(found: Summary) -> list[Block]:
-    """Return what curves and tables are of: of a play one environment alone, but every episode of it."""
+    """Return a sentence on the environments and episodes of the curves and tables."""
     steps, count = (found.frames or (0, 0))[0], found.figures.count
     which = ", ".join(map(str, found.env_ids))
     many = len(found.env_ids) > 1
@@ -63,13 +63,13 @@ def _scope(found: Summary) -> list[Block]:
 
 
 def health(recording: Recording) -> list[Block]:
-    """Return what is missing in a recording and why, and what mends its file; nothing when it is whole."""
-    told = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
+    """Return what is missing in a recording, why, and how to repair the file; empty if it is complete."""
+    notes = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
     if recording.health.is_whole:
-        return list(told)
+        return list(notes)
     what = "; ".join(line.rstrip(". ") for line in recording.health.lines())
-    mends = "'wheelleg inspect --repair' writes a copy that holds the rest and opens everywhere"
-    return [Note(f"The recording is {what}. What can be read of it is shown; {mends}."), *told]
+    repair = "'wheelleg inspect --repair' writes a copy with the readable part that opens everywhere"
+    return [Note(f"The recording is {what}. The readable part is shown; {repair}."), *notes]
 
 
 def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
@@ -121,7 +121,7 @@ def _with(value: float, name: str) -> str:
     return f"{number(value)} {_UNITS.get(name, '')}".strip()
 
 
-_WORDS: Mapping[str, Callable[[Any], str]] = {
+_FORMATS: Mapping[str, Callable[[Any], str]] = {
     "episodes": number,
     "unfinished": number,
     "survival": percent,
@@ -138,14 +138,14 @@ _WORDS: Mapping[str, Callable[[Any], str]] = {
     "at_limit": percent,
     "sign_changes_per_s": lambda v: _scaled(v, 1.0, "/s"),
 }
-_TOLD = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")  # told elsewhere
+_SHOWN_ELSEWHERE = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")
 _OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
 _PLAYS_SHOWN = 12
-_FIRST = ("Height", "Pitch")  # the panels of the tracking plot that tell whether it stands
+_FIRST = ("Height", "Pitch")  # the panels of the tracking plot that show whether the robot stands
 
 
 def performance_blocks(subject: Subject) -> list[Block]:
-    """Return the tables of what was played and evaluated; where nothing was, how to do it."""
+    """Return the tables of plays and evaluations; without any, the command that plays the policy."""
     figures = played(subject)
     found: list[Block] = [*_evaluations(subject)]
     if figures:
@@ -168,7 +168,7 @@ def recording_of_play(subject: Subject) -> Path | None:
 
 
 def motion(recording: Recording) -> list[Block]:
-    """Return the curves of a play's recording: height and pitch at once; velocities, forces and joints on demand."""
+    """Return the curves of a play's recording: height and pitch open; velocities, forces, and joints collapsed."""
     from wheelleg_exp.inspection.recording_plots import PLOTS
 
     tracking = _panels(PLOTS["tracking"], recording)
@@ -196,7 +196,7 @@ def _measured_blocks(recording: Recording) -> Measured:
 
 
 def _panels(plot: Plot, recording: Recording) -> list[Panel]:
-    """Return a plot's panels, none where the recording lacks what they need."""
+    """Return a plot's panels; empty if the recording lacks their data."""
     try:
         return plot.each(recording)
     except RunDirectoryError:
@@ -211,22 +211,22 @@ def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
             Cell(words(value), number=True, tone=tone_of(value) if key == "survival" else ""),
             Cell(_of(key, figures)),
         ]
-        for key, words in _WORDS.items()
+        for key, words in _FORMATS.items()
         if key in figures and not (key == "unfinished" and not figures[key])
         for group, value in _by_group(figures[key])
     ]
-    others = [key for key in figures if key not in (*_WORDS, *_TOLD, *_OF_PLAY)]
+    others = [key for key in figures if key not in (*_FORMATS, *_SHOWN_ELSEWHERE, *_OF_PLAY)]
     rows += [[Cell(capital(spoken(str(key)))), Cell(number(figures[key]), number=True), Cell("")] for key in others]
     return Table("The agent" if subject.status == AGENT else "The last play", ("Figure", "Value", "Of"), rows)
 
 
 def _by_group(value: Any) -> list[tuple[str, Any]]:
-    """Return a figure's values, each with what stands behind the label: the actuator group where it has several."""
+    """Return a figure's values, each with a suffix of its label: the actuator group if there are several."""
     return [(f" ({group})", each) for group, each in value.items()] if isinstance(value, Mapping) else [("", value)]
 
 
 def _of(key: str, figures: Mapping[str, Any]) -> str:
-    """Return what a figure is of, as far as the play tells."""
+    """Return what a figure is averaged over, if the play recorded it."""
     if key == "episodes":
         return "the first of each environment"
     if key in ("survival", "mean_return"):
@@ -245,10 +245,10 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
 
 
 def _settled(figures: Mapping[str, Any]) -> list[Block]:
-    """Return why there is no height and no pitch, where there is none."""
+    """Return the reason for missing height and pitch, if they are missing."""
     if figures.get("pitch_rms_deg", 0.0) is not None:
         return []
-    return [Text("Height and pitch count once an episode has settled; none lasted that long.")]
+    return [Text("Height and pitch are measured after settling; no episode lasted that long.")]
 
 
 def _endings(figures: Mapping[str, Any]) -> list[Block]:
@@ -260,13 +260,14 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
         [Cell(spoken(name)), Cell(number(times), number=True), Cell(percent(times / count), bar=times / count)]
         for name, times in counts.items()
     ]
-    twice = " (what two terminations ended counts for both)" if sum(counts.values()) > count else ""  # older plays
+    # Older plays count an episode once for each of its terminations.
+    twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
     title = f"How its {counted(count, 'ended episode')} ended{twice}"
     return [Table(title, ("Ended by", "Episodes", "Share"), rows)]
 
 
 def _plays(subject: Subject) -> list[Block]:
-    """Return one row a play, when there was more than one."""
+    """Return a table with one row per play, if there was more than one."""
     plays = subject.additions("play")[-_PLAYS_SHOWN:]
     if len(plays) < 2:
         return []
@@ -287,16 +288,14 @@ def _plays(subject: Subject) -> list[Block]:
 
 def _play_row(results: Mapping[str, Any]) -> list[Cell]:
     changed = " ".join(str(text) for text in results.get("overrides") or []) or "–"
-    told = [_WORDS[key](results.get(key)) for key in ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")]
-    cells = [
-        Cell(text, number=True)
-        for text in [*told, settled_window(results.get("settle_s")), number(results.get("mean_return"))]
-    ]
+    texts = [_FORMATS[key](results.get(key)) for key in ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")]
+    texts += [settled_window(results.get("settle_s")), number(results.get("mean_return"))]
+    cells = [Cell(text, number=True) for text in texts]
     return [Cell(str(results.get("checkpoint", "–")), code=True), Cell(changed, code=True), *cells]
 
 
 def _evaluations(subject: Subject) -> list[Block]:
-    """Return the figures of the last evaluation that is none of a protocol, as they were recorded."""
+    """Return the recorded figures of the last evaluation without a protocol."""
     entries = [one for one in subject.additions("evaluation") if "protocol" not in (one.get("results") or {})]
     results = entries[-1].get("results") if entries else None
     if not isinstance(results, Mapping) or not results:
@@ -332,22 +331,22 @@ _TITLES = {
     "strip": "Onto rough ground and off it",
     "robust": "A changed world",
 }
-_SHOWN_FIRST = 12  # metrics of a test, before the others are a click away
+_SHOWN_FIRST = 12  # metrics of a test; the remaining ones are collapsed
 
 
 def evaluated(subject: Subject) -> bool:
-    """Return whether the run has been evaluated on the scenarios of a protocol."""
+    """Return whether the run has been evaluated by a protocol."""
     return _last(subject, "evaluation") is not None
 
 
 def evaluation_blocks(subject: Subject) -> list[Block]:
-    """Return what the last evaluation found, test by test, with its plots."""
+    """Return the result of the last evaluation, test by test, with its plots."""
     entry = _last(subject, "evaluation")
     if entry is None:
         return []
     content = _content(subject, entry)
     if content is None:
-        return [Note("The files of the last evaluation cannot be read."), *_again(subject, "PROTOCOL")]
+        return [Note("The files of the last evaluation cannot be read."), *_repeat_command(subject, "PROTOCOL")]
     reference = _reference(subject, str(content.get("scenarios_sha256")))
     found: list[Block] = [Text(_about_evaluation(entry, content, reference is not None))]
     plots = _plots(subject, entry)
@@ -358,12 +357,14 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
         found += [drawn(plots[test], f"evaluation-{test}", paired=True)] if test in plots else []
         if rest := listed[_SHOWN_FIRST:]:
             found.append(More(f"More of {title.lower()}", [_table(title, content["metrics"], reference, rest)]))
-    found += [Text(entry["results"]["verdict"]) for entry in subject.additions("comparison")[-1:] if _said(entry)]
-    return found if reference is not None else [*found, *_again(subject, str(content["protocol"]["name"]))]
+    for compared in subject.additions("comparison")[-1:]:
+        verdict = compared["results"].get("verdict") if isinstance(compared.get("results"), Mapping) else None
+        found += [Text(verdict)] if verdict else []
+    return found if reference is not None else [*found, *_repeat_command(subject, str(content["protocol"]["name"]))]
 
 
 def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
-    """Return the last addition of a kind that holds metrics of a protocol."""
+    """Return the last addition of a kind with the metrics of a protocol."""
     for entry in reversed(subject.additions(kind)):
         results = entry.get("results")
         if isinstance(results, Mapping) and isinstance(results.get("metrics"), Mapping) and "protocol" in results:
@@ -384,7 +385,7 @@ def _content(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any] | Non
 
 
 def _reference(subject: Subject, scenarios: str) -> Mapping[str, Any] | None:
-    """Return the metrics of the reference controller in the same scenarios; None where there are none."""
+    """Return the metrics of the reference controller in the same scenarios, or None."""
     entry = _last(subject, "reference")
     if entry is None or entry["results"].get("scenarios_sha256") != scenarios:
         return None
@@ -402,12 +403,12 @@ def _plots(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_reference: bool) -> str:
     about = content.get("about") or {}
-    told = (
+    text = (
         f"Protocol {content['protocol']['name']}, {moment(entry.get('when'))}, checkpoint {content.get('checkpoint')}, "
         f"robot profile {about.get('profile')}; scenarios {str(content['scenarios_sha256'])[:12]}, the same for every "
-        "policy. Intervals of 95 % are over episodes: another training seed is not in them."
+        "policy. Intervals of 95 % are over episodes, not over training seeds."
     )
-    return f"{told} The reference is a linear-quadratic controller without noise or delay." if has_reference else told
+    return f"{text} The reference is a linear-quadratic controller without noise or delay." if has_reference else text
 
 
 def _table(title: str, metrics: Mapping[str, Any], reference: Mapping[str, Any] | None, names: list[str]) -> Table:
@@ -421,10 +422,10 @@ def _row(name: str, figure: Mapping[str, Any], reference: Mapping[str, Any] | No
     unit = _DEGREES.get(unit, unit)
     ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
     value = _scaled_figure(figure.get("value"), factor)
-    told = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
+    shown = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
     cells = [
         Cell(capital(spoken(name.partition("/")[2]))),
-        Cell(told, number=True),
+        Cell(shown, number=True),
         Cell("–" if "–" in ends else " to ".join(ends), number=True),
     ]
     return cells if reference is None else [*cells, Cell(_scaled_figure(reference.get(name), factor), number=True)]
@@ -434,10 +435,6 @@ def _scaled_figure(value: Any, factor: float) -> str:
     return number(factor * value) if isinstance(value, (int, float)) and not isinstance(value, bool) else "–"
 
 
-def _said(entry: Mapping[str, Any]) -> bool:
-    results = entry.get("results")
-    return isinstance(results, Mapping) and bool(results.get("verdict"))
-
-
-def _again(subject: Subject, protocol: str) -> list[Block]:
-    return [Code(f"wheelleg evaluate {subject.id} protocol={protocol} --reference", "Beside the reference controller:")]
+def _repeat_command(subject: Subject, protocol: str) -> list[Block]:
+    command = f"wheelleg evaluate {subject.id} protocol={protocol} --reference"
+    return [Code(command, "Compare with the reference controller:")]

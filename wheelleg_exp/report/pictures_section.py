@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 _HERO, _STRIP = (960, 720), (480, 360)  # px
 _MOMENTS = 4
-_FIRST, _LAST, _PLAY = 0, -1, 1  # which episode of a recording is shown
+_FIRST, _LAST, _PLAY = 0, -1, 1  # the episode of a recording to show
 
 
 @dataclass(frozen=True)
 class Episode:
-    """A recorded episode: its simulated time at the first and the last row, s, and what ended it, if it ended.
+    """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it.
 
     Attributes:
-        is_whole: whether it was recorded from beginning to end.
+        is_whole: whether it was recorded from its start to its end.
     """
 
     start: float
@@ -47,17 +47,17 @@ class Episode:
 
     @property
     def seconds(self) -> float:
-        """How long it lasted as far as it is recorded, s."""
+        """Its recorded duration, s."""
         return self.end - self.start + self.step_s
 
 
 @dataclass
 class Look:
-    """A run's recordings, each opened once; one that cannot be read is told of where it would stand.
+    """The recordings of a run, each opened once. The page notes a recording that cannot be read.
 
     Args:
         subject: the run.
-        pictures: whether pictures of the robot are made.
+        pictures: whether to draw pictures of the robot.
     """
 
     subject: Subject
@@ -67,16 +67,16 @@ class Look:
 
     @cached_property
     def training(self) -> Recording | WheellegError | None:
-        """The training's recording, why it cannot be read, or None where there is none."""
+        """The training's recording, or the error that occurred on opening it, or None if there is none."""
         return None if self.subject.status == AGENT else _opened(self.subject.file("recording.rrd"))
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last play, or of the agent's run; why it cannot be read; None where there is none."""
+        """The recording of the last play or agent's run, or the error that occurred on opening it, or None."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
-        """Return the picture at the top: how the robot stood last."""
+        """Return the picture at the top: the robot in its last episode."""
         for recording in (self.play, self.training):
             episode = _last_episode(recording, is_play=recording is self.play)
             if episode is not None and recording is not None and not isinstance(recording, WheellegError):
@@ -101,7 +101,7 @@ class Look:
         ]
 
     def of_training(self) -> list[Block]:
-        """Return the pictures of the first and the last recorded episode of the training, one below the other."""
+        """Return the pictures of the first and the last recorded training episode."""
         recording = self.training
         if recording is None:
             return [Note("This training was not recorded, so there are no pictures of it.", "")]
@@ -131,7 +131,7 @@ class Look:
     def _pictures(
         self, recording: Recording, times: list[float], size: tuple[int, int], alts: list[str], captions: list[str]
     ) -> list[Picture]:
-        """Return pictures; after one that could not be made there are no more."""
+        """Return pictures. After the first failure, no more pictures are drawn."""
         if not self.pictures or self._missing is not None:
             return []
         try:
@@ -142,7 +142,7 @@ class Look:
             uris = shots(self._sceneries[recording.path], times, size)
         except WheellegError as error:
             self._missing = str(error)
-        except Exception as error:  # whatever the driver says: the report does without pictures
+        except Exception as error:  # a graphics driver can raise any error; the report then has no pictures
             self._missing = f"{type(error).__name__}: {error}"
         else:
             return [Picture(u, *size, alt=a, caption=c) for u, a, c in zip(uris, alts, captions, strict=True)]
@@ -153,7 +153,7 @@ class Look:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What the command says: why pictures are missing."""
+        """The reason for missing pictures, for the command's output."""
         return [f"no pictures of the robot: {self._missing}"] if self._missing else []
 
 
@@ -166,7 +166,7 @@ def _opened(path: Path | None) -> Recording | WheellegError | None:
         return Recording(path)
     except WheellegError as error:
         return error
-    except Exception as error:  # a damaged file may break the reader anywhere
+    except Exception as error:  # a damaged file can raise any error
         return WheellegError(f"{type(error).__name__}: {error}")
 
 
@@ -177,10 +177,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode that is shown, and its sample.
+    """Return the episode to show, and its sample.
 
-    At first how it fell. Of a play the first, which is what the figures are of. At last the first of the last sample
-    that holds a whole one; where none does, as of older recordings that begin in mid-episode, the longest of the last.
+    ``_FIRST`` shows the first training episode and ``_PLAY`` the first episode of a play, whose figures the page lists.
+    ``_LAST`` shows the first complete episode of the last sample that has one. Older recordings have none; then it
+    shows the longest episode of the last sample.
     """
     samples = source.samples()
     if which == _LAST:
@@ -202,7 +203,7 @@ def _last_episode(recording: Recording | WheellegError | None, *, is_play: bool)
 
 
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
-    """Return the episodes of a stretch of recorded steps, the first and the last of which may be cut."""
+    """Return the episodes of a stretch of recorded steps. The first and the last one can be incomplete."""
     clock = source.clock()
     if clock is None:
         return []
@@ -227,7 +228,7 @@ def _title(label: str, sample: Sample, episode: Episode, whose: str, *, is_play:
     when = "" if sample.iteration is None else f", iteration {number(sample.iteration)}"
     which = f", first episode{f' of {whose}' if whose else ''}" if is_play else f", {whose}" if whose else ""
     causes = " and ".join(spoken(cause) for cause in episode.ended_by)
-    how = f"ended by {causes}" if causes else f"still going on where the {'recording' if is_play else 'sample'} ends,"
+    how = f"ended by {causes}" if causes else f"still running at the end of the {'recording' if is_play else 'sample'},"
     return f"{label}{when}{which}: {how} after {_clock(episode.seconds)}"
 
 
@@ -236,7 +237,7 @@ def _clock(seconds: float) -> str:
 
 
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
-    """Return pictures of moments, all from one distance, as data URIs.
+    """Return pictures of moments as data URIs, all from one distance.
 
     Args:
         shown: the recording's scene and motion.
@@ -244,7 +245,7 @@ def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list
         size: width and height, px.
 
     Raises:
-        WheellegError: a moment is not in the recording, or nothing can be drawn on this machine.
+        WheellegError: a moment is not in the recording, or drawing is not possible on this machine.
     """
     from wheelleg_exp.inspection.recording_pictures import pictures, row_at
 

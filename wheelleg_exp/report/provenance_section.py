@@ -21,7 +21,7 @@ from wheelleg_exp.run.run_directory import REPLAYS, RunDirectory
 from wheelleg_exp.run.source_snapshot import entries
 
 if TYPE_CHECKING:
-    from wheelleg_exp.verify import Check, Comparison, RunFindings
+    from wheelleg_exp.verify import Check, RunFindings
 
 
 _LISTED, _FINDINGS = 40, 200
@@ -42,24 +42,24 @@ _NUMERICS = {
     "keeps_denormals": "Keeps denormal numbers",
 }
 _CONVERSION: tuple[tuple[str, Tone, str], ...] = (
-    ("warnings", "warn", "to be looked at"),
+    ("warnings", "warn", "to check"),
     ("unresolved", "warn", "that could not be resolved"),
-    ("assumptions", "", "assumed where the file says nothing"),
+    ("assumptions", "", "assumed because the file does not specify them"),
     ("left_out", "", "left out, with the reason"),
 )
 _ENTRY_STATES: Mapping[str, str] = {
-    "ok": "kept",
-    "no_commits": "kept (the repository has no commit)",
+    "ok": "saved",
+    "no_commits": "saved (the repository has no commit)",
     "no_repository": "no repository",
     "installed": "an installed package",
-    "patch_too_large": "not kept: the patch is too large",
-    "no_git": "not kept: git is not installed",
-    "failed": "not kept: git failed",
+    "patch_too_large": "not saved: the patch is too large",
+    "no_git": "not saved: git is not installed",
+    "failed": "not saved: git failed",
 }
 
 
 def source(subject: Subject) -> list[Block]:
-    """Return the state of the source: commit, local changes, what of them is kept."""
+    """Return the state of the source: commit, local changes, and the saved patch."""
     record = _json(subject, "source/git.json") or dict(subject.manifest.get("source") or {})
     if not record:
         return [Note("The state of the source was not recorded.")]
@@ -84,9 +84,9 @@ def _repository(record: Mapping[str, Any], place: int) -> list[Block]:
     found: list[Block] = [Facts([(name, value) for name, value in rows if value not in ("–", "")])]
     if record.get("note"):
         found.append(Note(str(record["note"])))
-    found += _named_remote("Untracked files, kept in the patch", record.get("untracked"))
+    found += _file_list("Untracked files, saved in the patch", record.get("untracked"))
     refused = [f"{e.get('path')}: {e.get('reason', 'left out')}" for e in _mappings(record.get("refused"))]
-    return [*found, *_named_remote("Files left out of the patch", refused)]
+    return [*found, *_file_list("Files left out of the patch", refused)]
 
 
 def _remote(value: Any) -> str:
@@ -95,7 +95,7 @@ def _remote(value: Any) -> str:
     return str(value) if value else ""
 
 
-def _named_remote(title: str, names: Any) -> list[Block]:
+def _file_list(title: str, names: Any) -> list[Block]:
     if not isinstance(names, Sequence) or isinstance(names, str) or not names:
         return []
     shown = [str(name) for name in names[:_LISTED]]
@@ -104,7 +104,7 @@ def _named_remote(title: str, names: Any) -> list[Block]:
 
 
 def machine(subject: Subject) -> list[Block]:
-    """Return the machine, threads, environment variables and versions."""
+    """Return the machine, threads, environment variables, and versions."""
     manifest = subject.manifest
     hardware, threads = dict(manifest.get("hardware") or {}), dict(manifest.get("threads") or {})
     process = manifest.get("process") or {}
@@ -129,7 +129,7 @@ def machine(subject: Subject) -> list[Block]:
 
 
 def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return threads and arithmetic as people read them; what is as it should be is left to one line."""
+    """Return the facts on threads and arithmetic."""
     mkl, numerics = threads.get("mkl"), threads.get("numerics")
     numerics = numerics if isinstance(numerics, Mapping) else {}
     reasons = threads.get("dependent_because") or []
@@ -137,8 +137,8 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
     if isinstance(mkl, Mapping):
         rows.append(("MKL's code branch", f"{mkl.get('branch')}, {'strict' if mkl.get('strict') else 'not strict'}"))
     if "independent" in threads:
-        told = "; ".join(map(str, reasons)) or "yes"
-        rows.append(("Numbers depend on torch's threads", "no" if threads["independent"] else told))
+        why = "; ".join(map(str, reasons)) or "yes"
+        rows.append(("Numbers depend on torch's threads", "no" if threads["independent"] else why))
     if threads.get("variables_in_time") is False:
         rows.append(("Thread variables", "were set after torch was imported"))
     rows += [(name, _plain(numerics[key])) for key, name in _NUMERICS.items() if key in numerics]
@@ -151,12 +151,12 @@ def _plain(value: Any) -> str:
 
 
 def _installed(subject: Subject) -> list[Block]:
-    there = subject.file("environment.txt") is not None
-    return [Text("environment.txt lists every installed distribution.")] if there else []
+    exists = subject.file("environment.txt") is not None
+    return [Text("environment.txt lists every installed distribution.")] if exists else []
 
 
 def robot(subject: Subject) -> list[Block]:
-    """Return what the robot's conversion read, assumed and left out."""
+    """Return what the robot's conversion read, assumed, and left out."""
     report = _json(subject, "asset/report.json")
     if not report:
         return [Note("There is no report of the robot's conversion.", "")]
@@ -181,11 +181,11 @@ def _findings(entries: Sequence[Mapping[str, Any]]) -> Table:
         rest = {key: value for key, value in entry.items() if key not in ("path", "name")}
         where = " ".join(str(entry[key]) for key in ("path", "name") if entry.get(key))
         rows.append([Cell(where or "–", code=True), Cell("; ".join(brief(value) for value in rest.values()))])
-    return Table("What the conversion says", ("Where", "What became of it"), rows, titled=False)
+    return Table("Findings of the conversion", ("Where", "Finding"), rows, titled=False)
 
 
 def resumes(subject: Subject) -> list[Block]:
-    """Return one row a resume."""
+    """Return a table with one row per resume."""
     entries = _mappings(subject.manifest.get("resumes"))
     if not entries:
         return []
@@ -204,7 +204,7 @@ def resumes(subject: Subject) -> list[Block]:
 
 
 def files(subject: Subject) -> list[Block]:
-    """Return every recorded file with its size and digest; reports are not counted."""
+    """Return every recorded file with its size and digest, except reports."""
     if subject.run is None:
         return [Note("An agent's run keeps no record of its files.", "")]
     records = dict(subject.run.manifest().recorded_files())
@@ -216,7 +216,7 @@ def files(subject: Subject) -> list[Block]:
         [Cell(name, code=True), Cell(size(record["size"]), number=True), Cell(record["sha256"], code=True)]
         for name, record in sorted(records.items())
     ]
-    lead = f"{counted(len(rows), 'file')}, {size(total)} in all; each with the digest that the manifest holds."
+    lead = f"{counted(len(rows), 'file')}, {size(total)} in all; each with its digest in the manifest."
     return [
         Text(lead),
         More("Names, sizes and digests", [Table("Files", ("File", "Size", "sha256"), rows, titled=False)]),
@@ -233,7 +233,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # of replays, and of equal runs; each opens checkpoints
+_COMPARED = 3  # replays, and equal runs; each comparison opens checkpoints
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -241,12 +241,12 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 
 @dataclass(frozen=True)
 class Repeat:
-    """Another run that was to give the same numbers.
+    """Another run that should have the same numbers.
 
     Attributes:
         label: its task and id.
         how: ``replay`` or ``same settings``.
-        verdict: what the comparison says, or why there is none.
+        verdict: the verdict of the comparison, or why there is none.
         reason: one sentence.
         lines: the whole comparison.
     """
@@ -260,7 +260,7 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is known of a run's reproducibility, as a key figure and as a part of the page."""
+    """The known facts on a run's reproducibility, as a key figure and as a section of the page."""
 
     card: Card | None
     findings: RunFindings | None
@@ -269,25 +269,25 @@ class Verdict:
     problem: str = ""
 
     def blocks(self) -> list[Block]:
-        """Return the part of the page."""
+        """Return the section of the page."""
         return [*_found(self), *_repeated(self), *_proof(self)]
 
 
 def judge(subject: Subject) -> Verdict:
-    """Hold a run against its manifest, and against what repeats it."""
+    """Check a run against its manifest, and compare it with its repetitions."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run
 
     odd = odd_entries(subject.path)
-    if odd:  # behind a link is what is none of the run's, and of nobody's business who reads the report
+    if odd:  # a link can point to private files outside the run
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
         name, what = next(iter(odd.items()))
         return Verdict(damaged, None, [], subject, f"{name} is {what}, which may lead anywhere")
     repeats = list(_repeats(subject, subject.run)) if subject.status != "running" else []
     try:
         findings = verify_run(subject.run)
-    except Exception as error:  # the files may hold anything
+    except Exception as error:  # damaged files can raise any error
         return Verdict(None, None, repeats, subject, str(error))
     failed = [check for check in findings.checks if _lines(subject, check.failures)]
     return Verdict(_card(subject, bool(failed), repeats), findings, repeats, subject)
@@ -300,7 +300,7 @@ def _card(subject: Subject, damaged: bool, repeats: Sequence[Repeat]) -> Card | 
     known = [repeat for repeat in repeats if repeat.verdict in _VERDICTS]
     worst = max(known, key=lambda repeat: list(_VERDICTS).index(repeat.verdict), default=None)
     if worst is None:
-        note = "it still goes on" if subject.status == "running" else "files as recorded, not replayed yet"
+        note = "the run is still running" if subject.status == "running" else "files as recorded, not replayed yet"
         return Card(label, "Untested", note=note)
     count = f"{counted(len(known), 'repeated run')}"
     words = {
@@ -314,7 +314,7 @@ def _card(subject: Subject, damaged: bool, repeats: Sequence[Repeat]) -> Card | 
 def _found(verdict: Verdict) -> list[Block]:
     subject, findings = verdict.subject, verdict.findings
     if findings is None:
-        return [Note(f"The run could not be held against its manifest: {verdict.problem}.", "bad")]
+        return [Note(f"The run could not be checked against its manifest: {verdict.problem}.", "bad")]
     rows, wrong = [], []
     for check in findings.checks:
         failures, notes = _lines(subject, check.failures), _lines(subject, check.notes)
@@ -322,16 +322,16 @@ def _found(verdict: Verdict) -> list[Block]:
         text = "; ".join([_text(subject, check), *notes])
         rows.append([Cell(check.name), Cell(state, tone=_STATES.get(state, "")), Cell(text)])
         wrong += failures
-    said = (
+    summary = (
         Note("The run is what its manifest says, and agrees with itself.", "good")
         if not wrong
         else Note(f"The run is not what its manifest says: {'; '.join(wrong[:10])}.", "bad")
     )
-    return [said, Table("Held against its own manifest", ("Part", "State", "Looked at"), rows)]
+    return [summary, Table("Checks against its own manifest", ("Part", "State", "Checked"), rows)]
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return what was looked at; reports count for nothing, so that making one changes no report."""
+    """Return what was checked. Reports are not counted, so that writing a report changes no other report."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)
@@ -357,7 +357,7 @@ def _repeated(verdict: Verdict) -> list[Block]:
         for r in verdict.repeats
     ]
     details: list[Block] = [Code("\n".join(r.lines), f"{r.how} {r.label}:") for r in verdict.repeats if r.lines]
-    table = Table("Runs that were to give the same numbers", ("Run", "What it is", "Verdict", "Why"), rows)
+    table = Table("Runs that should have the same numbers", ("Run", "What it is", "Verdict", "Why"), rows)
     return [table, *([More("The comparisons", details)] if details else [])]
 
 
@@ -366,12 +366,9 @@ def _proof(verdict: Verdict) -> list[Block]:
     of = subject.manifest.get("replay_of")
     found: list[Block] = [Text(f"This run is itself a replay of {of}.")] if of else []
     if subject.status == "running":
-        return [*found, Note("Nothing can be said of a run that still goes on.", "")]
+        return [*found, Note("The run is still running, so it cannot be compared.", "")]
     lines = f"wheelleg verify {subject.id}\nwheelleg replay {subject.id}"
-    return [*found, Code(lines, "Check the files again; train it again from its snapshot and compare to the bit:")]
-
-
-# --- runs that repeat it ---
+    return [*found, Code(lines, "Check the files; train the run from its snapshot and compare to the bit:")]
 
 
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
@@ -382,7 +379,7 @@ def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
 
 
 def _original(run: RunDirectory, subject: Subject) -> list[Path]:
-    """Return the folder of the run that this one replays, where it is still there."""
+    """Return the folder of the run that this one replays, if it still exists."""
     of = subject.manifest.get("replay_of")
     if not isinstance(of, str) or Path(of).name != of:
         return []
@@ -403,7 +400,7 @@ def _replays(run: RunDirectory, known: str) -> list[Path]:
 
 
 def _equals(run: RunDirectory, subject: Subject) -> list[Path]:
-    """Return the folders of other runs of the task with the same parameters and seed, oldest first."""
+    """Return the folders of finished runs with the same task, parameters, and seed, oldest first."""
     if subject.manifest.get("replay_of"):
         return []
     found = []
@@ -433,11 +430,7 @@ def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:
     label = f"{folder.parent.name}/{folder.name}"
     try:
         found = compare_runs(run, RunDirectory.open(folder, run.root), common=True)
-    except Exception as error:  # the files may hold anything
+    except Exception as error:  # damaged files can raise any error
         return Repeat(label, how, "not compared", str(error), [])
     verdict = "not compared" if found.parts["files"].state == "different" else found.verdict
-    return Repeat(label, how, verdict, f"{_span(found)}: {found.reason}", found.lines())
-
-
-def _span(found: Comparison) -> str:
-    return counted(found.iterations, "iteration")
+    return Repeat(label, how, verdict, f"{counted(found.iterations, 'iteration')}: {found.reason}", found.lines())

@@ -32,15 +32,15 @@ from wheelleg_exp.report.report_subject import AGENT, KIND, Subject
 from wheelleg_exp.report.value_format import whole_units
 from wheelleg_exp.run.run_list import non_finite_note
 
-# Tells a later report that a file is one, and of which run.
+# Marks a file as the report of a run, so that a later report can overwrite it.
 MARK = '<meta name="wheelleg-report" content="'
 
 
 def render_page(page: Page) -> str:
-    """Return the whole HTML file as text.
+    """Return the HTML file as text.
 
-    Scripts cannot run in it whatever its values hold: templates escape them, and its own policy forbids scripts and
-    everything that would be fetched.
+    No value can run a script: the templates escape all values, and the page's content security policy forbids scripts
+    and external resources.
     """
     environment = Environment(
         loader=PackageLoader("wheelleg_exp.report"),
@@ -50,25 +50,25 @@ def render_page(page: Page) -> str:
         lstrip_blocks=True,
         finalize=_visible,
     )
-    environment.filters["drawn"] = Markup  # for SVG that `svg.clean` has passed, and for the style sheet alone
+    environment.filters["drawn"] = Markup  # only for SVG from `inline_svg.clean`, and for the style sheet
     style = environment.get_template("report.css").render()
     return environment.get_template("report.html").render(page=page, style=style, mark=MARK)
 
 
 def _visible(value: Any) -> Any:
-    """Show characters that would hide or turn the text around them, and those that HTML cannot hold."""
+    """Make invisible control characters visible, and replace characters that HTML cannot hold."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return printable(value)
 
 
 NAME = "report.html"
-_HEAD = 4096  # bytes in which the mark stands
+_HEAD = 4096  # bytes that contain the mark
 
 
 @dataclass(frozen=True)
 class Written:
-    """A report on the disk: its path, its size in bytes, and whether the run's manifest tells of it."""
+    """A written report: its path, its size in bytes, and whether the run's manifest lists it."""
 
     path: Path
     size: int
@@ -76,10 +76,10 @@ class Written:
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
-    """Return where the report goes.
+    """Return the path of the report.
 
     Raises:
-        RunDirectoryError: there is something else than a report of this run, or nothing can be written there.
+        RunDirectoryError: another file has that path, or nothing can be written there.
     """
     path = subject.path / NAME if output is None else output
     if path.is_dir():
@@ -90,15 +90,15 @@ def report_path(subject: Subject, output: Path | None) -> Path:
             expected="-o with another name",
         )
     folder = next(parent for parent in path.absolute().parents if parent.exists())
-    with for_people(path), tempfile.TemporaryFile(dir=folder):  # known before the work begins, and leaving nothing
+    with for_people(path), tempfile.TemporaryFile(dir=folder):  # fail now if the folder cannot be written
         return path
 
 
 def write_report(subject: Subject, path: Path, html: str, command: Sequence[str]) -> Written:
-    """Write the page, and record it in the manifest when it stands in the run directory.
+    """Write the page, and record it in the manifest if it is in the run directory.
 
     Raises:
-        WheellegError: it cannot be written.
+        WheellegError: the page cannot be written.
     """
     write_text(path, html)
     inside = subject.run is not None and path.resolve().is_relative_to(subject.path.resolve())
@@ -116,13 +116,13 @@ def _is_report(path: Path, run: str) -> bool:
 
 
 def _is_own(subject: Subject, path: Path) -> bool:
-    """Return whether the run itself knows the file as its report, whatever the run is called by now."""
+    """Return whether the run's manifest lists the file as its report, even if the run was renamed."""
     inside = not path.is_symlink() and path.is_file() and path.resolve().is_relative_to(subject.path.resolve())
     return inside and _recorded(subject, path)
 
 
 def _recorded(subject: Subject, path: Path) -> bool:
-    """Return whether the manifest knows this very file already."""
+    """Return whether the manifest already lists this file with this content."""
     name = path.resolve().relative_to(subject.path.resolve()).as_posix()
     entries = [entry["files"][name] for entry in subject.additions(KIND) if name in entry.get("files", {})]
     return bool(entries) and entries[-1]["sha256"] == sha256(path)
@@ -137,8 +137,8 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
 
     Args:
         subject: the run.
-        look: its recordings and the pictures made from them.
-        verdict: what is known of its reproducibility.
+        look: its recordings and pictures.
+        verdict: its reproducibility.
     """
     of_training = subject.status != AGENT
     sections = [
@@ -151,7 +151,7 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
         ),
         *(_of_evaluation(subject) if of_training else []),
         *(_of_training(subject, look, verdict) if of_training else []),
-        section("settings", "What was set", _SETTINGS, lambda: settings.blocks(subject)),
+        section("settings", "What was set", _SETTINGS, lambda: settings.settings_blocks(subject)),
         *(_rest(subject) if of_training else []),
     ]
     return Page(
@@ -161,7 +161,7 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
         tone=headline.tone(subject),
         sentence=_or(
             lambda: whole_units(headline.sentence(subject)),
-            "What became of this run cannot be told: its manifest is damaged.",
+            "The outcome of this run is unknown: its manifest is damaged.",
         ),
         cards=_or(lambda: headline.cards(subject, verdict.card), [verdict.card] if verdict.card else []),
         facts=_or(lambda: headline.facts(subject), []),
@@ -174,20 +174,20 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
 
 
 def _not_finite(subject: Subject) -> list[str]:
-    """Return what there is to say of numbers that were not finite, in the training and in its last play."""
+    """Return notes on NaN and inf in the training and in its last play."""
     trained = _or(lambda: non_finite_note(subject.manifest.get("results") or {}), None)
     played = _or(lambda: non_finite_note(headline.played(subject)), None)
     return [f"{what}: {note}" for what, note in (("The training", trained), ("The last rollout", played)) if note]
 
 
-_SETTINGS = "What differs from the task as it is by itself, and who set it."
+_SETTINGS = "The values that differ from the task's defaults, and who set them."
 
 
 def _lead(subject: Subject) -> str:
     if subject.status == AGENT:
-        return "What these actions did, over the first episode of each environment."
+        return "Figures of these actions, over the first episode of each environment."
     if headline.played(subject):
-        return "How the policy did without exploration noise, over the first episode of each environment."
+        return "Figures of the policy without exploration noise, over the first episode of each environment."
     return ""
 
 
@@ -227,22 +227,22 @@ def _rest(subject: Subject) -> list[Section]:
 
 
 def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
-    """Return a section of the page; a part of it that fails is one sentence there."""
+    """Return a section of the page. A part that fails becomes one sentence."""
     return Section(name, title, lead, [block for builder in builders for block in _tried(builder)])
 
 
 def _tried(builder: Builder) -> Sequence[Block]:
-    """Return a part's blocks; one that fails, for whatever is in the files, is one sentence of the page."""
+    """Return a part's blocks; one sentence if the part fails."""
     try:
         return builder()
     except WheellegError as error:
         return [Note(f"This part cannot be shown: {error}.")]
-    except Exception as error:  # the files may hold anything
+    except Exception as error:  # damaged files can raise any error
         return [Note(f"This part cannot be shown: {type(error).__name__}: {error}.")]
 
 
 def _or(build: Callable[[], T], instead: T) -> T:
-    """Return what ``build`` returns, or ``instead`` where it fails for whatever is in the files."""
+    """Return the result of ``build``; if it fails, return ``instead``."""
     try:
         return build()
     except Exception:

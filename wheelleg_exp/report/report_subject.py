@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # of the manifest's entry for a report
+KIND = "report"  # kind of the manifest's entries for reports
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Series:
-    """One scalar over the iterations: ``at`` and ``values`` are of one length."""
+    """One scalar over the iterations; ``at`` and ``values`` have the same length."""
 
     at: tuple[int, ...]
     values: tuple[float, ...]
@@ -40,12 +40,12 @@ class Subject:
     Attributes:
         path: its folder.
         run: the run directory; None for an agent's run, which has no manifest.
-        manifest: the manifest's content, empty without one.
-        status: the manifest's, ``crashed``, or ``agent``.
-        config: ``env`` and ``agent`` as far as they are kept, resolved and plain.
-        overrides: what was typed, None when nobody knows.
-        choices: Hydra's choices (``task``, ``robot``, …) as far as they are kept.
-        config_dirs: the user's config folders that the run was composed with.
+        manifest: the manifest's content; empty without one.
+        status: the manifest's status, ``crashed``, or ``agent``.
+        config: the saved ``env`` and ``agent``, resolved and plain.
+        overrides: the typed overrides; None if unknown.
+        choices: the saved choices of Hydra (``task``, ``robot``, …).
+        config_dirs: the user's config folders of the run.
         scalars: the training's scalars by name.
         agent_figures: the figures of an agent's run.
         problems: what could not be read, and why.
@@ -75,7 +75,7 @@ class Subject:
 
     @property
     def step_s(self) -> float | None:
-        """Seconds of one control step, None when the config does not say."""
+        """Duration of a control step, s; None if the config lacks it."""
         dt, decimation = self.setting("env.sim.dt"), self.setting("env.decimation")
         return dt * decimation if is_number(dt) and is_number(decimation) else None
 
@@ -89,17 +89,17 @@ class Subject:
         return series.values[-1] if series and series.values else None
 
     def additions(self, kind: str) -> list[dict[str, Any]]:
-        """Return what later commands of a kind added, oldest first."""
+        """Return the entries of later commands of a kind, oldest first."""
         return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
 
     def file(self, name: str) -> Path | None:
-        """Return a file below the folder by its relative name; None when it is missing or leads elsewhere."""
+        """Return a file in the folder by its relative name; None if it is missing or a link leads elsewhere."""
         path = self.path / name
         inside = path.resolve().is_relative_to(self.path.resolve())
         return path if inside and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
-        """Return what ``read`` returns; where it fails, keep the reason and return ``instead``."""
+        """Return the result of ``read``; if it fails, store the reason and return ``instead``."""
         try:
             return read()
         except WheellegError as error:
@@ -110,7 +110,7 @@ class Subject:
 
 
 def open_subject(name: str | Path, root: Path) -> Subject:
-    """Return what a command line calls RUN: a run by path, id or ``latest``, or the path of an agent's run.
+    """Return the run by path, id, or ``latest``, or the agent's run by path.
 
     Raises:
         RunDirectoryError: it is neither, or the manifest is damaged.
@@ -147,7 +147,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
         raise RunDirectoryError(f"the run has no {name}")
     content = read_yaml(path)
     if not isinstance(content, dict):
-        raise RunDirectoryError(f"{name} holds no mapping")
+        raise RunDirectoryError(f"{name} is not a mapping")
     return content
 
 
@@ -162,7 +162,7 @@ def _overrides(subject: Subject) -> list[str] | None:
 
 
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the folders on Hydra's search path that are known as the user's own; others are somebody's word."""
+    """Return the registered folders of Hydra's search path. Other recorded folders are not trusted."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 
@@ -197,5 +197,5 @@ def _by_name(rows: Mapping[int, Mapping[str, Any]]) -> dict[str, Series]:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a number, as true and false are not."""
+    """Return whether a value is a number and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 _PARTS = ("env", "agent")
-_NOT_SET = "not there"
-_THEN = "the configs of that time"
+_NOT_SET = "not set"
+_THEN = "the configs at the time of the run"
 _ROWS = 200
 _NOT_COMPOSED = ("hydra", "${", "..")
 _LETTERS = 20_000
@@ -33,11 +33,11 @@ _LETTERS = 20_000
 
 @dataclass(frozen=True)
 class Setting:
-    """One value that the run has and its task by itself has not.
+    """One value of the run that differs from its task's default.
 
     Attributes:
         path: the key.
-        default: the task's own value, as text.
+        default: the task's default, as text.
         value: the run's value, as text.
         origin: who set it.
     """
@@ -48,38 +48,38 @@ class Setting:
     origin: str
 
 
-def blocks(subject: Subject) -> list[Block]:
-    """Return the overrides, the values that differ from the task's own, and those of the user's files."""
+def settings_blocks(subject: Subject) -> list[Block]:
+    """Return the overrides, the values that differ from the task's defaults, and the values of the user's files."""
     found: list[Block] = [_typed(subject)]
     try:
         default, again = _composed(subject)
     except WheellegError as error:
-        return [*found, Note(f"The task cannot be composed here, so only the overrides are told: {error.message}.")]
+        return [*found, Note(f"The task cannot be composed here, so only the overrides are listed: {error.message}.")]
     settings = list(differences(subject, default, again))
     if settings:
         rows = [
             [Cell(s.path, code=True), Cell(s.default, code=True), Cell(s.value, code=True), Cell(s.origin)]
             for s in settings
         ]
-        found.append(_table("Values that differ from the task's own", rows))
+        found.append(_table("Values that differ from the task's defaults", rows))
     else:
-        found.append(Text("Every other value is the task's own: nothing differs from what the task says here today."))
-    found.append(Text("Compared are env and agent. The seed is told above; recording and run decide no number."))
+        found.append(Text("Every other value is the task's current default."))
+    found.append(Text("Compared are env and agent. The seed is listed above; recording and run decide no number."))
     own = list(own_leaves(again))
     if own:
         rows = [[Cell(s.path, code=True), Cell(s.value, code=True), Cell(s.origin, code=True)] for s in own[:_ROWS]]
-        table = Table("Values set by own files", ("Key", "Value", "Set by"), rows, titled=False)
+        table = Table("Values set by the user's files", ("Key", "Value", "Set by"), rows, titled=False)
         found.append(More(f"{counted(len(own), 'value')} set by files outside the stock configs", [table]))
     return found
 
 
 def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
-    """Yield where the run's parameters differ from the task composed by itself.
+    """Yield the run's parameters that differ from the task's defaults.
 
     Args:
         subject: the run.
         default: the task without any override.
-        again: the task with the run's overrides, composed here; it tells who set a value when it has the same.
+        again: the task with the run's overrides, composed here. It shows who set a value, if the values agree.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -91,7 +91,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
 
 
 def own_leaves(composed: Composed | None) -> Iterator[Setting]:
-    """Yield the values that files of the user's own set."""
+    """Yield the values that the user's files set."""
     if composed is None:
         return
     folders = composed.config_dirs
@@ -102,7 +102,7 @@ def own_leaves(composed: Composed | None) -> Iterator[Setting]:
 
 def _typed(subject: Subject) -> Block:
     if subject.overrides is None:
-        return Note("What was typed on the command line is not kept in this run.", "")
+        return Note("The overrides on the command line were not recorded.", "")
     if not subject.overrides:
         return Text("Nothing was changed on the command line.")
     label = f"{counted(len(subject.overrides), 'override')} on the command line:"
@@ -110,7 +110,7 @@ def _typed(subject: Subject) -> Block:
 
 
 def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
-    """Return the task by itself, and with the run's overrides where they still compose.
+    """Return the task with its defaults, and with the run's overrides if they still compose.
 
     Raises:
         WheellegError: the task cannot be composed here.
@@ -132,9 +132,9 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 
 
 def _require_harmless(words: Sequence[str]) -> None:
-    """Raise ConfigError for recorded words that would name folders and modules to Hydra, or ask for variables."""
+    """Raise ConfigError for recorded words that would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
-        raise ConfigError("what the run recorded of its command line is not composed here")
+        raise ConfigError("the recorded command line could read other files, so it is not composed here")
 
 
 def _shown(value: Any) -> str:
@@ -142,7 +142,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    """Return who set a value: known only where composing here gives the run's value."""
+    """Return who set a value. This is known only if composing here gives the run's value."""
     if again is None:
         return _THEN
     node: Any = again.config
@@ -154,7 +154,7 @@ def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: 
 
 
 def _who(keys: Keys, again: Composed, mounts: Sequence[Mount]) -> str | None:
-    """Return who set or removed a key, or who chose the terms of its section, if that is one of ``mounts``."""
+    """Return who set or removed a key, or who chose its section, if that is one of ``mounts``."""
     places, path = again.provenance, dotted(keys)
     found = places.below(path) or places.deleted_below(path)
     chosen = _chosen(keys, mounts)
@@ -164,13 +164,13 @@ def _who(keys: Keys, again: Composed, mounts: Sequence[Mount]) -> str | None:
 
 
 def _chosen(keys: Keys, mounts: Sequence[Mount]) -> str | None:
-    """Return who last chose the terms among which a key stands, or would stand."""
+    """Return who last chose the section of a key."""
     mount = next((m for m in mounts if m.several and m.package == dotted(keys[:-1])), None)
     return str(mount.choices[-1].where) if mount is not None and mount.choices else None
 
 
 def _table(title: str, rows: list[list[Cell]]) -> Block:
-    shown = Table(title, ("Key", "Task's own", "This run", "Set by"), rows[:_ROWS])
+    shown = Table(title, ("Key", "Default", "This run", "Set by"), rows[:_ROWS])
     if len(rows) <= _ROWS:
         return shown
     return More(f"{counted(len(rows), 'value')} differ; the first {_ROWS}", [shown])

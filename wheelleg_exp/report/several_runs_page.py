@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.plot_style import Panel
 
 
-# What makes no difference between two runs: their draws, their names, what is written of them.
+# Settings that do not separate groups: seeds, names, and output options.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
-BANDS = "The mean over the seeds of a setting, where all of them have a value, and one standard deviation about it."
-# Where these differ, a return is not of the same thing.
+BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
+# Returns cannot be compared if these settings differ.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
@@ -50,10 +50,10 @@ _MOST_DIFFERENCES = 12
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that were set to the same but for their seeds.
+    """Runs with the same settings except for their seeds.
 
     Attributes:
-        settings: what tells it from the other groups, by key.
+        settings: the settings that differ from those of other groups, by key.
         runs: its runs.
     """
 
@@ -62,16 +62,16 @@ class Group:
 
     @property
     def label(self) -> str:
-        """What it is called in legends: its settings, by the last part of their keys."""
+        """Its name in legends: its settings, by the last part of their keys."""
         return ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings.items()) or "all runs"
 
     def last(self, key: str) -> list[float]:
-        """Return the last value of a scalar of each run that has it."""
+        """Return the last value of a scalar in each run that has it."""
         return [run.scalars[key].values[-1] for run in self.runs if key in run.scalars]
 
 
 def grouped(subjects: Sequence[Subject]) -> list[Group]:
-    """Return runs by their settings, in the order in which these first occur."""
+    """Return runs by their settings, in the order of first occurrence."""
     configs = [_settings(subject) for subject in subjects]
     keys = sorted({key for config in configs for key in config})
     differing = [key for key in keys if len({config.get(key, _ABSENT) for config in configs}) > 1]
@@ -82,7 +82,7 @@ def grouped(subjects: Sequence[Subject]) -> list[Group]:
 
 
 def _settings(subject: Subject) -> dict[str, str]:
-    """Return what a run was set to, by key."""
+    """Return the settings of a run by key."""
     found = {".".join(map(str, keys)): value for keys, value in leaves(written_config(subject.path))}
     return {key: brief(value) for key, value in found.items() if not _below(key, _ASIDE)}
 
@@ -92,26 +92,26 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 
 
 def sentence(groups: Sequence[Group]) -> str:
-    """Return what stands at the top: what was compared, and which group's mean return is the highest.
+    """Return the headline: what was compared, and the group with the highest mean return.
 
-    Where the settings change what a return is, the shares of episodes that reach the time-out are compared instead,
-    of the training or else of the last plays.
+    If the settings change the meaning of a return, the time-out shares of the training are compared instead, or else
+    the survival in the last plays.
     """
     runs = sum(len(group.runs) for group in groups)
-    said = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
+    text = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
-        return said
+        return text
     other = next((key for key in groups[0].settings if _below(key, _MEASURE)), None)
     if other is None:
-        return said + _highest("mean return", [(group, group.last(_RETURN)) for group in groups], number)
-    return f"{said} Their returns do not compare, as {other} differs." + (
+        return text + _highest("mean return", [(group, group.last(_RETURN)) for group in groups], number)
+    return f"{text} Their returns do not compare, as {other} differs." + (
         _highest("mean time-out share", [(group, group.last(_TIME_OUT)) for group in groups], percent)
         or _highest("mean survival in the last plays", [(group, _survivals(group)) for group in groups], percent)
     )
 
 
 def _highest(what: str, known: Sequence[tuple[Group, Sequence[float]]], form: Callable[[float], str]) -> str:
-    """Return which groups' mean is the highest, as a sentence; nothing where fewer than two groups have one."""
+    """Return a sentence on the group with the highest mean; empty if fewer than two groups have a value."""
     means = [(statistics.fmean(values), group.label) for group, values in known if values]
     if len(means) < 2:
         return ""
@@ -127,7 +127,7 @@ def _survivals(group: Group) -> list[float]:
 
 
 def figures(groups: Sequence[Group]) -> list[Block]:
-    """Return how the groups ended: mean and standard deviation over their runs."""
+    """Return the final figures of the groups: mean and standard deviation over their runs."""
     shown = list(groups[0].settings)[:_MOST_DIFFERENCES]
     columns = [*(shown or ["setting"]), "runs", *_FIGURES, "survived the last play"]
     rows = []
@@ -141,14 +141,14 @@ def figures(groups: Sequence[Group]) -> list[Block]:
                 Cell(_spread(_survivals(group), share=True), number=True),
             ]
         )
-    blocks: list[Block] = [Table("How they ended", columns, rows, titled=False)]
+    blocks: list[Block] = [Table("Final figures", columns, rows, titled=False)]
     more = len(groups[0].settings) - len(shown)
     if more > 0:
-        blocks.append(Note(f"They differ in {more} more keys: wheelleg diff A B tells all of two runs.", ""))
+        blocks.append(Note(f"They differ in {more} more keys: see wheelleg diff A B.", ""))
     single = sum(len(group.runs) == 1 for group in groups)
     if single:
         which = "One setting has" if single == 1 else f"{single} settings have"
-        blocks.append(Note(f"{which} a single run: how much chance is in it is not known. Train more seeds."))
+        blocks.append(Note(f"{which} a single run, so its spread is unknown. Train more seeds."))
     unequal = {done(run) for group in groups for run in group.runs}
     if len(unequal) > 1:
         blocks.append(Note(f"They were trained for {min(unequal)} to {max(unequal)} iterations."))
@@ -156,7 +156,7 @@ def figures(groups: Sequence[Group]) -> list[Block]:
 
 
 def _spread(values: Sequence[float], *, share: bool = False) -> str:
-    """Return mean ± standard deviation (of a sample) of some runs' values; the value alone of one run."""
+    """Return mean ± sample standard deviation of the runs' values; a single value alone."""
     if not values:
         return _ABSENT
     form = percent if share else number
@@ -165,7 +165,7 @@ def _spread(values: Sequence[float], *, share: bool = False) -> str:
 
 
 def curves(groups: Sequence[Group]) -> list[Block]:
-    """Return the learning curves of all groups in one drawing each: means, and one standard deviation about them."""
+    """Return the learning curves of all groups: means, and one standard deviation."""
     known = {key for group in groups for run in group.runs for key in run.scalars}
     panels = [_panel(key, groups) for key in _CURVES if key in known]
     return [drawn(panels, "several")] if panels else [Note("None of them has finished an iteration.", "")]
@@ -183,8 +183,8 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
             if len(at):
                 axes.plot(at, mean, color=colour(i), label=group.label, marker="." if len(at) < 15 else None)
                 axes.fill_between(at, mean - deviation, mean + deviation, color=colour(i), alpha=0.2, linewidth=0)
-        told = scalar_definition(key)
-        over_iterations(axes, "" if told is None else told.unit)
+        known = scalar_definition(key)
+        over_iterations(axes, "" if known is None else known.unit)
         if len(groups) > 1:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
@@ -194,10 +194,10 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return iterations, and mean and standard deviation of the runs (of a sample; 0 of one run) there.
+    """Return iterations, and the mean and sample standard deviation of the runs there (0 for one run).
 
-    The iterations are those at which all runs have a value, so that no run's end moves the mean; of a long training
-    evenly picked ones, (n,). A run without any value does not count.
+    Only iterations that all runs have are used, so that the end of one run does not move the mean. Long trainings are
+    thinned evenly, (n,). A run without any value is skipped.
 
     Args:
         series: iterations and values of each run.
@@ -214,7 +214,7 @@ def course(
 
 
 def members(groups: Sequence[Group]) -> list[Block]:
-    """Return the runs, one by one."""
+    """Return a table of the runs."""
     rows = [
         [
             Cell(run.id, code=True),
@@ -241,16 +241,16 @@ COMPARISON = "comparison.html"
 
 
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
-    """Return what a page about several runs is about, and the runs; None where one run is named.
+    """Return the subject of a page about several runs, and the runs; None if one run is named.
 
-    What it is about is the sweep, or the present folder.
+    The subject is the sweep, or the current folder.
 
     Args:
         names: runs and sweeps, by path, id or (of runs) ``latest``.
         root: the folder of all runs.
 
     Raises:
-        RunDirectoryError: one is neither, or an agent's run, or a sweep has no run yet.
+        RunDirectoryError: a name is neither a run nor a sweep, or is an agent's run, or a sweep has no run yet.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:
@@ -259,10 +259,10 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
     for name, index in zip(names, sweeps, strict=True):
         for subject in [open_subject(name, root)] if index is None else _runs_of(index):
             if subject.status == AGENT:
-                raise RunDirectoryError(f"'{name}' is no training", expected="runs of 'wheelleg train', or a sweep")
+                raise RunDirectoryError(f"'{name}' is not a training", expected="runs of 'wheelleg train', or a sweep")
             runs[subject.path] = subject
     if not runs:
-        raise RunDirectoryError(f"the sweep '{names[0]}' has no run yet", expected="a sweep that has begun")
+        raise RunDirectoryError(f"the sweep '{names[0]}' has no run yet", expected="a sweep that has started")
     about = sweeps[0].folder.resolve() if len(names) == 1 and sweeps[0] is not None else Path.cwd()
     return Subject(about, None), list(runs.values())
 
@@ -273,10 +273,10 @@ def _runs_of(index: SweepIndex) -> list[Subject]:
 
 
 def several_page(about: Subject, runs: Sequence[Subject], command: Sequence[str]) -> Page:
-    """Return the page.
+    """Return the page about several runs.
 
     Args:
-        about: what it is about, see ``open_several``.
+        about: the subject of the page, see ``open_several``.
         runs: the runs.
         command: the command line.
     """

@@ -15,12 +15,12 @@ from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Tab
 from wheelleg_exp.report.report_subject import Series, Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
-_POINTS = 800  # of a curve; more cannot be told apart
+_POINTS = 800  # per curve; more points are not visible
 _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_episode_length"))
 
 
 def first_curves(subject: Subject) -> list[Block]:
-    """Return the curves of whether it learned: return, length and end of episodes; a note when there are none."""
+    """Return the curves of return, episode length, and endings; a note if there are none."""
     from wheelleg_exp.inspection import training_curves as plots_training
 
     scalars = thinned(subject)
@@ -31,7 +31,7 @@ def first_curves(subject: Subject) -> list[Block]:
 
 
 def more_curves(subject: Subject) -> list[Block]:
-    """Return the curves of how it learned, on demand."""
+    """Return the remaining curves, collapsed."""
     from wheelleg_exp.inspection import training_curves as plots_training
 
     panels = [panel for panel in plots_training.learning(thinned(subject)) if panel.title not in _FIRST]
@@ -39,12 +39,12 @@ def more_curves(subject: Subject) -> list[Block]:
 
 
 def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
-    """Return iterations and values by scalar; of a long training evenly picked ones, the last among them."""
+    """Return iterations and values by scalar. Long trainings are thinned evenly, keeping the last point."""
     return {name: _thin(series) for name, series in subject.scalars.items()}
 
 
 def picked(count: int) -> slice:
-    """Return which of so many points are drawn: evenly picked ones, the last among them."""
+    """Return a slice that thins this many points evenly and keeps the last one."""
     every = max(1, -(-count // _POINTS))
     return slice((count - 1) % every, None, every)
 
@@ -59,7 +59,7 @@ _RESERVED = ("_target_", "weight")
 
 
 def reward_blocks(subject: Subject) -> list[Block]:
-    """Return the table of reward terms, and their course over the training."""
+    """Return the table of reward terms, and their curves over the training."""
     terms = subject.setting("env.rewards")
     if not isinstance(terms, Mapping) or not terms:
         return [Note("The rewards of this task are not known: its parameters are missing.")]
@@ -79,7 +79,7 @@ def reward_blocks(subject: Subject) -> list[Block]:
 
 
 def _longest(subject: Subject) -> str:
-    """Return what ``Episode_Reward`` is divided by, whether an episode lasts that long or not."""
+    """Return the divisor of ``Episode_Reward``: the longest episode's duration."""
     length = subject.setting("env.episode_length_s")
     return f"{exact(length)} s" if isinstance(length, (int, float)) else "longest episode's seconds"
 
@@ -102,7 +102,7 @@ def _row(name: str, term: Any, late: float | None, total: float) -> list[Cell]:
 
 
 def _parameters(terms: Mapping[str, Any]) -> list[Block]:
-    """Return what the terms are made with, on demand."""
+    """Return the parameters of the terms, collapsed."""
     rows = []
     for name, term in terms.items():
         if isinstance(term, Mapping):
@@ -111,4 +111,4 @@ def _parameters(terms: Mapping[str, Any]) -> list[Block]:
                 [Cell(str(name), code=True), Cell(str(term.get("_target_", "")), code=True), Cell(own, code=True)]
             )
     columns = ("Term", "Computed by", "Parameters")
-    return [More("What each term computes", [Table("Terms and their parameters", columns, rows, titled=False)])]
+    return [More("Parameters of each term", [Table("Terms and their parameters", columns, rows, titled=False)])]

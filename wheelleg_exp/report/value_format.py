@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LONGEST = 160  # letters of a value before it is cut
+_LONGEST = 160  # longer values are cut
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Return a number with that many significant digits, without a needless exponent; a dash for none."""
+    """Return a number with this many significant digits, without a needless exponent; a dash for None."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return "–" if value is None else brief(value)
     if isinstance(value, int):
@@ -27,7 +27,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def numbers(value: Any) -> Any:
-    """Return a value of a JSON file in which ``nan``, which JSON has no word for, is None."""
+    """Return a value of a JSON file with None for ``nan``, which JSON cannot express."""
     if isinstance(value, Mapping):
         return {key: numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -37,14 +37,14 @@ def numbers(value: Any) -> Any:
 
 
 def exact(value: Any) -> str:
-    """Return a number as somebody chose it: ``5``, ``0.07``, ``−50``; a dash for none."""
+    """Return a number without rounding to few digits: ``5``, ``0.07``, ``−50``; a dash for None."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–" if value is None else brief(value)
     return f"{value:.6g}".replace("-", "−")
 
 
 def percent(share: Any) -> str:
-    """Return a share as per cent: whole where it is whole, never rounded up to 100 %."""
+    """Return a share as a percentage, never rounded up to 100 %."""
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not math.isfinite(share):
         return "–"
     value = 100.0 * share
@@ -82,20 +82,20 @@ def size(octets: Any) -> str:
 
 
 def moment(text: Any) -> str:
-    """Return a moment of a manifest to the second: ``2026-01-31 17:05:09 UTC``."""
+    """Return a manifest's time to the second: ``2026-01-31 17:05:09 UTC``."""
     if not isinstance(text, str) or len(text) < 19:
         return "–"
     return f"{text[:10]} {text[11:19]} UTC"
 
 
 def brief(value: Any) -> str:
-    """Return a value as YAML would have it on one line, cut where it is long."""
+    """Return a value as YAML on one line; a long value is cut."""
     text = plain(value)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
 
 
 def plain(value: Any) -> str:
-    """Return a value as YAML would have it on one line."""
+    """Return a value as YAML on one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, (list, tuple)):
@@ -111,15 +111,15 @@ def counted(count: int, one: str, several: str | None = None) -> str:
 
 
 def spoken(name: str) -> str:
-    """Return an identifier as words: ``base_contact`` is ``base contact``."""
+    """Return an identifier as words: ``base_contact`` becomes ``base contact``."""
     return name.replace("_", " ").strip() or name
 
 
 def capital(text: str) -> str:
-    """Return a text with a capital at its beginning."""
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def whole_units(text: str) -> str:
-    """Return a text in which no line ends between a number and its unit."""
+    """Return a text that does not break between a number and its unit."""
     return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)

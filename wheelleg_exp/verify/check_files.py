@@ -21,7 +21,7 @@ _UNENDED = ("running", "crashed")
 
 @dataclass(frozen=True)
 class Subject:
-    """A run with its manifest and its log, and what became of it."""
+    """A run to check: its manifest, status, and iteration log."""
 
     run: RunDirectory
     manifest: Manifest
@@ -35,29 +35,29 @@ class Subject:
 
     @property
     def has_ended(self) -> bool:
-        """Whether its process came to an end of its own."""
+        """Whether its process ended by itself."""
         return self.status not in _UNENDED
 
     @property
     def has_snapshot(self) -> bool:
-        """Whether what decides the run was completely written; if not, it broke off before the first step."""
+        """Whether the snapshot was written completely. If not, the run stopped before its first step."""
         return bool(self.data.get("source")) or self.has_ended
 
 
 State = Literal["ok", "note", "failed", "not checked"]
-_SHOWN = 10  # notes and failures of one check that are shown
+_SHOWN = 10  # lines of one check that are printed
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked.
+    """The result of one check.
 
     Attributes:
-        name: what.
-        text: one line on what was looked at.
+        name: the name of the check.
+        text: one line on what was checked.
         failures: what is wrong.
-        notes: what is worth knowing and not wrong.
-        skipped: why it could not be checked; None when it was.
+        notes: facts that are not mistakes.
+        skipped: why the check could not run; None if it ran.
     """
 
     name: str
@@ -76,20 +76,14 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the check for people."""
+        """Return the printed lines of the check."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 
 
 @dataclass(frozen=True)
 class RunFindings:
-    """What ``verify_run`` found.
-
-    Attributes:
-        path: the run directory.
-        status: what became of the run.
-        checks: all that was checked.
-    """
+    """The result of ``verify_run``: the run directory, the run's status, and all checks."""
 
     path: Path
     status: str
@@ -97,7 +91,7 @@ class RunFindings:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether no check failed."""
         return not any(check.failures for check in self.checks)
 
     @property
@@ -106,12 +100,12 @@ class RunFindings:
         return "sound" if self.is_sound else "damaged"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for JSON."""
+        """Return all findings for JSON."""
         checks = [{"state": check.state, **asdict(check)} for check in self.checks]
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
 
     def lines(self) -> list[str]:
-        """Return it for people, the verdict last."""
+        """Return the printed lines of all checks, the verdict last."""
         lines = [f"{self.path.parent.name}/{self.path.name}  {self.status}", ""]
         lines += [line for check in self.checks for line in check.lines()]
         failed = [check.name for check in self.checks if check.failures]
@@ -120,17 +114,17 @@ class RunFindings:
 
 
 def cut(lines: Iterable[str]) -> list[str]:
-    """Return the first lines, and how many more there are."""
+    """Return the first lines, and a line that counts the remaining ones."""
     found = list(lines)
-    rest = len(found) - _SHOWN
-    return [*found[:_SHOWN], f"and {rest} more"] if rest > 0 else found
+    hidden = len(found) - _SHOWN
+    return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# What a command takes for a part of the run when it lies there, whatever the manifest says.
-_BELIEVED = re.compile(
+# Commands read these files as parts of a run even if the manifest does not list them.
+_READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# What is written while a run goes on, and recorded at its end.
+# A running process writes these files. Their digests are recorded when the run ends.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
@@ -138,19 +132,19 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that the manifest is what was written, and tell what it says of the run."""
+    """Check that nobody changed the manifest after it was written, and note what it records about the run."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.seal_holds()
     failures = [f"{MANIFEST_NAME} {_FORGED}"] if holds is False else []
     if holds is None:
-        notes.append("it has no digest of itself, so a change in it may go unseen")
+        notes.append("it has no digest of itself, so a change in it cannot be detected")
     elif data["format"] == FORMAT_WITH_VALUE_DIGEST:
-        notes.append("its digest is of its values: other digits of a number that rounds alike would go unseen")
+        notes.append("its digest is of rounded values: a change of the last digits cannot be detected")
     if data.get("id") not in (None, subject.run.id):
         notes.append(f"the run was called '{data['id']}' when it was made")
     if subject.status == "crashed":
-        notes.append("its process is gone without an end: 'wheelleg resume' continues from the last checkpoint")
+        notes.append("its process died: 'wheelleg resume' continues from the last checkpoint")
     error = data.get("error")
     if isinstance(error, Mapping):
         notes.append(f"it ended with {error.get('type')}: {error.get('message')}")
@@ -164,19 +158,20 @@ def _resume_note(entry: Mapping[str, Any]) -> str:
     words = " ".join(map(str, entry.get("overrides") or ()))
     how = "" if "exact" not in entry else ", exactly" if entry["exact"] else ", not exactly"
     reasons = "; ".join(map(str, entry.get("why") or ()))
-    return f"resumed on {entry.get('when')}{where}{how}" + "".join(f": {told}" for told in (words, reasons) if told)
+    return f"resumed on {entry.get('when')}{where}{how}" + "".join(f": {text}" for text in (words, reasons) if text)
 
 
 def files(subject: Subject) -> Check:
-    """Hold the files against their records: missing, changed, unreadable, not listed."""
+    """Compare the files with the manifest's records: missing, changed, unreadable, and unlisted files."""
     found = subject.manifest.compare_files()
     waiting = _waiting(subject)
     others = [name for name in found.unlisted if not _is_growing(subject, name)]
     growing = len(found.unlisted) - len(others)
     notes = [f"{growing} files are recorded when the run ends"] if growing else []
-    notes += [f"{name} is not of the run: the manifest does not name it" for name in others if not _is_believed(name)]
-    notes += [f"{name} is a symbolic link, and not of the run" for name in found.links]
-    notes += [f"{name} is not changed yet: a resume broke off before that" for name in waiting]
+    unknown = [name for name in others if not _READ_BY_COMMANDS.fullmatch(name)]
+    notes += [f"{name} is not part of the run: the manifest does not list it" for name in unknown]
+    notes += [f"{name} is a symbolic link and not part of the run" for name in found.links]
+    notes += [f"{name} is not rewritten yet: a resume stopped before that" for name in waiting]
     records = subject.manifest.recorded_files()
     size = sum(int(record["size"]) for record in records.values()) / 1e6
     wrong = [f"{name} {what}" for name, what in _wrong(subject, found).items()]
@@ -184,7 +179,7 @@ def files(subject: Subject) -> Check:
 
 
 def damage(subject: Subject) -> dict[str, str]:
-    """Return what is wrong with each file that is not what the manifest recorded, the manifest itself included."""
+    """Return the problem of each file that differs from its record in the manifest, the manifest included."""
     wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.seal_holds() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
@@ -194,47 +189,38 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
     wrong = {name: _what_became_of(root / name) for name in found.missing}
     wrong |= {name: f"was changed: {_how(subject, name)}" for name in found.changed if name not in waiting}
     wrong |= {name: "cannot be read" for name in found.unreadable}
-    wrong |= {name: "is missing, and the manifest does not name it" for name in _never_recorded(subject)}
+    wrong |= {name: "is missing, and the manifest does not list it" for name in _never_recorded(subject)}
     for name in found.unlisted:
-        if _is_believed(name) and not _is_growing(subject, name):
-            wrong[name] = "is not in the manifest, yet commands would take it for part of the run"
+        if _READ_BY_COMMANDS.fullmatch(name) and not _is_growing(subject, name):
+            wrong[name] = "is not in the manifest, yet commands would read it as part of the run"
     return wrong | _changed_before(subject)
 
 
 def _never_recorded(subject: Subject) -> list[str]:
-    """Return the files that a run with these settings leaves, of which its manifest knows nothing."""
+    """Return the files that a run with these settings writes but the manifest does not list."""
     if not subject.has_snapshot:
         return []
     expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
     if subject.status == "finished":
         expected += ["iterations.jsonl", *(f"exported/policy.{kind}" for kind in ("pt", "onnx", "json"))]
-        expected += ["recording.rrd"] if _records(subject) else []
+        options = written_config(subject.run).get("recording")
+        expected += ["recording.rrd"] if isinstance(options, Mapping) and options.get("enabled") is True else []
     return [name for name in expected if name not in subject.manifest.recorded_files()]
-
-
-def _records(subject: Subject) -> bool:
-    """Return whether the run's settings ask for a recording."""
-    options = written_config(subject.run).get("recording")
-    return isinstance(options, Mapping) and options.get("enabled") is True
 
 
 def _what_became_of(path: Path) -> str:
     if path.is_symlink():
         return "is a symbolic link, which may lead anywhere"
-    return "is missing" if not path.exists() else "is no file"
-
-
-def _is_believed(name: str) -> bool:
-    return _BELIEVED.fullmatch(name) is not None
+    return "is missing" if not path.exists() else "is not a file"
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether a file that the manifest does not name will be recorded yet."""
+    """Return whether the manifest will list a file once the run ends."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that the last resume recorded and has yet to write; the next one does."""
+    """Return the files that the last resume recorded but did not rewrite yet. The next resume rewrites them."""
     entry = subject.data["resumes"][-1] if subject.data["resumes"] else None
     texts = entry.get("files_to_write") if isinstance(entry, Mapping) else None
     return sorted(texts) if isinstance(texts, Mapping) and not subject.has_ended else []
@@ -247,7 +233,7 @@ def _how(subject: Subject, name: str) -> str:
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
-    """Hold checkpoints that earlier processes recorded, and no resume has made anew, against their records."""
+    """Return the checkpoints that differ from the records of an earlier process, unless a resume replaced them."""
     records: dict[str, Mapping[str, Any]] = {}
     for entry in subject.data["resumes"]:
         before = entry.get("before") if isinstance(entry, Mapping) else None

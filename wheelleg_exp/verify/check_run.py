@@ -31,13 +31,13 @@ from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.comparison_text import changes_text
 from wheelleg_exp.verify.run_differences import plain_changes
 
-# Resolvers whose answer depends on where and when one asks.
+# Resolvers whose result depends on the machine and the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
 
 
 @dataclass(frozen=True)
 class _Config:
-    """Hydra's config: as written; resolved and without removed terms; and whether it asks the surroundings."""
+    """Hydra's config as written, and resolved without removed terms; ``asks`` if it reads its surroundings."""
 
     written: dict[str, Any]
     resolved: dict[str, Any]
@@ -45,9 +45,9 @@ class _Config:
 
 
 def params(subject: Subject) -> Check:
-    """Hold the parameters against the config that they came from, and seed and task against the manifest."""
+    """Compare the parameters with the config, and the config's seed and task with the manifest."""
     if not subject.has_snapshot:
-        return Check("params", "", skipped="the run broke off while its snapshot was written")
+        return Check("params", "", skipped="the run stopped while its snapshot was written")
     found = dict(zip(PARTS, load_params(subject.run), strict=True))
     drop_removed(found)
     text = "env.yaml and agent.yaml are the config's env and agent"
@@ -57,11 +57,11 @@ def params(subject: Subject) -> Check:
     failures, notes = list(_identity_problems(subject, config.resolved)), []
     for part in PARTS:
         changes = plain_changes(found[part], config.resolved.get(part), (part,))
-        open_ones = [change for change in changes if config.asks and _is_interpolated(config.written, change.keys)]
-        changes = [change for change in changes if change not in open_ones]
+        unknown = [change for change in changes if config.asks and _is_interpolated(config.written, change.keys)]
+        changes = [change for change in changes if change not in unknown]
         if changes:
             failures.append(f"params/{part}.yaml is not the config's {part}: {changes_text(changes)}")
-        notes += [f"{change.key} depended on where the run was made, and was not checked" for change in open_ones]
+        notes += [f"{change.key} depends on the machine of the run, and was not checked" for change in unknown]
     return Check("params", text, failures, notes)
 
 
@@ -74,27 +74,23 @@ def _identity_problems(subject: Subject, config: Mapping[str, Any]) -> Iterator[
 
 
 def _config(path: Path, variables: Mapping[str, str] | None) -> _Config | str:
-    """Return Hydra's config, or why it cannot be had; recorded environment variables have their old values."""
+    """Return Hydra's config, or why it cannot be read. Recorded environment variables keep their recorded values."""
     if not path.is_file():
-        return f"there is no {CONFIG} to hold them against"
+        return f"there is no {CONFIG} to compare with"
     tree = read_yaml(path)
     if not isinstance(tree, dict):
-        return f"{CONFIG} is no mapping"
+        return f"{CONFIG} is not a mapping"
     try:
-        kept = resolved(tree, variables or {}, _unknown)
+        recorded = resolved(tree, variables or {}, lambda _: None)  # None: the run did not record this variable
     except RunDirectoryError as error:
         return f"{CONFIG} {error.message}"
     asks = _OUTSIDE.search(read_text(path)) is not None
-    drop_removed(kept)
-    return _Config(tree, kept, asks)
-
-
-def _unknown(_variable: str) -> None:
-    """Return the value of a variable that was not kept: settings that depend on it are not checked."""
+    drop_removed(recorded)
+    return _Config(tree, recorded, asks)
 
 
 def _is_interpolated(tree: Any, keys: Keys) -> bool:
-    """Return whether the value at some keys is written as an interpolation, or lies in one."""
+    """Return whether the value at some keys is an interpolation, or is inside one."""
     for name in keys:
         if isinstance(tree, str):
             break
@@ -103,15 +99,15 @@ def _is_interpolated(tree: Any, keys: Keys) -> bool:
 
 
 def source(subject: Subject) -> Check:
-    """Hold the record of the source against the manifest, and the patches against the record."""
+    """Compare the source record with the manifest, and the patches with the source record."""
     if not subject.has_snapshot:
-        return Check("source", "", skipped="the run broke off while its snapshot was written")
+        return Check("source", "", skipped="the run stopped while its snapshot was written")
     path = subject.run.source / RECORD_NAME
     if not path.is_file():
         return Check("source", "", [f"there is no source/{RECORD_NAME}"])
     record = read_json(path)
     if not isinstance(record, Mapping):
-        return Check("source", "", [f"source/{RECORD_NAME} describes no source"])
+        return Check("source", "", [f"source/{RECORD_NAME} does not describe a source"])
     summary = subject.data.get("source") or {}
     failures = [
         f"{key} is {record.get(key)} in source/{RECORD_NAME} and {value} in the manifest"
@@ -139,10 +135,10 @@ def _patch_problems(folder: Path, record: Mapping[str, Any]) -> Iterator[str]:
 
 
 def asset(subject: Subject) -> Check:
-    """Check that the robot is there, and which one it is."""
+    """Check that the robot's files exist and name the compiled model."""
     identity = subject.run.path / ROBOT
     if not identity.is_file():
-        return Check("asset", "", skipped="the run kept no robot")
+        return Check("asset", "", skipped="the run saved no robot")
     known = read_json(identity)
     sources = known.get("sources") if isinstance(known, Mapping) else None
     model = known.get("model_sha256") if isinstance(known, Mapping) else None
@@ -153,7 +149,7 @@ def asset(subject: Subject) -> Check:
 
 
 def iterations(subject: Subject) -> Check:
-    """Check that the log counts from 0 without gap or repeat, and ends as the results say."""
+    """Check that the log counts from 0 without gaps, and ends as the results say."""
     log, failures = subject.log, list(subject.log.problems)
     notes: list[str] = []
     missing = not subject.run.iterations.is_file()
@@ -163,12 +159,12 @@ def iterations(subject: Subject) -> Check:
         (failures if subject.has_ended else notes).append("the last line is cut off")
     failures += _results_problems(subject)
     names = list(log.lines[-1].digests) if log.lines else []
-    text = f"{len(log.lines)} iterations from 0 on; digests of {', '.join(names) or 'nothing'}"
+    text = f"{len(log.lines)} iterations from 0; digests of {', '.join(names) or 'nothing'}"
     return Check("iterations", text, failures, notes)
 
 
 def _results_problems(subject: Subject) -> Iterator[str]:
-    """Hold the manifest's results against the last iteration."""
+    """Compare the manifest's results with the last iteration of the log."""
     results, lines = subject.manifest.results, subject.log.lines
     if not subject.has_ended or not lines or subject.log.problems:
         return
@@ -181,7 +177,7 @@ def _results_problems(subject: Subject) -> Iterator[str]:
 
 
 def checkpoints(subject: Subject) -> Check:
-    """Load every checkpoint, and hold it against its name and the log."""
+    """Load every checkpoint, and compare it with its name and the log."""
     paths = subject.run.checkpoints()
     if not paths:
         last = subject.manifest.results.get("checkpoint")
@@ -195,15 +191,15 @@ def checkpoints(subject: Subject) -> Check:
         failures += [f"{path.name} {problem}" for problem in problems]
         agreed += bool(compared) and not problems
     if agreed + len({failure.split()[0] for failure in failures}) < len(paths):
-        notes.append("the digests of the log have another definition, so the others were only loaded")
+        notes.append("the log's digests have another definition, so the remaining checkpoints were only loaded")
     last = subject.manifest.results.get("checkpoint")
     if subject.has_ended and last and last != paths[-1].name:
-        failures.append(f"the manifest says that the last one is {last}, the last one here is {paths[-1].name}")
+        failures.append(f"the manifest's last checkpoint is {last}, the last file is {paths[-1].name}")
     return Check("checkpoints", f"{len(paths)} load; {agreed} agree with the digests of the log", failures, notes)
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
-    """Return what is wrong with a checkpoint, and the digests that it was held against."""
+    """Return the problems of a checkpoint, and the digests that were compared."""
     from wheelleg_exp.rl import checkpoint, digests
 
     iteration = checkpoint_iteration(path)
@@ -213,7 +209,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
         return [error.message], []
     problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
     if iteration >= len(subject.log.lines):
-        return [*problems, "is of an iteration that the log does not have"], []
+        return [*problems, "is of an iteration that is not in the log"], []
     line = subject.log.lines[iteration]
     if line.digest_format != digests.FORMAT:
         return problems, []
@@ -225,7 +221,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
 
 def failure(subject: Subject) -> Check:
-    """Check that what the run keeps of its failure can be read, and is what the manifest says."""
+    """Check that the saved failure can be read, and agrees with the manifest."""
     entry, path = subject.data.get("failure"), subject.run.path / FAILURE
     if entry is None:
         return Check("failure", "none")
@@ -245,28 +241,28 @@ def recording(subject: Subject) -> Check:
     """Check that the recording can be read and was closed."""
     path = subject.run.recording
     if not path.exists():
-        return Check("recording", "", skipped="the run has none")
+        return Check("recording", "", skipped="the run has no recording")
     from wheelleg_exp.recording.reading.recording_contents import Contents
 
     contents = Contents(path)
     health = contents.health
-    told = health.lines()[1:]
+    lines = health.lines()[1:]
     text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
     if health.damaged or (subject.has_ended and health.readable < health.size):
-        return Check("recording", text, told)
+        return Check("recording", text, lines)
     if subject.has_ended and not health.is_closed:
-        return _unfinished(subject, text, told)
-    return Check("recording", text, notes=told)
+        return _unfinished(subject, text, lines)
+    return Check("recording", text, notes=lines)
 
 
-def _unfinished(subject: Subject, text: str, told: list[str]) -> Check:
-    """Tell a recording without an index: whole, when its bytes are those that the run left; else who knows what."""
+def _unfinished(subject: Subject, text: str, lines: list[str]) -> Check:
+    """Judge a recording without an index: it is complete if its bytes are those that the manifest recorded."""
     record = subject.manifest.recorded_files().get(subject.run.recording.name)
     if record is None or record["sha256"] != sha256(subject.run.recording):
-        return Check("recording", text, told)
+        return Check("recording", text, lines)
     why = subject.data.get("recording_unfinished")
     reason = f" ({why})" if isinstance(why, str) else ""
-    note = "it is as the run left it, and lacks nothing but the index that makes it quick to open"
+    note = "it is complete but has no index, so it opens slowly"
     return Check("recording", text, notes=[f"{note}{reason}: 'wheelleg inspect RUN --repair' writes a copy with one"])
 
 
@@ -280,7 +276,7 @@ def exported(subject: Subject) -> Check:
     if "policy.pt" in names and _archive_problem(folder / "policy.pt"):
         failures.append("exported/policy.pt is damaged")
     if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
-        failures.append("exported/policy.json describes no policy")
+        failures.append("exported/policy.json does not describe a policy")
     return Check("exported", ", ".join(names), failures)
 
 
@@ -307,22 +303,22 @@ _OF_THE_CONTENT = (
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Hold a run against its manifest, and its files against each other.
+    """Check a run against its manifest, and its files against each other.
 
-    Nothing of the run is executed: checkpoints are loaded as numbers and names alone.
+    Nothing of the run is executed: checkpoints are loaded as numbers and names only.
 
     Raises:
-        RunDirectoryError: the manifest is missing or damaged, or its format is not known here.
+        RunDirectoryError: the manifest is missing or damaged, or its format is unknown.
     """
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]
     odd = odd_entries(run.path)
-    if odd:  # behind a link stands what is none of the run's, and a pipe may never end
+    if odd:  # a link leads outside the run, and reading a pipe may never end
         checks.append(
             Check("entries", "", [f"{name} is {what}, which may lead anywhere" for name, what in odd.items()])
         )
-        skipped = "the run holds something else than files and folders"
+        skipped = "the run holds other entries than files and folders"
         checks += [Check(check.__name__, "", skipped=skipped) for check in _OF_THE_CONTENT]
     else:
         checks += [_guarded(check, subject) for check in _OF_THE_CONTENT]
@@ -330,10 +326,10 @@ def verify_run(run: RunDirectory) -> RunFindings:
 
 
 def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
-    """Run a check; a file that it cannot read is its failure, not everybody's."""
+    """Run a check. If it cannot read a file, that is a failure of this check only."""
     try:
         return check(subject)
     except RunDirectoryError as error:
         return Check(check.__name__, "", [str(error)])
-    except Exception as error:  # the files may hold anything
+    except Exception as error:  # a damaged file can raise any error
         return Check(check.__name__, "", [f"it cannot be checked: {type(error).__name__}: {error}"])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
 
-_TOLD = 50  # leaves of a pair that are kept
+_MOST_LEAVES = 50  # stored per pair
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Pair:
 
     Attributes:
         iteration: the iteration.
-        state: ``bytes`` (equal files), ``content`` (equal tensors, stored in other bytes), ``different``, or
+        state: ``bytes`` (equal files), ``content`` (equal tensors in different bytes), ``different``, or
             ``unreadable``.
         count: how many leaves differ.
         of: how many leaves there are.
-        differences: the leaves that differ, those of the networks first and random streams last, in each part the
-            largest relative difference first.
+        differences: the leaves that differ: networks first, random streams last; within a part, the largest relative
+            difference first.
         by_part: how many leaves differ in each part of the checkpoint.
-        parameters: relative Euclidean distance of the networks' parameters; None when it was not needed.
+        parameters: relative Euclidean distance of the networks' parameters; None if it was not needed.
         problem: why a file cannot be read.
     """
 
@@ -47,7 +47,7 @@ class Pair:
 
     @property
     def equal(self) -> bool:
-        """Whether every number is equal to the bit."""
+        """Whether every number is equal bit for bit."""
         return self.state in ("bytes", "content")
 
     def as_dict(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class CheckpointComparison:
-    """All checkpoints of two runs: those in common, and the iterations of which one run alone has one."""
+    """The compared checkpoints of two runs, and the iterations whose checkpoint only one run has."""
 
     pairs: list[Pair]
     only_a: list[int]
@@ -76,7 +76,7 @@ def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> Checkpo
 
 
 def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
-    """Compare two checkpoint files; equal bytes are not even loaded."""
+    """Compare two checkpoint files. Files with equal bytes are not loaded."""
     try:
         with for_people(a, "compare"):
             if filecmp.cmp(a, b, shallow=False):
@@ -98,7 +98,7 @@ def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
     found.sort(key=lambda difference: (_rank(difference.name), -_weight(difference)))
     distance = tensor_differences.relative_distance(_networks(one), _networks(other))
     parts = Counter(_part(difference.name) for difference in found)
-    return Pair(iteration, "different", len(found), of, found[:_TOLD], dict(parts), distance)
+    return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
 
 
 def _networks(state: dict[str, Any]) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def _rank(name: str) -> int:
 
 
 def _weight(difference: Difference) -> float:
-    """Order: what has another shape or is missing, then NaN on one side, then by relative size."""
+    """Return the sort key: another shape or a missing tensor first, then NaN on one side, then the relative size."""
     if difference.kind != "values" or difference.relative is None:
         return 3.0
     return 2.5 if difference.relative != difference.relative else difference.relative

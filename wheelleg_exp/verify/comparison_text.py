@@ -14,16 +14,16 @@ from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first place where two runs part.
+    """The first difference of two runs.
 
     Attributes:
-        iteration: the first iteration that differs; None when what differs belongs to no iteration.
+        iteration: the first iteration that differs; None if the difference belongs to no iteration.
         part: ``settings``, ``robot``, ``digests``, ``scalars``, ``checkpoints``, ``recording``, ``exported``,
-            ``results``, ``files`` (something is missing or damaged) or ``length``.
-        name: the key, digest, scalar, tensor or entity, the first one where there are several.
-        a: its value in A, as far as it is one value.
+            ``results``, ``files`` (a file is missing or damaged) or ``length``.
+        name: the first key, digest, scalar, tensor, or entity that differs.
+        a: its value in A, if it is a single value.
         b: its value in B.
-        details: everything else: further names, what was still equal, the tensor's index and differences.
+        details: further names, what is still equal, and the tensor's index and differences.
     """
 
     iteration: int | None
@@ -41,7 +41,7 @@ def first_divergence(
     span: Span,
     sides: tuple[Measured, Measured],
 ) -> Divergence | None:
-    """Return where two runs part: what they were asked first, then the numbers, then their length."""
+    """Return the first difference of two runs: settings and robot first, then the numbers, then their length."""
     for name in ("settings", "robot"):
         if parts[name].state == "different":
             change = parts[name].details["differing"][0]
@@ -91,29 +91,30 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
         return Divergence(pair.iteration, "checkpoints", pair.problem, details=details)
     worst = pair.differences[0]
     more = {"kind": worst.kind, "index": list(worst.index), "largest": worst.largest, "relative": worst.relative}
-    told = {**details, **more, "differing": pair.count, "of": pair.of, "by_part": pair.by_part}
-    return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, told)
+    details = {**details, **more, "differing": pair.count, "of": pair.of, "by_part": pair.by_part}
+    return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_WIDEST = 40  # letters of a value before it is cut
+_WIDEST = 40  # longer values are cut
 _FACTS = 12  # differences of the environment that are shown
 _DIGITS = 10
 
 
 def run_line(name: str, side: Measured) -> str:
-    """Return which run it is, how it ended, and its length."""
+    """Return one line with the run's name, status, and length."""
     return f"{name}  {side.label}  {side.status}, {len(side.log.lines)} iterations"
 
 
 def divergence_lines(first: Divergence) -> list[str]:
-    """Return where two runs part, for people."""
+    """Return the printed lines of the first difference."""
     place = "" if first.iteration is None else f"iteration {first.iteration}: "
     lines = [f"first difference: {place}{_what(first)}"]
     if first.part in ("digests", "scalars"):
         lines += list(_log_lines(first.details))
     inside = first.details.get("numbers")
     if inside is not None:
-        lines.append(f"  numbers part at: {_place(inside)}")
+        place = "" if inside["iteration"] is None else f"iteration {inside['iteration']}, "
+        lines.append(f"  the numbers first differ at: {place}{inside['part']}, {inside['name']}")
     checkpoint = first.details.get("checkpoint")
     if checkpoint is not None:
         lines.append(f"  first differing checkpoint: {_checkpoint_text(checkpoint)}")
@@ -121,12 +122,12 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
-    """Yield what else differs: of the environment, and the settings that change no number; ``equal`` if none did."""
+    """Yield lines on differences of the environment and of settings that change no number."""
     harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
-        yield from ("", "environment: nothing that is recorded differs")
+        yield from ("", "environment: no recorded fact differs")
         return
-    title = "differs, and changed no number" if equal else "differs, and may be why"
+    title = "these differ, but changed no number" if equal else "these differ, and may be the cause"
     yield from ("", title)
     rows = [_fact_row(difference) for difference in _by_weight(found)]
     rows += [(change.key, brief(change.a), brief(change.b), "changes no number") for change in harmless]
@@ -137,7 +138,7 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
     for note in dict.fromkeys(d.note for d in found if d.note):
         yield f"  {note}"
     if len(rows) > _FACTS:
-        yield f"  and {len(rows) - _FACTS} more (--json tells all)"
+        yield f"  and {len(rows) - _FACTS} more (--json lists all)"
 
 
 def checkpoints_text(found: CheckpointComparison) -> str:
@@ -145,26 +146,26 @@ def checkpoints_text(found: CheckpointComparison) -> str:
     states = [pair.state for pair in found.pairs]
     kinds = (
         ("bytes", "byte for byte"),
-        ("content", "equal, stored in other bytes"),
+        ("content", "equal, in different bytes"),
         ("different", "different"),
         ("unreadable", "unreadable"),
     )
-    told = [f"{states.count(state)} {words}" for state, words in kinds if state in states]
-    told += [f"{len(only)} only in {side}" for side, only in (("A", found.only_a), ("B", found.only_b)) if only]
+    texts = [f"{states.count(state)} {words}" for state, words in kinds if state in states]
+    texts += [f"{len(only)} only in {side}" for side, only in (("A", found.only_a), ("B", found.only_b)) if only]
     first = next((pair for pair in found.pairs if not pair.equal), None)
     if first is not None:
-        told.append(first.problem or f"the first model_{first.iteration}.pt")
-    return ", ".join(told)
+        texts.append(first.problem or f"the first model_{first.iteration}.pt")
+    return ", ".join(texts)
 
 
 def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
-    """Return settings that differ, the first few with their values."""
-    told = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
-    return ", ".join(told) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
+    """Return the settings that differ, the first few with their values."""
+    texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
+    return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
 
 
 def brief(value: Any) -> str:
-    """Return a value on one short line; of a term its target's name."""
+    """Return a value on one short line; for a term, the name of its target."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = str(value["_target_"]).rsplit(".", 1)[-1]
     written = repr(value) if isinstance(value, float) else str(value)
@@ -198,11 +199,6 @@ def _log_lines(details: Mapping[str, Any]) -> Iterator[str]:
         yield f"  and {len(scalars) - 3} more scalars"
 
 
-def _place(inside: Mapping[str, Any]) -> str:
-    place = "" if inside["iteration"] is None else f"iteration {inside['iteration']}, "
-    return f"{place}{inside['part']}, {inside['name']}"
-
-
 def _checkpoint_text(found: Mapping[str, Any]) -> str:
     details = found["details"]
     name = f"model_{found['iteration']}.pt: "
@@ -224,7 +220,7 @@ def _leaf(name: str, kind: str, details: Mapping[str, Any], a: Any, b: Any) -> s
 
 
 def _by_weight(differences: Sequence[FactDifference]) -> list[FactDifference]:
-    """Order: code first, then what allows other numbers, then the rest; installed distributions last."""
+    """Sort: other code first, then differences that allow other numbers; installed distributions last."""
     return sorted(differences, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
 
 

@@ -18,18 +18,19 @@ from wheelleg_exp.verify.run_parts import Part, some
 
 _EQUAL = "equal"
 _EQUAL_CONTENT = "weights and code equal, other bytes"
-# What a pickle holds besides values: its version, and where it keeps them for later.
+# TorchScript numbers its classes by the order of scripting in a process.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
+# Pickle operations that hold no value: the protocol version, and positions in the memo.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
 def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the exported policies: bytes, and where these differ what the files hold."""
+    """Compare the exported policies: their bytes, and if these differ, their weights, code, and graphs."""
     ones, others = ({path.name: path for path in _files(run.exported)} for run in (a, b))
     if not ones or not others:
-        there = [side for side, files in (("A", ones), ("B", others)) if files]
-        return Part("not compared", f"only {there[0]} exported a policy" if there else "neither run exported a policy")
+        sides = [side for side, files in (("A", ones), ("B", others)) if files]
+        return Part("not compared", f"only {sides[0]} exported a policy" if sides else "neither run exported a policy")
     files = {name: _compare(ones.get(name), others.get(name)) for name in sorted({*ones, *others})}
     odd = {name: what for name, what in files.items() if what != _EQUAL}
     if not odd:
@@ -50,7 +51,7 @@ def _compare(a: Path | None, b: Path | None) -> str:
         return _EQUAL
     try:
         return _compare_content(a, b)
-    except Exception as error:  # a damaged file may fail in any way
+    except Exception as error:  # a damaged file can raise any error
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
 
 
@@ -61,14 +62,12 @@ def _compare_content(a: Path, b: Path) -> str:
     sides: Sequence[Callable[[Path], Any]] = (_onnx_weights, _onnx_graph)
     if a.suffix != ".onnx":
         sides = (_archived_weights, _archived_code)
-    told = ("weights differ", "code differs")
-    differing = [words for words, side in zip(told, sides, strict=True) if side(a) != side(b)]
+    texts = ("weights differ", "code differs")
+    differing = [text for text, side in zip(texts, sides, strict=True) if side(a) != side(b)]
     return " and ".join(differing) or _EQUAL_CONTENT
 
 
-# --- TorchScript: an archive that is never loaded, which would run what it holds ---
-
-
+# TorchScript archives are never loaded, because loading runs their code.
 def _archived_weights(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -77,10 +76,9 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 
 def _archived_code(path: Path) -> dict[str, Any]:
-    """Return the code, and what the pickles put together: attributes, and which tensor stands where.
+    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors.
 
-    TorchScript numbers classes by what was scripted before in the process, and writes constants in the order of a
-    set; neither counts here.
+    The numbers of classes and the order of constants are removed: both depend on the process that wrote the archive.
     """
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
@@ -96,20 +94,17 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 
 def _definitions(code: str) -> list[str]:
-    """Return the classes and functions of a file, without the numbers of classes, constants in order."""
+    """Return the classes and functions of a file, without class numbers and with sorted constants."""
     plain = _NUMBER.sub("", code)
     ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), plain)
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 
 def _pickled(data: bytes) -> Iterator[tuple[str, Any]]:
-    """Yield what a pickle would do, without doing it."""
+    """Yield the operations of a pickle without running them."""
     for operation, value, _ in pickletools.genops(data):
         if operation.name not in _BOOKKEEPING:
             yield operation.name, _NUMBER.sub("", repr(value))
-
-
-# --- ONNX ---
 
 
 def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
@@ -125,22 +120,22 @@ def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
 
 
 def _onnx_graph(path: Path) -> bytes:
-    """Return operators, attributes, inputs, outputs and functions, without who wrote them, when and from where."""
+    """Return operators, attributes, inputs, outputs, and functions, without the producer's name and version."""
     import onnx
 
     model = onnx.load(path, load_external_data=False)
     for name in ("ir_version", "producer_name", "producer_version", "domain", "model_version"):
         model.ClearField(name)
     model.graph.ClearField("initializer")
-    _forget_words(model)
+    _clear_texts(model)
     return bytes(model.SerializeToString(deterministic=True))
 
 
-def _forget_words(message: Any) -> None:
-    """Clear texts for people, in all that a message holds."""
+def _clear_texts(message: Any) -> None:
+    """Clear documentation texts and metadata in a message and all messages inside it."""
     for field, value in message.ListFields():
         if field.name in ("doc_string", "metadata_props"):
             message.ClearField(field.name)
         elif field.message_type is not None:
             for inner in [value] if hasattr(value, "ListFields") else value:
-                _forget_words(inner)
+                _clear_texts(inner)

@@ -31,28 +31,28 @@ from wheelleg_exp.verify.run_differences import (
 from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # checks of what decides every iteration
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # checks of the inputs, which decide every iteration
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What ``compare_runs`` found.
+    """The result of ``compare_runs``.
 
     Attributes:
         a: the first run.
-        b: the second.
+        b: the second run.
         verdict: ``identical``, ``within tolerance`` or ``different``.
-        reason: one sentence that says why.
-        first_divergence: where they part; None when they do not.
+        reason: one sentence that explains the verdict.
+        first_divergence: the first difference; None if there is none.
         iterations: how many iterations were compared.
-        settings: how what they were asked to compute differs.
-        robot: how the robots differ.
-        parts: the numbers, by part.
+        settings: differences of the settings.
+        robot: differences of the robots.
+        parts: the compared parts by name.
         checkpoints: the pairs of checkpoints.
-        environment: how code, versions, hardware, threads and variables differ.
-        tolerance: what was measured where a difference is allowed; None when none is, as between runs of other code,
-            or nothing differs.
+        environment: differences of code, versions, hardware, threads, and environment variables.
+        tolerance: the measured deviations if a difference is allowed; None if no difference is allowed or nothing
+            differs.
     """
 
     a: Measured
@@ -69,7 +69,7 @@ class Comparison:
     tolerance: Tolerance | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything for JSON."""
+        """Return the comparison for JSON."""
         first = None if self.first_divergence is None else asdict(self.first_divergence)
         sections = dict.fromkeys(d.section for d in self.environment)
         return {
@@ -87,7 +87,7 @@ class Comparison:
         }
 
     def lines(self) -> list[str]:
-        """Return it for people, the verdict last."""
+        """Return the printed lines, the verdict last."""
         lines = [text.run_line("A", self.a), text.run_line("B", self.b), ""]
         lines += [f"{name:<12}{found.state:<14}{found.text}" for name, found in self.parts.items()]
         for side, measured in (("A", self.a), ("B", self.b)):
@@ -103,23 +103,21 @@ class Comparison:
 def compare_runs(
     a: RunDirectory, b: RunDirectory, *, iterations: int | None = None, common: bool = False
 ) -> Comparison:
-    """Compare two runs to the bit.
+    """Compare two runs bit for bit.
 
-    A run that still goes on is compared as far as it has come; otherwise runs of different length are different, with
-    what their common iterations say as the reason.
+    A run that is still running is compared up to its last iteration. Otherwise, runs of different length are different.
 
     Args:
         a: a run.
-        b: another.
+        b: another run.
         iterations: compare only the iterations below this number.
         common: compare only the iterations that both have.
 
     Raises:
-        RunDirectoryError: both are the same directory, a manifest cannot be read, or there is no iteration that both
-            have.
+        RunDirectoryError: both are the same directory, a manifest cannot be read, or the runs have no common iteration.
     """
     if a.path == b.path:
-        raise RunDirectoryError(f"both are the run '{a.id}'", expected="two runs, or one to hold against its manifest")
+        raise RunDirectoryError(f"both are the run '{a.id}'", expected="two runs, or one run to check by itself")
     one, other = measure(a), measure(b)
     return _compare(one, other, span_of(one, other, iterations, common))
 
@@ -163,7 +161,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
 
 
 def _files_part(a: Measured, b: Measured, span: Span) -> Part:
-    """Return what of the runs is missing or damaged, as far as it has a part in what is compared."""
+    """Return the missing and damaged files that belong to the compared iterations."""
     wrong = {
         side: [f"{name} {what}" for name, what in run.damage.items() if span.covers(name)]
         for side, run in (("A", a), ("B", b))
@@ -172,12 +170,12 @@ def _files_part(a: Measured, b: Measured, span: Span) -> Part:
 
 
 def _damage_part(wrong: dict[str, list[str]]) -> Part:
-    told = [f"{side}: {part.some(files, 1)}" for side, files in wrong.items() if files]
-    return Part("different", "; ".join(told), {"damaged": wrong})
+    text = "; ".join(f"{side}: {part.some(files, 1)}" for side, files in wrong.items() if files)
+    return Part("different", text, {"damaged": wrong})
 
 
 def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return by side which files contradict the run's other files, where the manifest was rewritten to hide it."""
+    """Return by side the files that contradict the run's other files. They reveal a manifest that was rewritten."""
     return {
         side: [
             failure
@@ -198,7 +196,7 @@ def _settings(a: RunDirectory, b: RunDirectory) -> tuple[list[Change], Part]:
 
 
 def _decisive(robot: list[Change], environment: list[FactDifference]) -> list[Change]:
-    """Return the changes of the robot that are not another MuJoCo's way to write the same model."""
+    """Return the robot's changes, except for a compiled model that only another MuJoCo version wrote differently."""
     another = any((d.section, d.name) == ("versions", "mujoco") for d in environment)
     return [change for change in robot if not (another and change.key == "compiled model")]
 
@@ -217,15 +215,15 @@ def _checkpoints_part(found: CheckpointComparison) -> Part:
         "only_b": found.only_b,
     }
     if not found.pairs:
-        return Part("not compared", "no iteration of which both runs keep a checkpoint", details)
+        return Part("not compared", "the runs have no checkpoints of the same iteration", details)
     state: part.State = "equal" if all(pair.equal for pair in found.pairs) else "different"
     return Part(state, text.checkpoints_text(found), details)
 
 
 def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Change]) -> dict[str, Part]:
-    """Compare what is of a whole run; where one went on, it says nothing about the iterations that both have."""
+    """Compare results of whole runs. If one run went on longer, they say nothing about the common iterations."""
     if not span.closed:
-        why = "a run broke off" if span.whole else "the runs have not come equally far"
+        why = "a run did not end by itself" if span.whole else "the runs have different lengths"
         other = Part("not compared", why)
         return {"recording": other, "exported": other, "results": other}
     options = recording_changes(settings)
@@ -255,23 +253,24 @@ def _verdict(
     differing = [name for name, found in parts.items() if found.state == "different" and name != "files"]
     asked = [name for name in ("settings", "robot") if name in differing]
     numbers = [name for name in differing if name not in asked]
-    told = f"the {span.until} iterations that both have " + ("differ" if numbers else "are equal to the bit")
+    common = f"the {span.until} common iterations " + ("differ" if numbers else "are equal to the bit")
     if parts["files"].state == "different":
-        return "different", f"damaged: {parts['files'].text}" + (f"; {told}" if span.until else "")
+        return "different", f"damaged: {parts['files'].text}" + (f"; {common}" if span.until else "")
     if asked:
         return "different", f"{_differ(asked)}" + ("" if numbers else "; the numbers are equal nonetheless")
     if span.shorter:
         status = sides["AB".index(span.shorter)].status
-        return "different", f"{span.shorter} stops after iteration {span.until - 1} ({status}); {told}"
+        return "different", f"{span.shorter} stops after iteration {span.until - 1} ({status}); {common}"
     if numbers:
         return _verdict_on_numbers(numbers, parts, environment, tolerance)
     if parts["settings"].state == "not compared":
         return "different", f"not shown to be equal: {parts['settings'].text}"
     if all(parts[name].state == "not compared" for name in ("digests", "checkpoints")):
         return "different", "not shown to be equal: there are neither digests nor checkpoints to compare"
-    went_on = "" if span.closed else ", as far as they were compared"
-    told = "".join(f", though {_code_text(forbidden)}" for forbidden in [forbidding(environment)] if forbidden)
-    return "identical", f"equal to the bit in {span.until} iterations{went_on}{told}"
+    partly = "" if span.closed else ", as far as they were compared"
+    forbidden = forbidding(environment)
+    code = f", although {_code_text(forbidden)}" if forbidden else ""
+    return "identical", f"equal to the bit in {span.until} iterations{partly}{code}"
 
 
 def _verdict_on_numbers(
@@ -295,11 +294,11 @@ def _not_allowed(forbidden: list[FactDifference], reasons: str) -> str:
 
 
 def _code_text(forbidden: Sequence[FactDifference]) -> str:
-    """Return what forbids a tolerance: the recorded source, or a resume with other code or of a lost state."""
+    """Return what rules out a tolerance: other source code, or an inexact resume."""
     code = [d.name for d in forbidden if d.section == "code"]
     if code:
         if all(name.startswith(UNKNOWN_CODE) for name in code):
-            return "the code was not kept"
+            return "the code was not recorded"
         return f"the code differs ({'; '.join(dict.fromkeys(d.note for d in forbidden if d.note))})"
     first = forbidden[0]
     return f"{'B' if first.a is None else 'A'} was resumed {first.name} ({text.brief(first.b or first.a)})"

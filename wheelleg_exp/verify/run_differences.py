@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# They change when and what is written, how fast, or what there is room for: too little is an error.
+# These settings change what is written and when, speed, or buffer sizes; a buffer that is too small is an error.
 _HARMLESS = (
     ("agent", "max_iterations"),
     ("agent", "save_interval"),
@@ -43,7 +43,7 @@ _HARMLESS = (
 
 
 def decides(keys: Keys) -> bool:
-    """Return whether the setting at these keys can change a number; what lies below harmless keys cannot either."""
+    """Return whether the setting at these keys can change a number. Settings below harmless keys cannot."""
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
 
 
@@ -58,12 +58,12 @@ def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
 
 
 def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return how the robots differ: the file's digests, the generated MJCF, the compiled model."""
+    """Return how the robots differ: the digests of the source files, the generated MJCF, and the compiled model."""
     return plain_changes(_robot(a), _robot(b))
 
 
 def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
-    """Return how two plain values differ: leaves, to the bit, and the order of terms, in which they run."""
+    """Return the leaves in which two plain values differ bit for bit, and changes in the order of terms."""
     return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
 
 
@@ -74,7 +74,7 @@ def as_dict(change: Change) -> dict[str, Any]:
 
 
 def recording_changes(changes: list[Change]) -> list[Change]:
-    """Return the changes that decide what a recording holds."""
+    """Return the changes that decide what a recording contains."""
     return [change for change in changes if change.keys[0].startswith("recording")]
 
 
@@ -95,7 +95,7 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
 
 
 def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a resume changed of the settings that decide numbers."""
+    """Return the settings that a resume changed and that decide numbers."""
     changes = [change for change in entry.get("changes") or () if isinstance(change, Mapping)]
     return {str(c.get("key")): c.get("now") for c in changes if decides(tuple(str(c.get("key")).split(".")))}
 
@@ -130,7 +130,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-UNKNOWN_CODE = "files, not kept"
+UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
 _ALLOWING: dict[str, dict[str, str]] = {
@@ -174,12 +174,12 @@ class FactDifference:
         section: ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables`` or
             ``distributions``.
         name: the fact.
-        a: its value in A; a list when A was resumed under another.
+        a: its value in A; a list if A was resumed with another value.
         b: its value in B.
-        allows: why it may change the last digits of a number; None when it must not.
-        forbids: whether it may change any number by any amount: the code, or a resume that was inexact for more than
-            the machine. No tolerance holds then.
-        note: what differs, in words, where the values are digests.
+        allows: why it can change the last digits of a number; None if it must not.
+        forbids: whether it can change any number by any amount: other code, or a resume that was inexact for other
+            reasons than the machine. Then no tolerance applies.
+        note: the difference in words, if the values are digests.
     """
 
     section: str
@@ -192,7 +192,7 @@ class FactDifference:
 
 
 def environment_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
-    """Return how two manifests, or parts of them, differ in ``SECTIONS``; one that a side lacks is left out."""
+    """Return how two manifests, or parts of them, differ in ``SECTIONS``. A section that only one has is skipped."""
     found = []
     for section in SECTIONS:
         ones, others = _values(a, section), _values(b, section)
@@ -205,16 +205,16 @@ def environment_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[
 
 
 def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
-    """Return how two runs differ in code, environment and installed distributions."""
+    """Return how two runs differ in code, environment, and installed distributions."""
     one, other = a.manifest(), b.manifest()
     facts = environment_differences(one.data, other.data)
-    told = {_normal(difference.name) for difference in facts if difference.section == "versions"}
-    more = [d for d in _distributions(a, b) if _normal(d.name) not in told]
+    listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
+    more = [d for d in _distributions(a, b) if _normal(d.name) not in listed]
     return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return each fact's values over the processes that wrote the run, the first process first."""
+    """Return the values of each fact over the processes that wrote the run, the first process first."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -238,17 +238,17 @@ def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tupl
     if (section, name) == ("threads", "torch"):
         return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
     if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
-        return None  # another kernel
+        return None  # only the kernel's version differs
     return _ALLOWING.get(section, {}).get(name)
 
 
 def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether torch's threads could change no number, in all processes: as recorded, else as MKL was told."""
+    """Return whether torch's thread count changed no number, as recorded or as MKL was configured."""
     recorded = (_values(manifest, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)
-    told = (_values(manifest, "environment_variables") or {}).get("MKL_CBWR", [])
-    return bool(told) and all(str(value).endswith(",STRICT") and "COMPATIBLE" not in str(value) for value in told)
+    modes = (_values(manifest, "environment_variables") or {}).get("MKL_CBWR", [])
+    return bool(modes) and all(str(mode).endswith(",STRICT") and "COMPATIBLE" not in str(mode) for mode in modes)
 
 
 def _library(platform: Any) -> str:
@@ -258,7 +258,7 @@ def _library(platform: Any) -> str:
 
 
 def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
-    """Return the recorded source of each repository, the main one first."""
+    """Return the source records of each repository, the main one first."""
     path = run.source / RECORD_NAME
     try:
         record = read_json(path) if path.is_file() else manifest.data.get("source")
@@ -277,12 +277,12 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # nothing tells what the files were
+        if not facts:  # the records do not identify the files
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
-    """Tell resumes that were not exact, with why: with other code, or on another machine."""
+    """Yield resumes that were not exact, with the reasons: other code, or another machine."""
     ones, others = _inexact(a), _inexact(b)
     for name in dict.fromkeys([*ones, *others]):
         one, other = ("; ".join(map(_why, side.get(name, ()))) or None for side in (ones, others))
@@ -292,7 +292,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
 
 
 def _inexact(manifest: Manifest) -> dict[str, list[Mapping[str, Any]]]:
-    """Return the resumes that were not exact, by where they began; several may begin at one checkpoint."""
+    """Return the resumes that were not exact by their start. Several may start at one checkpoint."""
     found: dict[str, list[Mapping[str, Any]]] = {}
     for entry in manifest.data["resumes"]:
         if isinstance(entry, Mapping) and entry.get("exact") is False:
@@ -305,14 +305,14 @@ def _why(entry: Mapping[str, Any]) -> str:
 
 
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether the recorded differences of machine and versions are all that made a resume inexact."""
+    """Return whether recorded differences of machine and versions are the only reasons that a resume was inexact."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
 
 
 def _same_code(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Return whether two records are of the same files, whatever they were committed as."""
+    """Return whether two records are of the same files, in whatever commit."""
     return any(a.get(key) is not None and a.get(key) == b.get(key) for key in ("tree", "content_sha256"))
 
 
@@ -325,7 +325,7 @@ def _distributions(a: RunDirectory, b: RunDirectory) -> Iterator[FactDifference]
 
 
 def _installed(run: RunDirectory) -> dict[str, str]:
-    """Return name and version of the distributions in ``environment.txt``."""
+    """Return the versions of the distributions in ``environment.txt`` by name."""
     try:
         lines = read_bytes(run.environment).decode("utf-8", errors="replace").splitlines()
     except RunDirectoryError:
@@ -344,5 +344,5 @@ def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
 
 
 def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences with which no tolerance holds."""
+    """Return the differences that rule out any tolerance."""
     return [difference for difference in differences if difference.forbids]

@@ -24,14 +24,7 @@ _OF_ITERATIONS = (MANIFEST_NAME, "iterations.jsonl")
 
 @dataclass(frozen=True)
 class Measured:
-    """One of the two runs.
-
-    Attributes:
-        run: the run.
-        status: what became of it.
-        log: its iterations.
-        damage: what is wrong with its files, by name.
-    """
+    """One of the two runs: its status, its log, and the problem of each damaged file by name."""
 
     run: RunDirectory
     status: str
@@ -40,24 +33,24 @@ class Measured:
 
     @property
     def label(self) -> str:
-        """Task and id."""
+        """The task and the id."""
         return f"{self.run.path.parent.name}/{self.run.id}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the run for JSON."""
         facts = {"run": str(self.run.path), "status": self.status, "iterations": len(self.log.lines)}
         return {**facts, "problems": [f"{name} {what}" for name, what in self.damage.items()]}
 
 
 @dataclass(frozen=True)
 class Span:
-    """Which iterations are compared.
+    """The iterations that are compared.
 
     Attributes:
-        until: those below this number.
-        whole: whether these are all that either run has, and will have.
-        closed: whether both ended by themselves besides, so that their files are not cut off somewhere.
-        shorter: the run that stopped earlier, where that counts: ``A`` or ``B``.
+        until: compared are the iterations below this number.
+        whole: whether neither run has more iterations, now or later.
+        closed: whether the runs are whole and ended by themselves, so that no file is cut off.
+        shorter: the run that stopped earlier, if that matters: ``A`` or ``B``.
     """
 
     until: int
@@ -66,7 +59,7 @@ class Span:
     shorter: str | None = None
 
     def covers(self, name: str) -> bool:
-        """Return whether a file has a part in what is compared: of the first iterations, later files have none."""
+        """Return whether a file belongs to the compared iterations."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
@@ -74,7 +67,7 @@ class Span:
 
 
 def measure(run: RunDirectory) -> Measured:
-    """Read what a run became.
+    """Read the status, log, and damage of a run.
 
     Raises:
         RunDirectoryError: its manifest cannot be read.
@@ -88,10 +81,10 @@ def measure(run: RunDirectory) -> Measured:
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
-    """Return which iterations of two runs are compared (see ``compare_runs``).
+    """Return the iterations of two runs that are compared (see ``compare_runs``).
 
     Raises:
-        RunDirectoryError: there are none, and no damage is why.
+        RunDirectoryError: no iteration can be compared, and damage is not the reason.
     """
     lengths = len(a.log.lines), len(b.log.lines)
     asked = max(lengths) if iterations is None else iterations
@@ -100,20 +93,19 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
         empty = a if not lengths[0] else b
         problem = f": {empty.log.problems[0]}" if empty.log.problems else ""
         raise RunDirectoryError(
-            f"no iteration of '{empty.run.id}' can be compared{problem}", expected="runs that trained"
+            f"no iteration of '{empty.run.id}' can be compared{problem}", expected="runs with finished iterations"
         )
-    going = any(side.status == "running" for side in (a, b))
+    running = any(side.status == "running" for side in (a, b))
     uneven = min(lengths[0], asked) != min(lengths[1], asked)
-    whole = lengths[0] == lengths[1] == until and not going
+    whole = lengths[0] == lengths[1] == until and not running
     closed = whole and all(side.status in _CLOSED for side in (a, b))
-    counts = uneven and not common and not going
+    counts = uneven and not common and not running
     return Span(until, whole, closed, ("A" if lengths[0] < lengths[1] else "B") if counts else None)
 
 
 State = Literal["equal", "different", "not compared"]
 
-# Results that tell how long it took, not what came out.
-_TIME = "seconds"
+_TIME = "seconds"  # results with this ending are durations, and may differ
 
 
 @dataclass(frozen=True)
@@ -121,9 +113,9 @@ class Part:
     """One part of a comparison.
 
     Attributes:
-        state: ``equal`` to the bit, ``different``, or ``not compared``.
-        text: one line for people.
-        details: what a program may want to know.
+        state: ``equal`` bit for bit, ``different``, or ``not compared``.
+        text: one printed line.
+        details: data for programs.
     """
 
     state: State
@@ -137,7 +129,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Parting:
-    """Where two logs part: the iteration, and the digests and scalars that differ in it."""
+    """The first iteration in which two logs differ, and its differing digests and scalars."""
 
     iteration: int
     digests: list[str]
@@ -146,12 +138,12 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the digests that two lines can be compared by."""
+    """Return the names of the digests that both lines have in one format."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
 def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
-    """Return where two logs of equal length first differ; None when they are equal."""
+    """Return where two logs of equal length first differ; None if they are equal."""
     for one, other in zip(a, b, strict=True):
         names = compared_digests(one, other)
         digests = [name for name in names if one.digests[name] != other.digests[name]]
@@ -162,7 +154,7 @@ def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
 
 
 def differing_scalars(a: Line, b: Line) -> list[str]:
-    """Return the scalars in which two iterations differ, a missing one and the sign of a zero included."""
+    """Return the scalars that differ in two iterations. A missing scalar and the sign of a zero count."""
     names = dict.fromkeys([*a.scalars, *b.scalars])
     return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
 
@@ -171,7 +163,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
     """Compare the scalars of every iteration."""
     changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
     if not a:
-        return Part("not compared", "there is no iteration that both have")
+        return Part("not compared", "the runs have no common iteration")
     width = max(len(line.scalars) for line in a)
     details: dict[str, Any] = {"iterations": len(a), "differing_iterations": len(changed)}
     if not changed:
@@ -182,7 +174,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the digests of every iteration, by name."""
+    """Compare the digests of every iteration by name."""
     names: dict[str, int] = {}
     first: dict[str, int] = {}
     for one, other in zip(a, b, strict=True):
@@ -192,19 +184,19 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
                 first.setdefault(name, one.iteration)
     details: dict[str, Any] = {"names": list(names), "first_difference": first}
     if not names:
-        return Part("not compared", "the runs have no digests of one definition", details)
+        return Part("not compared", "the runs have no digests in the same format", details)
     if not first:
         return Part("equal", f"{', '.join(names)}: {max(names.values())} iterations", details)
-    told = ", ".join(f"{name} from iteration {k} on" for name, k in sorted(first.items(), key=lambda item: item[1]))
-    return Part("different", told, details)
+    text = ", ".join(f"{name} from iteration {k} on" for name, k in sorted(first.items(), key=lambda item: item[1]))
+    return Part("different", text, details)
 
 
 def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare what the training's recordings hold, entity by entity; texts and wall-clock times are left out."""
+    """Compare the training recordings entity by entity, without texts and wall-clock times."""
     ones, others = a.recording, b.recording
     if not ones.exists() or not others.exists():
-        there = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
-        return Part("not compared", f"only {there[0]} has a recording" if there else "neither run has a recording")
+        owners = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
+        return Part("not compared", f"only {owners[0]} has a recording" if owners else "neither run has a recording")
     from wheelleg_exp.recording.reading.recording_digest import entity_digests
 
     sides: list[dict[str, str]] = []
@@ -228,23 +220,23 @@ def _entities_text(one: Mapping[str, str], changed: list[str], only_a: list[str]
 
 
 def some(names: Sequence[str], shown: int = 3) -> str:
-    """Return the first few names, and how many more there are."""
-    rest = len(names) - shown
-    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
+    """Return the first few names and the number of remaining names."""
+    hidden = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the results in the manifests, without the times."""
+    """Compare the results in the manifests, without durations."""
     ones, others = ({k: v for k, v in run.manifest().results.items() if not k.endswith(_TIME)} for run in (a, b))
     if not ones or not others:
-        there = [side for side, results in (("A", ones), ("B", others)) if results]
-        return Part("not compared", f"only {there[0]} has results" if there else "neither run has results")
+        owners = [side for side, results in (("A", ones), ("B", others)) if results]
+        return Part("not compared", f"only {owners[0]} has results" if owners else "neither run has results")
     changes = plain_changes(ones, others)
     details = {"differing": [as_dict(change) for change in changes]}
     if not changes:
         return Part("equal", f"{len(ones)} figures", details)
-    told = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]
-    return Part("different", some(told), details)
+    texts = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]
+    return Part("different", some(texts), details)
 
 
 def _shown(value: Any) -> str:

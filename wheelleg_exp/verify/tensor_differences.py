@@ -21,12 +21,12 @@ class Difference:
 
     Attributes:
         name: its dotted path.
-        kind: ``values``, or what else differs: ``shape``, ``dtype``, ``kind``, ``only in A``, ``only in B``.
-        a: the value in A where the difference is largest, or the shape, dtype or kind.
+        kind: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
+        a: the value in A where the difference is largest, or the shape, dtype, or kind.
         b: the same of B.
-        index: where in the tensor that is.
-        largest: the largest absolute difference (NaN where one side alone is NaN or infinite).
-        relative: that one over the larger of the two magnitudes.
+        index: the index of that value in the tensor.
+        largest: the largest absolute difference (NaN if only one side is NaN or infinite).
+        relative: the largest difference over the larger of the two magnitudes.
         count: how many elements differ.
         of: how many elements there are.
     """
@@ -59,14 +59,14 @@ def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
 
 
 def count_leaves(tree: Any) -> int:
-    """Return the number of tensors, numbers and texts in a tree."""
+    """Return the number of tensors, numbers, and texts in a tree."""
     if isinstance(tree, Mapping):
         return sum(map(count_leaves, tree.values()))
     return sum(map(count_leaves, tree)) if isinstance(tree, (list, tuple)) else 1
 
 
 def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """Return ``|a - b| / |b|`` over all tensors of two flat mappings, Euclidean; infinite for other shapes."""
+    """Return ``|a - b| / |b|`` over all tensors of two flat mappings, Euclidean; inf if the shapes differ."""
     if a.keys() != b.keys() or any(a[name].shape != b[name].shape for name in a):
         return math.inf
     apart = sum(float((a[name].double() - b[name].double()).square().sum()) for name in a)
@@ -102,7 +102,8 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
     apart = (ones - others).abs()
-    apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0  # equal infinities; zeros and NaNs of other bits
+    # inf - inf and NaN - NaN are NaN; equal infinities, NaNs, and zeros of either sign count as 0 apart.
+    apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0
     odd = differs & ~apart.isfinite()
     at = int(odd.int().argmax()) if bool(odd.any()) else _largest(apart, differs)
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
@@ -113,7 +114,7 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
 
 
 def _largest(apart: torch.Tensor, differs: torch.Tensor) -> int:
-    """Return the place of the largest difference; of the first other bits when all values are equal."""
+    """Return the index of the largest difference; if all values are equal, the first index whose bits differ."""
     return int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
 
 

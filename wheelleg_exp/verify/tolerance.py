@@ -1,20 +1,21 @@
-"""When numbers that are not equal count as the same training.
+"""Decide whether unequal numbers count as the same training.
 
-Training amplifies a difference in the last digit: of the stock task, two runs with other matrix kernels agree to
-1e-6 for about four iterations, and have nothing in common but their statistics after eight. So no bound on every
-iteration can hold, and two things are asked instead:
+Training amplifies a difference in the last digit. Two runs of the stock task with other matrix kernels agree to 1e-6
+for about four iterations, and after eight have only their statistics in common. So no bound on every iteration can
+hold. Two tests replace it:
 
-- where the runs part they part by rounding: in the first iteration whose scalars differ, each agrees within ``START``
-  of the larger magnitude, and so do the networks' parameters (Euclidean) when both runs kept that checkpoint
-  (measured: 1e-6; another seed: 0.4 and more);
-- they end alike: the return and the length of episodes, averaged over the last tenth of the iterations, agree within
-  ``END`` of the range that they went through or, where that is more, within ``SPREADS`` times their own fluctuation
-  in these iterations, which is large while they still learn fast (measured after 110 iterations: 0.001 of the range).
-  Iterations without the figure, as before the first episode has ended, are left out. A figure that one run alone has at
-  the end is not alike; one that neither has is noted; and runs of at least 50 iterations of which no figure can be
-  compared are not shown to be within tolerance. Shorter runs, and the beginnings of runs, are held to the start alone.
+- Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude. So do
+  the networks' parameters (Euclidean) if both runs have that checkpoint. Measured: 1e-6; with another seed, 0.4 and
+      more.
+- End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
+  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation is
+  large while a run still learns fast. Measured after 110 iterations: 0.001 of the range.
 
-Neither is asked of runs between which nothing allows a difference: there, every bit must be equal.
+Iterations without a figure are skipped, such as those before the first episode has ended. A figure that only one run
+has at the end fails the test; a figure that neither has is noted. Runs of at least 50 iterations without any comparable
+figure are not shown to be within tolerance. Shorter runs, and the first parts of runs, only pass the start test.
+
+If nothing allows two runs to differ, every bit must be equal and these tests do not apply.
 """
 
 from __future__ import annotations
@@ -31,21 +32,21 @@ START = 1e-3
 END = 0.1
 SPREADS = 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # iterations that a run must have for its end to say something
-_TINY = 1e-9  # magnitudes below are zero: a mean of what cancels
+_SHORTEST = 50  # iterations; the ends of shorter runs are not compared
+_TINY = 1e-9  # smaller magnitudes count as zero: they are means of terms that cancel
 
 
 @dataclass(frozen=True)
 class Excess:
-    """One number and how far it may be off.
+    """One number and its allowed deviation.
 
     Attributes:
         name: the number.
-        iteration: of which iteration; None for the mean over the last ones.
+        iteration: its iteration; None for the mean over the last iterations.
         a: its value in A.
         b: its value in B.
-        off: how far they are apart, relative at the start, absolute at the end.
-        allowed: how far they may be.
+        off: the deviation: relative at the start, absolute at the end.
+        allowed: the largest allowed deviation.
     """
 
     name: str
@@ -57,17 +58,17 @@ class Excess:
 
     @property
     def within(self) -> bool:
-        """Whether it is allowed."""
+        """Whether the deviation is allowed."""
         return self.off <= self.allowed
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What was measured against the tolerances.
+    """The measured deviations.
 
     Attributes:
-        start: the worst numbers where the runs part.
-        end: each figure at the end.
+        start: the largest deviations in the first iteration that differs.
+        end: the deviation of each figure at the end.
         note: what was not compared.
         needs_end: whether the ends had to be compared.
     """
@@ -79,40 +80,40 @@ class Tolerance:
 
     @property
     def unknown(self) -> bool:
-        """Whether the start is allowed, and the ends would have had to be compared and could not."""
+        """Whether the start is allowed, but the ends could not be compared although they had to be."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """Whether everything is allowed, and everything that had to be compared was."""
+        """Whether every required comparison was made and is allowed."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return where the runs part, and by how much at most."""
+        """Return where the runs first differ, and by how much at most."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"
         alike = ", and they end alike" if self.end else ""
-        return f"they part in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
+        return f"they first differ in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the deviations for JSON."""
         rows = {side: [asdict(e) | {"within": e.within} for e in getattr(self, side)] for side in ("start", "end")}
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return it for people."""
-        told = [_start_line(excess) for excess in self.start] + [_end_line(excess) for excess in self.end]
-        return [*told, self.note] if self.note else told
+        """Return the printed lines."""
+        lines = [_start_line(excess) for excess in self.start] + [_end_line(excess) for excess in self.end]
+        return [*lines, self.note] if self.note else lines
 
 
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
-    """Measure two runs against the tolerances.
+    """Measure the deviations of two runs.
 
     Args:
-        a: A's iterations.
-        b: B's, as many.
-        parameters: iteration and relative distance of the networks where the runs part, if they were kept.
+        a: the iterations of A.
+        b: the iterations of B, as many.
+        parameters: the first differing iteration and the relative distance of the networks there, if both were saved.
         whole: whether both runs ended with the last of these iterations.
     """
     parting = next((i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x.scalars != y.scalars), None)
@@ -124,32 +125,32 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
         return Tolerance(start, [], f"the ends were not compared: {note}")
     ends = {name: _end(name, a, b) for name in FIGURES}
     missing = [name for name, excess in ends.items() if excess is None]
-    note = f"not compared at the end, for neither run has it: {', '.join(missing)}" if missing else ""
+    note = f"not compared at the end, because neither run has it: {', '.join(missing)}" if missing else ""
     return Tolerance(start, [excess for excess in ends.values() if excess is not None], note, needs_end=True)
 
 
 def _start(a: Line, b: Line) -> list[Excess]:
-    """Return the worst scalar of an iteration."""
+    """Return the scalar of an iteration with the largest deviation."""
     names = [name for name in dict.fromkeys([*a.scalars, *b.scalars]) if a.scalars.get(name) != b.scalars.get(name)]
     excesses = [_relative(name, a.iteration, a.scalars.get(name), b.scalars.get(name)) for name in names]
     return [max(excesses, key=lambda excess: excess.off)]
 
 
 def _relative(name: str, iteration: int, a: Any, b: Any) -> Excess:
-    if not (_is_number(a) and _is_number(b)):  # NaN is written as text; or one side has no such scalar
+    if not (_is_number(a) and _is_number(b)):  # NaN is stored as text, and one side may lack the scalar
         return Excess(name, iteration, _number(a), _number(b), math.inf, START)
     scale = max(abs(a), abs(b), _TINY)
     return Excess(name, iteration, float(a), float(b), abs(a - b) / scale, START)
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
-    """Return how far a figure is off over the last tenth; None when neither run has it there."""
+    """Return the deviation of a figure over the last tenth of the iterations; None if neither run has it there."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
     last = max(len(a) // 10, 2)
     one, other = _finite(ones[-last:]), _finite(others[-last:])
     if not (one or other):
         return None
-    if min(len(one), len(other)) < 2:  # no mean with a fluctuation
+    if min(len(one), len(other)) < 2:  # too few values for a fluctuation
         return Excess(name, None, _mean(one), _mean(other), math.inf, 0.0)
     values = _finite([*ones, *others])
     spread = max(values) - min(values)
