@@ -494,10 +494,10 @@ def test_a_record_that_lacks_something_is_told_and_not_read(whole: PipelineIndex
     part, _, key = lacks.rpartition(".")
     del (data["phases"][0] if part else data)[key]
     (tmp_path / "pipeline.json").write_text(json.dumps(data))
-    with pytest.raises(RunDirectoryError, match=f"lacks {lacks}"):
+    with pytest.raises(RunDirectoryError, match=f"'{lacks}' is missing"):
         PipelineIndex.load(tmp_path)
     (tmp_path / "pipeline.json").write_text(json.dumps({**json.loads(whole.path.read_text()), "phases": [7]}))
-    with pytest.raises(RunDirectoryError, match=r"lacks phases\.name"):
+    with pytest.raises(RunDirectoryError, match=r"'phases\.name' is missing"):
         PipelineIndex.load(tmp_path)
 
 

@@ -239,7 +239,7 @@ def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):
     assert list_sweeps(tmp_path)[1].status == "finished"
     index.data["status"] = "running"
     index.write_multirun("")
-    index._write()
+    index.write()
     assert list_sweeps(tmp_path)[1].status == "crashed"
 
 

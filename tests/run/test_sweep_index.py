@@ -80,9 +80,9 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
     ("text", "told"),
     [
         ("{", "broken JSON"),
-        ("[]", "not a sweep's index"),
-        ('{"format": 1}', "not a sweep's index"),
-        ('{"format": 2, "jobs": []}', "sweep format 2 is not known here"),
+        ("[]", "not the index of a sweep"),
+        ('{"format": 1}', "not the index of a sweep"),
+        ('{"format": 2, "jobs": []}', "sweep format 2 is unknown"),
     ],
 )
 def test_an_index_that_is_none_is_refused(tmp_path, text, told):

@@ -1,6 +1,7 @@
 """The indexes of several runs: ``sweep.json`` of a sweep and ``pipeline.json`` of a pipeline.
 
-Both point to ordinary run directories. Every change replaces the whole file.
+Both are in a folder of their own below the folder of all runs, and point to ordinary run directories. Every change
+replaces the whole file.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json, write_text
@@ -30,25 +31,103 @@ from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
 SWEEP_NAME = "sweep.json"
 MULTIRUN_NAME = "multirun.yaml"
-SWEEP_FORMAT = 1
+_FORMAT = 1
+_PHASE_TYPES: dict[str, Any] = dict.fromkeys(("name", "status", "digest"), str) | {"trained": int}
+_PHASE_TYPES |= {**dict.fromkeys(("why", "run", "init_from"), Optional(str))}
+_PHASE_TYPES |= {"gates": [{"iteration": int, "passed": bool}]}
+_PIPELINE_TYPES: dict[str, Any] = dict.fromkeys(("id", "name", "status", "root", "started"), str)
+_PIPELINE_TYPES |= {"why": Optional(str), "config_dirs": [str], "overrides": [str], "resumes": [dict]}
+_PIPELINE_TYPES |= {"config": {"phases": dict}, "phases": [_PHASE_TYPES]}
 
 JobStatus = Literal["waiting", "running", "finished", "failed", "interrupted"]
 SweepStatus = Literal["finished", "failed", "interrupted"]
+PhaseStatus = Literal["waiting", "training", "passed", "failed"]
+PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
 
 
 @dataclass
-class SweepIndex:
-    """The index of one sweep; every change replaces the whole file.
+class _RunIndex:
+    """One index file.
 
-    ``data`` holds ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` when a job did not
-    finish, ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``,
-    ``launcher`` and ``jobs``. A job has ``number`` (from 1), ``overrides`` (what trains it alone), ``swept``
-    (those in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
-    ``results`` (the run's own) and ``error``. A job that never began keeps the status ``waiting``.
+    Args:
+        folder: the folder of the index, absolute.
+        data: the content of the file.
     """
 
     folder: Path
     data: dict[str, Any] = field(default_factory=dict)
+
+    KIND: ClassVar[str]
+    ENTRIES: ClassVar[str]
+    FILE: ClassVar[str]
+    SECTION: ClassVar[str]
+
+    @classmethod
+    def _create(
+        cls, root: str | Path, command: Sequence[str], moment: datetime | None, entries: list[dict[str, Any]]
+    ) -> Self:
+        """Create the folder ``<root>/<section>/<time>``, and fill in the keys that all indexes have."""
+        moment = moment or utc_now()
+        index = cls(create_exclusively(Path(root) / cls.SECTION, folder_text(moment)))
+        index.data = {
+            "format": _FORMAT,
+            "id": index.folder.name,
+            "status": "running",
+            "command": list(command),
+            "working_directory": str(Path.cwd()),
+            "started": utc_text(moment),
+            "ended": None,
+            "process": this_process(),
+            cls.ENTRIES: entries,
+        }
+        return index
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Self:
+        """Read the index in a folder.
+
+        Raises:
+            RunDirectoryError: the index is missing or broken, or its format is unknown.
+        """
+        path = Path(folder) / cls.FILE
+        data = read_json(path)
+        if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
+            expected = f"a mapping with '{cls.ENTRIES}'"
+            raise RunDirectoryError(f"this is not the index of a {cls.KIND}", where=str(path), expected=expected)
+        if data.get("format") != _FORMAT:
+            message = f"{cls.KIND} format {data.get('format')!r} is unknown"
+            raise RunDirectoryError(message, where=str(path), expected=f"format {_FORMAT}")
+        return cls(path.parent.resolve(), data)
+
+    @property
+    def path(self) -> Path:
+        """The index file."""
+        return self.folder / self.FILE
+
+    def run_of(self, entry: Mapping[str, Any]) -> Path | None:
+        """Return the absolute run directory of a job or phase; None while the entry has no run."""
+        return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
+
+    def relative(self, path: Path) -> str:
+        """Return a path relative to the folder of the index."""
+        return Path(os.path.relpath(path, self.folder)).as_posix()
+
+    def write(self) -> None:
+        """Replace the file."""
+        write_json(self.path, self.data)
+
+
+class SweepIndex(_RunIndex):
+    """The index of one sweep.
+
+    ``data`` contains ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` when a job did not
+    finish, ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``,
+    ``launcher`` and ``jobs``. A job has ``number`` (from 1), ``overrides`` (they train the job alone), ``swept``
+    (the overrides in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
+    ``results`` (those of the run) and ``error``. A job that never started has the status ``waiting``.
+    """
+
+    KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
 
     @classmethod
     def create(
@@ -60,146 +139,69 @@ class SweepIndex:
         jobs: Sequence[tuple[Sequence[str], Sequence[str]]],
         now: datetime | None = None,
     ) -> SweepIndex:
-        """Make the folder of a new sweep and write its index; no job has begun.
+        """Create the folder and the index of a new sweep.
 
         Args:
             root: the folder of all runs.
             command: the command line.
-            launcher: the launcher's name and how many jobs run at once.
-            jobs: overrides of each job, and those of them that are swept.
-            now: the time of the start, by default the present.
+            launcher: the launcher's name and the number of jobs that run at once.
+            jobs: for each job, its overrides and the swept ones among them.
+            now: the start time; the current time by default.
 
         Raises:
-            RunDirectoryError: the folder cannot be made or written.
+            RunDirectoryError: the folder cannot be created or written.
         """
-        moment = now or utc_now()
-        index = cls(create_exclusively(Path(root) / SWEEPS, folder_text(moment)))
-        index.data = {
-            "format": SWEEP_FORMAT,
-            "id": index.folder.name,
-            "status": "running",
-            "command": list(command),
-            "working_directory": str(Path.cwd()),
-            "started": utc_text(moment),
-            "ended": None,
-            "process": this_process(),
-            "launcher": dict(launcher),
-            "jobs": [_waiting_job(number, *job) for number, job in enumerate(jobs, 1)],
-        }
-        index._write()
+        index = cls._create(root, command, now, [_waiting_job(number, *job) for number, job in enumerate(jobs, 1)])
+        index.data["launcher"] = dict(launcher)
+        index.write()
         return index
-
-    @classmethod
-    def load(cls, folder: str | Path) -> SweepIndex:
-        """Read the index in a sweep's folder.
-
-        Raises:
-            RunDirectoryError: there is none, it is broken, or its format is not known here.
-        """
-        path = Path(folder) / SWEEP_NAME
-        data = read_json(path)
-        if not isinstance(data, dict) or not isinstance(data.get("jobs"), list):
-            raise RunDirectoryError("this is not a sweep's index", where=str(path), expected="a mapping with 'jobs'")
-        if data.get("format") != SWEEP_FORMAT:
-            message = f"sweep format {data.get('format')!r} is not known here"
-            raise RunDirectoryError(message, where=str(path), expected=f"format {SWEEP_FORMAT}")
-        return cls(path.parent, data)
-
-    @property
-    def path(self) -> Path:
-        """The index file."""
-        return self.folder / SWEEP_NAME
 
     @property
     def jobs(self) -> list[dict[str, Any]]:
-        """The jobs, in order."""
+        """The jobs in order."""
         return self.data["jobs"]
-
-    def run_of(self, job: Mapping[str, Any]) -> Path | None:
-        """Return the run directory of a job, absolute; None as long as it has none."""
-        return None if job["run"] is None else Path(os.path.normpath(self.folder / job["run"]))
 
     def write_multirun(self, text: str) -> None:
         """Write Hydra's config of the whole sweep."""
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
-        """Record that a job began."""
+        """Record that a job has started."""
         self._update_job(number, status="running", started=utc_text(utc_now()))
 
     def job_has_run(self, number: int, run: Path) -> None:
-        """Record which run directory a job writes."""
-        self._update_job(number, run=Path(os.path.relpath(run, self.folder)).as_posix())
+        """Record the run directory of a job."""
+        self._update_job(number, run=self.relative(run))
 
     def job_ended(self, number: int, status: JobStatus, results: Mapping[str, Any], error: Any = None) -> None:
         """Record how a job ended."""
         self._update_job(number, status=status, ended=utc_text(utc_now()), results=dict(results), error=error)
 
     def finish(self, status: SweepStatus) -> None:
-        """Record how the sweep ended; a job that nobody saw end counts as interrupted."""
+        """Record how the sweep ended; a job that is still running counts as interrupted."""
         for job in self.jobs:
             if job["status"] == "running":
                 job |= {"status": "interrupted", "ended": utc_text(utc_now())}
         self.data |= {"status": status, "ended": utc_text(utc_now())}
-        self._write()
+        self.write()
 
     def _update_job(self, number: int, **changes: Any) -> None:
         self.jobs[number - 1].update(changes)
-        self._write()
-
-    def _write(self) -> None:
-        write_json(self.path, self.data)
+        self.write()
 
 
-def _waiting_job(number: int, overrides: Sequence[str], swept: Sequence[str]) -> dict[str, Any]:
-    return {
-        "number": number,
-        "overrides": list(overrides),
-        "swept": list(swept),
-        "status": "waiting",
-        "run": None,
-        "started": None,
-        "ended": None,
-        "results": {},
-        "error": None,
-    }
+class PipelineIndex(_RunIndex):
+    """The index of one pipeline.
 
-
-PIPELINE_FORMAT = 1
-_PHASE_TYPES: dict[str, Any] = dict.fromkeys(("name", "status", "digest"), str) | {"trained": int}
-_PHASE_TYPES |= {
-    **dict.fromkeys(("why", "run", "init_from"), Optional(str)),
-    "gates": [{"iteration": int, "passed": bool}],
-}
-_PIPELINE_TYPES: dict[str, Any] = dict.fromkeys(("id", "name", "status", "root", "started"), str) | {
-    "why": Optional(str)
-}
-_PIPELINE_TYPES |= {
-    "config_dirs": [str],
-    "overrides": [str],
-    "resumes": [dict],
-    "config": {"phases": dict},
-    "phases": [_PHASE_TYPES],
-}
-
-PhaseStatus = Literal["waiting", "training", "passed", "failed"]
-PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
-
-
-@dataclass
-class PipelineIndex:
-    """The record of one pipeline; every change replaces the whole file.
-
-    ``data`` holds ``format``, ``id``, ``name``, ``status`` (``running``, ``finished``, ``stopped`` at a gate that was
-    not passed, ``failed``, ``interrupted``), ``why``, ``command``, ``working_directory``, ``config_dirs``, ``root``,
-    ``overrides`` (for all phases), ``started``, ``ended``, ``process``, ``resumes``, ``config`` (the declared pipeline)
-    and ``phases``. A phase has ``name``, ``status``, ``why`` (it went on, or did not), ``digest`` (of its config),
-    ``run`` (relative to the record), ``init_from`` (likewise), ``trained`` (iterations that are known to be done),
-    ``gates`` (what each evaluation found), ``started`` and ``ended``.
+    ``data`` contains ``format``, ``id``, ``name``, ``status`` (``running``, ``finished``, ``stopped`` at a gate that
+    was not passed, ``failed``, ``interrupted``), ``why``, ``command``, ``working_directory``, ``config_dirs``,
+    ``root``, ``overrides`` (of all phases), ``started``, ``ended``, ``process``, ``resumes``, ``config`` (the declared
+    pipeline) and ``phases``. A phase has ``name``, ``status``, ``why`` (the reason to continue or to stop), ``digest``
+    (of its config), ``run`` and ``init_from`` (both relative to the index), ``trained`` (the number of finished
+    iterations, as far as known), ``gates`` (the result of each evaluation), ``started`` and ``ended``.
     """
 
-    folder: Path
-    data: dict[str, Any] = field(default_factory=dict)
+    KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
 
     @classmethod
     def create(
@@ -213,72 +215,46 @@ class PipelineIndex:
         digests: Mapping[str, str],
         now: datetime | None = None,
     ) -> PipelineIndex:
-        """Make the folder of a new pipeline and write its record; no phase has begun.
+        """Create the folder and the index of a new pipeline.
 
         Args:
             root: the folder of all runs.
-            config: the declared pipeline, plain.
-            overrides: those of the command line, for all phases.
+            config: the declared pipeline as plain values.
+            overrides: the overrides of the command line, for all phases.
             config_dirs: the user's config folders.
             command: the command line.
-            digests: digest of each phase's config, by its name.
-            now: the time of the start, by default the present.
+            digests: the digest of each phase's config by the phase's name.
+            now: the start time; the current time by default.
 
         Raises:
-            RunDirectoryError: the folder cannot be made or written.
+            RunDirectoryError: the folder cannot be created or written.
         """
-        moment = now or utc_now()
-        index = cls(create_exclusively(Path(root) / PIPELINES, folder_text(moment)))
-        index.data = {
-            "format": PIPELINE_FORMAT,
-            "id": index.folder.name,
+        index = cls._create(root, command, now, [_waiting_phase(name, digest) for name, digest in digests.items()])
+        index.data |= {
             "name": config["name"],
-            "status": "running",
             "why": None,
-            "command": list(command),
-            "working_directory": str(Path.cwd()),
             "config_dirs": [str(folder) for folder in config_dirs],
             "root": os.path.relpath(Path(root).resolve(), index.folder),
             "overrides": list(overrides),
-            "started": utc_text(moment),
-            "ended": None,
-            "process": this_process(),
             "resumes": [],
             "config": json_plain(config),
-            "phases": [_waiting_phase(name, digest) for name, digest in digests.items()],
         }
         index.write()
         return index
 
     @classmethod
-    def load(cls, folder: str | Path) -> PipelineIndex:
-        """Read the record in a pipeline's folder.
-
-        Raises:
-            RunDirectoryError: there is none, it is broken, or its format is not known here.
-        """
-        path = Path(folder) / PIPELINE_NAME
-        data = read_json(path)
-        if not isinstance(data, dict) or not isinstance(data.get("phases"), list):
-            raise RunDirectoryError("this is no pipeline's record", where=str(path), expected="a mapping with 'phases'")
-        if data.get("format") != PIPELINE_FORMAT:
-            message = f"pipeline format {data.get('format')!r} is not known here"
-            raise RunDirectoryError(message, where=str(path), expected=f"format {PIPELINE_FORMAT}")
-        phases = [phase if isinstance(phase, dict) else {} for phase in data["phases"]]
-        missing = [key for key in _PIPELINE_TYPES if key not in data]
+    def load(cls, folder: str | Path) -> Self:
+        """Read the index in a folder and check the type of each value (raises as the base class)."""
+        index = super().load(folder)
+        where, phases = str(index.path), [phase if isinstance(phase, dict) else {} for phase in index.phases]
+        missing = [key for key in _PIPELINE_TYPES if key not in index.data]
         missing += [f"phases.{key}" for phase in phases for key in _PHASE_TYPES if key not in phase]
         if missing:
-            raise RunDirectoryError(
-                f"this record lacks {missing[0]}", where=str(path), expected=", ".join(_PIPELINE_TYPES)
-            )
-        for wrong in mistyped_keys(data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
-            raise RunDirectoryError(f"broken record: '{wrong}' is missing or wrong", where=str(path))
-        return cls(path.parent.resolve(), data)
-
-    @property
-    def path(self) -> Path:
-        """The record."""
-        return self.folder / PIPELINE_NAME
+            message, expected = f"'{missing[0]}' is missing", ", ".join(_PIPELINE_TYPES)
+            raise RunDirectoryError(f"broken index of a pipeline: {message}", where=where, expected=expected)
+        for key in mistyped_keys(index.data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
+            raise RunDirectoryError(f"broken index of a pipeline: '{key}' is missing or wrong", where=where)
+        return index
 
     @property
     def root(self) -> Path:
@@ -287,33 +263,25 @@ class PipelineIndex:
 
     @property
     def phases(self) -> list[dict[str, Any]]:
-        """The phases, in order."""
+        """The phases in order."""
         return self.data["phases"]
 
-    def run_of(self, phase: Mapping[str, Any]) -> Path | None:
-        """Return the run directory of a phase, absolute; None as long as it has none."""
-        return None if phase["run"] is None else Path(os.path.normpath(self.folder / phase["run"]))
-
     def done(self, phase: Mapping[str, Any]) -> int:
-        """Return how many iterations a phase has done, those of a step that was stopped among them."""
+        """Return the number of finished iterations of a phase, including those of an interrupted step."""
         run, last = self.run_of(phase), 0
         if run is not None:
             with suppress(RunDirectoryError):
                 last = checkpoint_iteration(RunDirectory(run).latest_checkpoint()) + 1
         return max(int(phase["trained"]), last)
 
-    def relative(self, path: Path) -> str:
-        """Return a path as the record names it."""
-        return Path(os.path.relpath(path, self.folder)).as_posix()
-
     def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
-        """Record what has become of a phase."""
+        """Record changed values of a phase."""
         number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
         self.phases[number].update(json_plain(changes))
         self.write()
 
     def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
-        """Record that it goes on, in this process, with settings that may have changed."""
+        """Record that this process resumes the pipeline, perhaps with changed settings."""
         before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
         entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}
         self.data["resumes"].append(json_plain(entry))
@@ -322,17 +290,13 @@ class PipelineIndex:
         self.write()
 
     def finish(self, status: PipelineStatus, why: str | None) -> None:
-        """Record how it ended."""
+        """Record how the pipeline ended."""
         self.data |= {"status": status, "why": why, "ended": utc_text(utc_now())}
         self.write()
 
-    def write(self) -> None:
-        """Replace the file."""
-        write_json(self.path, self.data)
-
 
 def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
-    """Return the folder of the pipeline that a path, or an id below ``root``, names; None where it names none."""
+    """Return the folder of a pipeline, named by its path or by its id below ``root``; None when it does not exist."""
     for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
         if is_pipeline(folder):
             return folder.resolve()
@@ -341,7 +305,7 @@ def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
 
 
 def pipelines_below(root: Path) -> list[PipelineIndex]:
-    """Return the pipelines that were begun below a folder of runs, the newest first; damaged records are left out."""
+    """Return the pipelines of a folder of runs, the newest first, without those whose index is damaged."""
     found = []
     for path in sorted((root / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
         with suppress(RunDirectoryError):
@@ -349,16 +313,11 @@ def pipelines_below(root: Path) -> list[PipelineIndex]:
     return found
 
 
+def _waiting_job(number: int, overrides: Sequence[str], swept: Sequence[str]) -> dict[str, Any]:
+    entry: dict[str, Any] = {"number": number, "overrides": list(overrides), "swept": list(swept), "status": "waiting"}
+    return {**entry, "run": None, "started": None, "ended": None, "results": {}, "error": None}
+
+
 def _waiting_phase(name: str, digest: str) -> dict[str, Any]:
-    return {
-        "name": name,
-        "status": "waiting",
-        "why": None,
-        "digest": digest,
-        "run": None,
-        "init_from": None,
-        "trained": 0,
-        "gates": [],
-        "started": None,
-        "ended": None,
-    }
+    entry: dict[str, Any] = {"name": name, "status": "waiting", "why": None, "digest": digest, "run": None}
+    return {**entry, "init_from": None, "trained": 0, "gates": [], "started": None, "ended": None}
