@@ -162,7 +162,7 @@ def test_no_variable_of_this_machine_gets_into_anything(trial, text):
     trial.yaml(CONFIG, lambda config: config["run"].update(name=text, note=text))
     trial.yaml(CONFIG, lambda config: config["recording"].update(interval=text))
     trial.record()
-    missing = f"asks for the environment variable {VARIABLE}, which was not kept with the run"
+    missing = f"asks for the environment variable {VARIABLE}, which was not stored with the run"
     told = [CONFIG, missing] if ",x" not in text else []
     trial.try_("resume", 2, *told)
     trial.try_("diff", (0, 1))

@@ -290,19 +290,3 @@ def test_a_robot_with_meshes_is_played_from_the_run_alone(run, monkeypatch, tmp_
 def test_the_small_configuration_is_what_was_trained(trained):
     assert f"env.num_envs={16}" in TINY
     assert trained.run.latest_checkpoint().name == f"model_{ITERATIONS - 1}.pt"
-
-
-@pytest.mark.parametrize(
-    ("overrides", "command"),
-    [
-        (["+env.note=${oc.env:MY_TOKEN}"], []),
-        (["+env.note=hf" + "_" + "a1" * 17], []),
-        (["+env.api_key=abc"], []),
-        ([], ["--root=${oc.env:MY_TOKEN}"]),
-        ([], ["hf" + "_" + "a1" * 17]),
-    ],
-)
-def test_a_secret_is_refused_and_nothing_is_played(run, overrides, command):
-    with pytest.raises(ConfigError, match="the run directory, and"):
-        play(run, None, overrides, ["wheelleg", "play", *command], Silent())
-    assert plays(run) == []

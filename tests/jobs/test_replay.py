@@ -294,7 +294,7 @@ def test_a_source_that_was_not_kept_is_told(run, clone):
         json.dumps(json.loads(path.read_text()) | {"patch": None, "status": "patch_too_large", "note": note})
     )
     change_manifest(run)
-    assert "was not kept (patch_too_large): the patch has 80 MB" in refused(run, "--repository", clone)
+    assert "was not captured (patch_too_large): the patch has 80 MB" in refused(run, "--repository", clone)
 
 
 def test_code_from_before_replays_is_told(run, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -80,7 +81,8 @@ def test_what_is_imported_from_elsewhere_is_found(tmp_path, monkeypatch):
 
 
 def test_a_resume_names_the_files_that_differ_and_knows_its_own_log(mine, tmp_path):
-    """In a project without git: what a shell wrote into it is no source, what somebody changed is told."""
+    subprocess.run(["git", "init", "-q", mine], check=True)
+    (mine / ".gitignore").write_text("*.log\n")
     run = RunDirectory.create(tmp_path / "runs", "stand", 0)
     Manifest.begin(run.path, task="stand", seed=0, command=[], threads={})
     snapshot_source([STOCK, mine], run.source)

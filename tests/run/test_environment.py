@@ -89,12 +89,12 @@ def test_a_variable_that_can_change_a_result_shows(name):
     assert environment.variables({name: "a"}) != environment.variables({name: "b"})
 
 
-def test_what_a_config_asks_for_counts_and_a_secret_never_does():
+def test_what_a_config_requests_counts_unless_its_name_says_secret():
     texts = ["a: ${oc.env:SPEED}\nb: ${oc.env:MY_TOKEN,x}\n", "c: '${ oc.env: SPEED, 3 } ${oc.decode:${oc.env:MASS}}'"]
     asked = environment.requested_variables(texts)
     assert asked == ["MASS", "MY_TOKEN", "SPEED"]
-    values = {"SPEED": "3", "MY_TOKEN": "t", "MASS": "AKIA" + "A" * 16, "OTHER": "x", "OMP_X": "glpat-" + "a" * 20}
-    assert environment.variables(values, also=asked) == {"SPEED": "3"}
+    values = {"SPEED": "3", "MY_TOKEN": "t", "OTHER": "x", "OMP_X": "1"}
+    assert environment.variables(values, also=asked) == {"SPEED": "3", "OMP_X": "1"}
 
 
 @pytest.mark.parametrize("key", ["cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])

@@ -95,8 +95,8 @@ def test_a_commit_that_is_nowhere_is_told_with_how_to_get_it(repository, git, tm
     with pytest.raises(RunDirectoryError) as caught:
         find_origin(record, [tmp_path / "nowhere", other])
     text = str(caught.value)
-    assert f"{other}: does not hold it" in text
-    assert f"there is no folder '{tmp_path / 'nowhere'}'" in text
+    assert f"{other}: does not contain it" in text
+    assert f"the folder '{tmp_path / 'nowhere'}'" in text
     assert "--repository" in text
     assert f"git fetch https://example.org/robots.git {record['commit']}" in text
 

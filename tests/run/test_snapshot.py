@@ -4,12 +4,11 @@ import json
 
 import pytest
 import yaml
-from omegaconf import OmegaConf
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.run_config import load_params, write_params
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.start_run import refuse_secrets, start_run
+from wheelleg_exp.run.start_run import start_run
 
 PARAMS = {
     "env": {
@@ -136,7 +135,8 @@ def test_the_same_twice_is_the_same_snapshot(tmp_path, repository, git, user_fol
 
 
 @pytest.mark.parametrize("name", ["configs/task/a.yaml", "terms.py", "assets/mesh.stl"])
-def test_a_change_in_a_users_folder_without_a_repository_shows(tmp_path, repository, git, user_folder, name):
+def test_a_change_in_a_users_repository_shows(tmp_path, repository, git, user_folder, name):
+    git(user_folder, "init", "-q")
     roots = [repository, user_folder]
     before = snapshot_of(tmp_path, source_roots=roots)
     (user_folder / name).write_text("2\n")
@@ -145,17 +145,13 @@ def test_a_change_in_a_users_folder_without_a_repository_shows(tmp_path, reposit
     assert before["git"]["others"][0]["tree"] != after["git"]["others"][0]["tree"]
 
 
-def test_a_changed_installed_package_and_a_loose_module_show(tmp_path, git):
-    package, module = tmp_path / "site-packages" / "terms", tmp_path / "helpers.py"
+def test_a_changed_installed_package_shows(tmp_path, git):
+    package = tmp_path / "site-packages" / "terms"
     package.mkdir(parents=True)
     (package / "a.py").write_text("1\n")
-    module.write_text("1\n")
-    before = snapshot_of(tmp_path, source_roots=[package, module])["git"]
+    before = snapshot_of(tmp_path, source_roots=[package])["git"]
     (package / "a.py").write_text("2\n")
-    module.write_text("2\n")
-    after = snapshot_of(tmp_path, source_roots=[package, module])["git"]
-    assert before["content_sha256"] != after["content_sha256"]
-    assert before["others"][0]["tree"] != after["others"][0]["tree"]
+    assert before["content_sha256"] != snapshot_of(tmp_path, source_roots=[package])["git"]["content_sha256"]
 
 
 @pytest.mark.parametrize(
@@ -195,77 +191,13 @@ def test_another_version_and_another_processor_show(tmp_path, monkeypatch):
     assert {"versions", "hardware"} <= changed(before, snapshot_of(tmp_path))
 
 
-def look_for_secrets(command=("wheelleg",), hydra_files=None, config=None):
-    """Look through what a run would keep, with the config resolved as composing resolves it."""
-    files = {"config": "a: 1\n", **(hydra_files or {})}
-    resolved = OmegaConf.to_container(OmegaConf.create(files["config"]), resolve=True)
-    refuse_secrets(command, files, {**resolved, **(config or {})})
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"command": ["wheelleg", "run.name=gh" + "p_" + "a1" * 18]},
-        {"hydra_files": {"hydra": "hydra: {job: {env_set: {X: AKIA" + "A" * 16 + "}}}"}},
-        {"config": {"env": {"events": {"a": {"api_key": "abc"}}}, "agent": {}}},
-    ],
-)
-def test_a_token_in_a_config_or_on_the_command_line_is_refused(change):
-    with pytest.raises(ConfigError, match="kept in the run directory"):
-        look_for_secrets(**change)
-
-
 TOKEN = "hf" + "_" + "a1" * 17
-
-
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
-        ("run: {name: '${oc.env:NAME_OF_RUN}'}\n", "run.name"),
-        ("recording: {notes: ['x', '${run.note}']}\nrun: {note: '${oc.env:NAME_OF_RUN}'}\n", "recording.notes.1"),
-    ],
-)
-def test_a_token_that_the_resolved_config_would_hold_is_refused_wherever_it_stands(monkeypatch, text, where):
-    monkeypatch.setenv("NAME_OF_RUN", TOKEN)
-    with pytest.raises(ConfigError, match="kept in the run directory") as caught:
-        look_for_secrets(hydra_files={"config": text})
-    assert caught.value.key == where
-    assert TOKEN not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"hydra_files": {"config": "run: {name: '${oc.env:MY_TOKEN}'}\n"}},
-        {"hydra_files": {"config": "a: ${oc.decode:${oc.env:MY_TOKEN,1}}\n"}},
-        {"hydra_files": {"overrides": "- run.name=${oc.env:MY_TOKEN}\n"}},
-        {"command": ["wheelleg", "train", "run.name=${oc.env:MY_TOKEN}"]},
-    ],
-)
-def test_a_variable_whose_name_says_secret_is_not_asked_for(monkeypatch, change):
-    """Its value need not look like a token; it would be written resolved."""
-    monkeypatch.setenv("MY_TOKEN", "abc123")
-    with pytest.raises(ConfigError, match=r"\$\{oc\.env:MY_TOKEN\} would bring .* its name says that it is a secret"):
-        look_for_secrets(**change)
 
 
 def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path):
     snapshot_of(tmp_path, hydra_files={"config.yaml": (written := "a: '${oc.env:NOWHERE_SET}'\n")})
     (kept,) = tmp_path.rglob(".hydra/config.yaml")
     assert kept.read_text() == written
-
-
-def test_what_a_run_holds_already_is_not_asked_about_again():
-    kept = {"env": {"a": {"api_key": "abc"}}}
-    refuse_secrets([], {}, {**kept, "seed": 1}, kept)
-    with pytest.raises(ConfigError, match=r"agent\.token"):
-        refuse_secrets([], {}, {**kept, "agent": {"token": "x"}}, kept)
-
-
-def test_a_token_as_the_name_of_a_run_makes_no_folder(tmp_path):
-    with pytest.raises(ConfigError, match=r"run\.name: .* access token"):
-        RunDirectory.create(tmp_path / "runs", "walk", 7, TOKEN)
-    assert not (tmp_path / "runs").exists()
 
 
 def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
@@ -312,7 +244,7 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
 
 def test_a_hydra_file_cannot_leave_its_folder(tmp_path, repository, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
-    with pytest.raises(RunDirectoryError, match="no file name"):
+    with pytest.raises(RunDirectoryError, match="not a file name"):
         start_run(
             directory,
             command=[],

@@ -17,7 +17,6 @@ from wheelleg_exp.run.source_snapshot import snapshot_source
 
 ODD = ["a b.txt", "tab\there", "new\nline", 'quo"te', "back\\slash", "ünï", "-dash", ":(top)x", "*"]
 ODD += [os.fsdecode(b"\xff")]  # no UTF-8
-KEY = b"-----BEGIN PRIVATE" + b" KEY-----\nMII\n"
 
 
 def snapshot(root, folder, **keywords):
@@ -203,43 +202,6 @@ def test_a_detached_head_has_no_branch(repository, git, tmp_path):
     assert snapshot(repository, tmp_path)["branch"] is None
 
 
-def test_keys_and_tokens_are_left_out_by_name_and_by_content(repository, git, tmp_path):
-    (repository / ".env").write_text("PASSWORD=hunter2\n")
-    (repository / "notes.txt").write_bytes(b"hunter2\n" + KEY)
-    (repository / "fine.txt").write_text("fine\n")
-    record = snapshot(repository, tmp_path)
-    patch = (tmp_path / "source" / "source.patch").read_bytes()
-    assert {entry["path"] for entry in record["refused"]} == {".env", "notes.txt"}
-    assert record["untracked"] == ["fine.txt"]
-    assert b"hunter2" not in patch
-    assert b"fine" in patch
-    assert record["note"] == "left out: .env, notes.txt"
-    tree, _ = tree_by_plain_apply(repository, git, tmp_path, tmp_path / "source" / "source.patch", record["commit"])
-    assert tree == record["tree"]
-
-
-def test_a_staged_a_changed_and_a_deleted_secret_do_not_get_into_the_patch(repository, git, tmp_path):
-    for name in ("server.pem", "old.txt", "cleaned.txt"):
-        (repository / name).write_bytes(b"committed hunter2\n" + KEY)
-    git(repository, "add", "-A")
-    git(repository, "commit", "-qm", "oops")
-    (repository / "server.pem").write_bytes(b"changed hunter2\n")
-    (repository / "old.txt").unlink()
-    (repository / "cleaned.txt").write_bytes(b"committed hunter2\n")
-    (repository / "fresh.key").write_bytes(b"staged hunter2\n")
-    git(repository, "add", "fresh.key")
-    record = snapshot(repository, tmp_path)
-    assert {entry["path"] for entry in record["refused"]} == {
-        "server.pem",
-        "old.txt",
-        "cleaned.txt",
-        "fresh.key",
-    }
-    assert b"hunter2" not in (tmp_path / "source" / "source.patch").read_bytes()
-    assert record["dirty"] is True
-    assert record["tree"] == git(repository, "rev-parse", "HEAD^{tree}")
-
-
 def test_untracked_files_over_the_cap_are_refused_with_their_names(repository, git, tmp_path):
     (repository / "big.csv").write_bytes(bytes(300_000))
     (repository / "small.py").write_text("x\n")
@@ -252,14 +214,6 @@ def test_untracked_files_over_the_cap_are_refused_with_their_names(repository, g
     assert "run.max_patch_mb" in record["note"]
 
 
-def test_a_file_that_is_left_out_does_not_count_towards_the_cap(repository, git, tmp_path):
-    (repository / "token.bin").write_bytes(bytes(300_000))
-    record = snapshot(repository, tmp_path, max_patch_mb=0.1)
-    assert record["status"] == "ok"
-    assert [entry["path"] for entry in record["refused"]] == ["token.bin"]
-    assert record["dirty"] is True
-
-
 def test_a_patch_over_the_cap_is_refused_with_the_big_files(repository, git, tmp_path):
     (repository / "package" / "data.bin").write_bytes(random.Random(0).randbytes(300_000))
     record = snapshot(repository, tmp_path, max_patch_mb=0.1)
@@ -267,62 +221,6 @@ def test_a_patch_over_the_cap_is_refused_with_the_big_files(repository, git, tmp
     assert record["big_files"] == [{"path": "package/data.bin", "bytes": 300_000}]
     assert not (tmp_path / "source" / "source.patch").exists()
     assert snapshot(repository, tmp_path, max_patch_mb=1.0)["status"] == "ok"
-
-
-def test_a_folder_without_a_repository_is_kept_as_a_patch_from_nothing(tmp_path, git):
-    folder = tmp_path / "plain"
-    (folder / "configs" / "task").mkdir(parents=True)
-    (folder / "configs" / "task" / "mine.yaml").write_bytes(b"a: 1\r\n")
-    for name in ODD:
-        (folder / name).write_text(name, errors="surrogateescape")
-    (folder / "link").symlink_to("configs/task/mine.yaml")
-    (folder / ".gitignore").write_text("*.log\n")
-    for name in (
-        "a.log",
-        "__pycache__/x.pyc",
-        "venv/pyvenv.cfg",
-        "venv/lib/x.py",
-        ".env",
-        "runs/stand/1/manifest.json",
-    ):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text("never")
-    before = digests(folder)
-    record = snapshot(folder, tmp_path, runs_root=folder / "runs")
-    assert (record["status"], record["commit"], record["dirty"]) == ("no_repository", None, True)
-    assert "is in no git repository" in record["note"]
-    assert digests(folder) == before
-    assert {entry["path"] for entry in record["refused"]} == {"venv/", ".env"}
-    assert restore_source(tmp_path, tmp_path / "again") == record["tree"]
-    kept = {path: content for path, content in digests(tmp_path / "again").items() if ".git" not in path.parts}
-    names = {path.relative_to(tmp_path / "again").as_posix() for path in kept if path.is_symlink() or path.is_file()}
-    assert names == {"configs/task/mine.yaml", "link", ".gitignore", *ODD}
-    for name in names - {"link"}:
-        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
-
-
-def test_a_plain_folder_over_the_cap_says_so(tmp_path, git):
-    (tmp_path / "plain").mkdir()
-    (tmp_path / "plain" / "big.csv").write_bytes(bytes(300_000))
-    record = snapshot(tmp_path / "plain", tmp_path, max_patch_mb=0.1)
-    assert record["status"] == "patch_too_large"
-    assert "no git repository" in record["note"]
-    assert "big.csv" in record["note"]
-
-
-def test_a_loose_file_is_kept_alone(tmp_path, git):
-    for name in ("helpers.py", "diary.txt"):
-        (tmp_path / name).write_text(name)
-    record = snapshot(tmp_path / "helpers.py", tmp_path / "run")
-    assert (record["status"], record["folders"], record["changed"]) == ("no_repository", ["helpers.py"], ["helpers.py"])
-
-
-def test_a_repository_of_another_user_is_kept_as_a_folder(repository, git, tmp_path, monkeypatch):
-    monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")  # git's own way to test its refusal
-    record = snapshot(repository / "package", tmp_path)
-    assert record["status"] == "no_repository"
-    assert "belongs to another user" in record["note"]
-    assert record["changed"] == ["code.py", "data.bin"]
 
 
 def test_a_repository_without_commits_is_held_against_nothing(tmp_path, git):
@@ -356,16 +254,6 @@ def test_a_package_in_an_environment_inside_a_repository_is_installed(repository
     assert snapshot(package, tmp_path)["content_sha256"] != first["content_sha256"]
 
 
-def test_an_ignored_folder_that_is_named_is_kept_as_a_folder(repository, git, tmp_path):
-    (repository / "ignored").mkdir()
-    (repository / "ignored" / "mine.yaml").write_text("a: 1\n")
-    record = snapshot([repository, repository / "ignored"], tmp_path)
-    assert record["dirty"] is False
-    (other,) = record["others"]
-    assert (other["status"], other["changed"]) == ("no_repository", ["mine.yaml"])
-    assert "is ignored by the repository around it" in other["note"]
-
-
 def test_an_installed_package_without_any_repository_is_installed(tmp_path, git):
     package = tmp_path / "site-packages" / "package"
     package.mkdir(parents=True)
@@ -375,14 +263,6 @@ def test_an_installed_package_without_any_repository_is_installed(tmp_path, git)
 def test_without_git_the_run_goes_on(repository, tmp_path, git, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert snapshot(repository, tmp_path)["status"] == "no_git"
-
-
-def test_a_repository_that_git_cannot_read_is_kept_as_a_folder(repository, tmp_path, git):
-    (repository / ".git" / "index").write_bytes(b"not an index, but long enough to look at")
-    record = snapshot(repository, tmp_path)
-    assert record["status"] == "no_repository"
-    assert "bad signature" in record["note"]
-    assert "package/code.py" in record["changed"]
 
 
 def test_a_shallow_clone_is_kept_like_any_other(repository, git, tmp_path):
@@ -395,22 +275,6 @@ def test_a_shallow_clone_is_kept_like_any_other(repository, git, tmp_path):
     assert (record["status"], record["shallow"]) == ("ok", True)
     assert record["commit"] == git(repository, "rev-parse", "HEAD")
     assert record["changed"] == ["package/code.py"]
-
-
-def test_no_filter_program_runs_and_big_files_are_kept_with_their_content(repository, git, tmp_path):
-    (repository / ".gitattributes").write_text("*.stl filter=lfs\n*.crypt filter=seal\n")
-    for name in ("lfs", "seal"):
-        git(repository, "config", f"filter.{name}.clean", f"touch {tmp_path}/ran; echo pointer")
-        git(repository, "config", f"filter.{name}.required", "true")
-    for name in ("mesh.stl", "notes.crypt"):
-        (repository / name).write_text("hunter2\n")
-    record = snapshot(repository, tmp_path)
-    assert record["status"] == "ok"
-    assert not (tmp_path / "ran").exists()
-    assert record["refused"] == [{"path": "notes.crypt", "reason": "the filter 'seal' stands between it and git"}]
-    patch = (tmp_path / "source" / "source.patch").read_bytes()
-    assert patch.count(b"hunter2") == 1
-    assert b"pointer" not in patch
 
 
 def test_a_changed_file_that_cannot_be_read_is_named(repository, git, tmp_path, monkeypatch):
@@ -449,36 +313,6 @@ def test_roots_of_one_repository_count_once_and_others_get_their_own_patch(repos
     assert b"robot.yaml" in (tmp_path / "source" / "source_2.patch").read_bytes()
 
 
-def test_nested_repositories_are_named(repository, git, tmp_path):
-    for name in ("nested", "unborn"):
-        (repository / name).mkdir()
-        git(repository / name, "init", "-q")
-        (repository / name / "x").write_text("x")
-    git(repository / "nested", "add", "-A")
-    git(repository / "nested", "commit", "-qm", "x")
-    record = snapshot(repository, tmp_path)
-    assert record["status"] == "ok"
-    assert {entry["path"] for entry in record["refused"]} == {"nested/", "unborn/"}
-
-
-def test_submodules_are_recorded_by_commit_and_those_checked_out_are_kept_as_well(repository, git, tmp_path):
-    library = tmp_path / "library"
-    shutil.copytree(repository, library)
-    for name in ("library", "absent"):
-        git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), name)
-    git(repository, "commit", "-qm", "submodules")
-    git(repository, "submodule", "--quiet", "deinit", "-f", "absent")
-    git(repository / "library", "commit", "-q", "--allow-empty", "-m", "next")
-    (repository / "library" / "new.py").write_text("n = 1\n")
-    record = snapshot([repository, repository / "library" / "package"], tmp_path)
-    commit = git(repository / "library", "rev-parse", "HEAD")
-    assert {"path": "library", "commit": commit} in record["submodules"]
-    assert record["note"] == "submodules that are not checked out: absent"
-    (other,) = record["others"]
-    assert (other["root"], other["commit"], other["untracked"]) == (str(repository / "library"), commit, ["new.py"])
-    assert [entry["root"] for entry in snapshot(repository, tmp_path)["others"]] == [str(repository / "library")]
-
-
 def test_the_recorded_tree_can_be_made_again(repository, git, tmp_path):
     make_a_mess(repository, git)
     git(repository, "config", "core.autocrlf", "true")
@@ -508,7 +342,7 @@ def test_a_source_that_cannot_be_made_again_leaves_nothing(repository, git, tmp_
     unrelated = tmp_path / "unrelated"
     unrelated.mkdir()
     git(unrelated, "init", "-q")
-    with pytest.raises(RunDirectoryError, match=f"holds commit {record['commit']}"):
+    with pytest.raises(RunDirectoryError, match=f"contains commit {record['commit']}"):
         restore_source(tmp_path, tmp_path / "out" / "again", unrelated)
     path = tmp_path / "source" / "source.patch"
     path.write_bytes(path.read_bytes().replace(b"x = 3", b"x = 4"))
@@ -517,10 +351,10 @@ def test_a_source_that_cannot_be_made_again_leaves_nothing(repository, git, tmp_
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_a_source_that_was_not_kept_says_why(tmp_path, git):
+def test_a_source_that_was_not_captured_gives_the_reason(tmp_path, git):
     (tmp_path / "site-packages" / "package").mkdir(parents=True)
     snapshot(tmp_path / "site-packages" / "package", tmp_path)
-    with pytest.raises(RunDirectoryError, match=r"was not kept.*is installed"):
+    with pytest.raises(RunDirectoryError, match=r"was not captured.*is installed"):
         restore_source(tmp_path, tmp_path / "again")
 
 
@@ -535,25 +369,102 @@ def test_an_installed_package_is_recorded_with_its_distribution(tmp_path, git):
     assert (record["status"], record["distribution"]) == ("installed", "Package==1.2")
 
 
-def test_the_console_is_told_in_a_line_what_is_kept(repository, git, tmp_path):
-    def said(*roots, **keywords):
+@pytest.fixture(params=["plain folder", "loose file", "foreign owner", "ignored folder"])
+def uncaptured(request, repository, git, tmp_path, monkeypatch):
+    """A source that git does not manage, and the reason."""
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    (plain / "helpers.py").write_text("x = 1\n")
+    if request.param == "foreign owner":
+        monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")  # git's own way to test its refusal
+        return repository / "package", "belongs to another user"
+    if request.param == "ignored folder":
+        (repository / "ignored").mkdir()
+        return repository / "ignored", "is ignored by the repository around it"
+    return plain if request.param == "plain folder" else plain / "helpers.py", "is not in a git repository"
+
+
+def test_a_source_without_git_is_named_as_not_captured(uncaptured, repository, tmp_path):
+    root, reason = uncaptured
+    record = snapshot(root, tmp_path)
+    assert (record["status"], record["root"], record["exact"]) == ("no_repository", str(root), False)
+    assert record["patch"] is record["tree"] is None
+    assert reason in record["note"]
+    assert source_lines(record) == [f"warning: the source is not captured: {record['note']}"]
+    with pytest.raises(RunDirectoryError, match="was not captured"):
+        restore_source(tmp_path, tmp_path / "again")
+
+
+def test_a_repository_that_git_cannot_read_is_not_captured(repository, tmp_path, git):
+    (repository / ".git" / "index").write_bytes(b"not an index, but long enough to look at")
+    record = snapshot(repository, tmp_path)
+    assert (record["status"], record["patch"], record["exact"]) == ("failed", None, False)
+    assert "bad signature" in record["note"]
+
+
+def test_files_with_a_filter_such_as_lfs_are_named_as_not_captured_and_no_filter_runs(repository, git, tmp_path):
+    (repository / ".gitattributes").write_text("*.stl filter=lfs\n*.crypt filter=seal\n")
+    (repository / "old.stl").write_text("pointer 1\n")
+    git(repository, "add", "-A")
+    git(repository, "commit", "-qm", "pointers")
+    for name in ("lfs", "seal"):
+        git(repository, "config", f"filter.{name}.clean", f"touch {tmp_path}/ran; echo pointer")
+        git(repository, "config", f"filter.{name}.required", "true")
+    for name in ("old.stl", "mesh.stl", "notes.crypt"):
+        (repository / name).write_text("hunter2\n")
+    record = snapshot(repository, tmp_path)
+    assert (record["status"], record["exact"]) == ("ok", False)
+    assert not (tmp_path / "ran").exists()
+    reasons = {entry["path"]: entry["reason"] for entry in record["refused"]}
+    assert reasons == {
+        "mesh.stl": "git passes it through the filter 'lfs'",
+        "old.stl": "git passes it through the filter 'lfs'",
+        "notes.crypt": "git passes it through the filter 'seal'",
+    }
+    assert b"hunter2" not in (tmp_path / "source" / "source.patch").read_bytes()
+    assert record["tree"] == git(repository, "rev-parse", "HEAD^{tree}")
+
+
+def test_nested_repositories_and_submodules_are_named_as_not_captured(repository, git, tmp_path):
+    library = tmp_path / "library"
+    shutil.copytree(repository, library)
+    for name in ("nested", "unborn"):
+        (repository / name).mkdir()
+        git(repository / name, "init", "-q")
+        (repository / name / "x").write_text("x")
+    git(repository / "nested", "add", "-A")
+    git(repository / "nested", "commit", "-qm", "x")
+    git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), "library")
+    git(repository, "commit", "-qm", "submodule")
+    commit = git(repository / "library", "rev-parse", "HEAD")
+    (repository / "library" / "new.py").write_text("n = 1\n")
+    record = snapshot(repository, tmp_path)
+    assert (record["status"], record["exact"], record["others"]) == ("ok", False, [])
+    assert {entry["path"] for entry in record["refused"]} == {"nested/", "unborn/"}
+    assert record["submodules"] == [{"path": "library", "commit": commit}]
+    assert record["note"] == "files not captured: nested/, unborn/; submodules not captured: library"
+
+
+def test_one_console_line_describes_each_source(repository, git, tmp_path):
+    def lines(*roots, **keywords):
         return source_lines(snapshot(list(roots), tmp_path, **keywords))
 
     commit = git(repository, "rev-parse", "HEAD")[:10]
-    assert said(repository) == [f"source: commit {commit} of {repository} on main, clean"]
+    assert lines(repository) == [f"source: commit {commit} of {repository} on main, clean"]
     (repository / "new.py").write_text("")
-    (repository / ".env").write_text("")
+    (repository / "nested").mkdir()
+    git(repository / "nested", "init", "-q")
     plain = tmp_path / "plain"
     plain.mkdir()
-    (plain / "a.yaml").write_text("a: 1\n")
-    assert said(repository, plain) == [
+    assert lines(repository, plain) == [
         f"source: commit {commit} of {repository} on main, with changes: 1 file (1 untracked), "
-        "kept in source/source.patch",
-        f"warning: left out of the source of {repository}: '.env' (its name matches .env)",
-        f"source: {plain} is in no repository that git reads; 1 file, kept in source/source_2.patch",
+        "stored in source/source.patch",
+        f"warning: not captured of the source of {repository}: 'nested/' (it is a repository of its own)",
+        f"warning: the source is not captured: '{plain}' is not in a git repository, so its files are not captured",
     ]
     (repository / "big.csv").write_bytes(bytes(300_000))
-    assert said(repository, max_patch_mb=0.1)[0].startswith("warning: the source is not kept: the untracked files have")
+    warning = "warning: the source is not captured: the untracked files have"
+    assert lines(repository, max_patch_mb=0.1)[0].startswith(warning)
 
 
 def test_git_that_hangs_is_given_up(repository, git, tmp_path, monkeypatch):

@@ -43,9 +43,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
         from wheelleg_exp.cli.printing.figures_table import shown
         from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
-        from wheelleg_exp.run.start_run import refuse_secrets
 
-        refuse_secrets(args.command)
         at_once, named = _at_once(sweep), _named(args.config_dirs)
         index = _make_index(sweep, at_once, args.command)
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")

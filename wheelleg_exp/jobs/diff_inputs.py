@@ -22,8 +22,8 @@ from wheelleg_exp.run import environment
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, recorded_config, recorded_overrides
 from wheelleg_exp.run.run_directory import LATEST, RunDirectory
-from wheelleg_exp.run.source_changes import states
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries, snapshot_source
+from wheelleg_exp.run.source_changes import changed_states
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
 # What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
@@ -181,9 +181,9 @@ def _described(path: Path) -> dict[str, Any]:
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return what identifies the source; further repositories of the user's carry their numbers."""
-    found = {key: record[key] for key in _CODE if key in record} | states(record)
-    for number, other in enumerate(entries(record)[1:], start=2):
-        facts = {**{key: other.get(key) for key in _CODE}, **states(other)}
+    found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
+    for number, other in enumerate(source_entries(record)[1:], start=2):
+        facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
         found |= {f"{key} ({number})": value for key, value in facts.items()}
     return found
 

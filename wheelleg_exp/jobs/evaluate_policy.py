@@ -48,7 +48,6 @@ from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
-from wheelleg_exp.run.start_run import refuse_secrets
 from wheelleg_exp.terms.config_sections import read_section
 from wheelleg_exp.user_exceptions import ending_as
 
@@ -160,11 +159,10 @@ def evaluate_run(
         draw: draws what was found.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+        WheellegError: the run, the checkpoint or an override is wrong.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
-    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree)
     found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
     own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
@@ -195,7 +193,6 @@ def evaluate_reference(
         WheellegError: an override is wrong, or the robot or its actions are none that the reference can balance.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
-    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree)
     made: list[Reference] = []
 
     def make(env: ManagerBasedRLEnv) -> Reference:

@@ -40,7 +40,6 @@ from wheelleg_exp.rl.rollout_log import FailureCount
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
-from wheelleg_exp.run.start_run import refuse_secrets
 from wheelleg_exp.user_exceptions import ending_as
 
 Tree = dict[str, Any]
@@ -100,7 +99,6 @@ def prepare_policy(
     run: RunDirectory,
     checkpoint: Path | None,
     overrides: Sequence[str],
-    command: Sequence[str],
     display: Display,
     change: Callable[[Tree], Tree] | None = None,
 ) -> RunPolicy:
@@ -110,18 +108,16 @@ def prepare_policy(
         run: the run.
         checkpoint: which of its checkpoints; None is the last.
         overrides: changes to the run's parameters.
-        command: the command line, in which no key or token may stand.
         display: is told when the compiled model is another than the training's.
         change: a last change to the tree, after the overrides.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+        WheellegError: the run, the checkpoint or an override is wrong.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
     kept = {**_play_settings(), "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
     tree = apply_overrides(kept, overrides)
-    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree, kept)
     with placing(overrides):
         tree = tree if change is None else change(tree)
         _require_playable(kept, tree)
@@ -203,9 +199,9 @@ def play(
         display: receives progress.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+        WheellegError: the run, the checkpoint or an override is wrong.
     """
-    prepared = prepare_policy(run, checkpoint, overrides, command, display)
+    prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
     settle_s = float(tree["play"]["settle_s"])
     meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)

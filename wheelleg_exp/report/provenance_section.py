@@ -18,7 +18,7 @@ from wheelleg_exp.report.report_subject import KIND, Subject
 from wheelleg_exp.report.value_format import brief, counted, moment, number, size
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, odd_entries
 from wheelleg_exp.run.run_directory import REPLAYS, RunDirectory
-from wheelleg_exp.run.source_snapshot import entries
+from wheelleg_exp.run.source_snapshot import source_entries
 
 if TYPE_CHECKING:
     from wheelleg_exp.verify import Check, RunFindings
@@ -50,11 +50,11 @@ _CONVERSION: tuple[tuple[str, Tone, str], ...] = (
 _ENTRY_STATES: Mapping[str, str] = {
     "ok": "saved",
     "no_commits": "saved (the repository has no commit)",
-    "no_repository": "no repository",
+    "no_repository": "not captured: no git repository",
     "installed": "an installed package",
-    "patch_too_large": "not saved: the patch is too large",
-    "no_git": "not saved: git is not installed",
-    "failed": "not saved: git failed",
+    "patch_too_large": "not captured: the patch is too large",
+    "no_git": "not captured: git is not installed",
+    "failed": "not captured: git failed",
 }
 
 
@@ -64,7 +64,7 @@ def source(subject: Subject) -> list[Block]:
     if not record:
         return [Note("The state of the source was not recorded.")]
     found: list[Block] = [Heading("Source")]
-    for number_, entry in enumerate(entries(record)):
+    for number_, entry in enumerate(source_entries(record)):
         found += _repository(entry, number_)
     return found
 

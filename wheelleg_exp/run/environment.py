@@ -18,7 +18,7 @@ from typing import Any
 
 import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
-from wheelleg_exp.run.secrecy import is_secret_variable, secret_content, without_credentials
+from wheelleg_exp.run.git_commands import without_credentials
 
 # The distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
@@ -50,6 +50,9 @@ _NUMERIC = re.compile(rf"({'|'.join(_NUMERICAL)})_\w+|PYTHONHASHSEED")
 _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
+
+# Their values are not stored, because NVIDIA_API_KEY would match the patterns above.
+_SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
 
@@ -91,7 +94,7 @@ def hardware() -> dict[str, Any]:
 
 
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
-    """Return the environment variables that change results, sorted; those that hold secrets are left out.
+    """Return the environment variables that can change results, sorted; a variable named like a secret is left out.
 
     Args:
         environ: the variables, by default the process's own.
@@ -99,8 +102,8 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
-    chosen = [k for k in sorted(environ) if (_VARIABLES.fullmatch(k) or k in wanted) and not is_secret_variable(k)]
-    return {k: environ[k] for k in chosen if secret_content(os.fsencode(environ[k])) is None}
+    chosen = [k for k in sorted(environ) if _VARIABLES.fullmatch(k) or k in wanted]
+    return {k: environ[k] for k in chosen if not _SECRET.search(k)}
 
 
 def replay_environ(

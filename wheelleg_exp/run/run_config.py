@@ -20,7 +20,6 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_yaml, require_mapping, write_text
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.run.manifest import mistyped_keys
-from wheelleg_exp.run.secrecy import is_secret_variable
 from wheelleg_exp.terms.key_syntax import is_override
 
 if TYPE_CHECKING:
@@ -280,9 +279,8 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
 
 
 def _missing_variable(name: str, path: Path) -> RunDirectoryError:
-    why = " because its name says that it holds a secret" if is_secret_variable(name) else ""
     return RunDirectoryError(
-        f"asks for the environment variable {name}, which was not kept with the run{why}",
+        f"asks for the environment variable {name}, which was not stored with the run",
         key=str(path),
         expected=f"{name} set to what it was when the run began, and 'wheelleg replay': nothing else that reads a run "
         "takes it from this environment",

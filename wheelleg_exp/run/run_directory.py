@@ -18,7 +18,6 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.files import for_people, read_json
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
-from wheelleg_exp.run.secrecy import secret_content
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
@@ -361,5 +360,3 @@ def _require_name(name: str, key: str) -> None:
             key=key,
             expected=NAME_WORDS,
         )
-    if reason := secret_content(os.fsencode(name)):
-        raise ConfigError(f"this would be part of a folder's name, and {reason}", key=key, expected="another name")

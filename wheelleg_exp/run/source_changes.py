@@ -1,4 +1,4 @@
-"""Name the files that differ between two recorded source trees, and summarize a recorded source for the console."""
+"""Summarize a recorded source for the console, and name the files that differ between two recorded source trees."""
 
 from __future__ import annotations
 
@@ -9,52 +9,7 @@ from typing import Any
 
 from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nul
 
-_SHOWN_REFUSALS = 5
-
-
-def source_lines(content: Mapping[str, Any]) -> list[str]:
-    """Return one line for each repository or folder of a ``git.json``, and one more for those that leave files out.
-
-    Args:
-        content: what ``restore.load_source`` returns.
-    """
-    lines = []
-    for record in (content, *content["others"]):
-        lines.append(_source_line(record))
-        if record["refused"]:
-            lines.append(f"warning: left out of the source of {record['root']}: {_refusals(record['refused'])}")
-    return lines
-
-
-def _source_line(record: Mapping[str, Any]) -> str:
-    if record["patch"] is not None:
-        return f"source: {_stored(record)}"
-    if record["status"] == "installed":
-        return f"source: {record['note']}"
-    return f"warning: the source is not kept: {record['note']}"
-
-
-def _stored(record: Mapping[str, Any]) -> str:
-    patch, count = record["patch"], len(record["changed"])
-    files = f"{count} file{'' if count == 1 else 's'}"
-    if record["commit"] is None:
-        where = "has no commit yet" if record["status"] == "no_commits" else "is in no repository that git reads"
-        return f"{record['root']} {where}; {files}, kept in source/{patch}"
-    place = f"commit {record['commit'][:10]} of {record['root']}"
-    branch = f" on {record['branch']}" if record["branch"] else ", no branch"
-    if not record["dirty"]:
-        return f"{place}{branch}, clean"
-    untracked = f" ({len(record['untracked'])} untracked)" if record["untracked"] else ""
-    return f"{place}{branch}, with changes: {files}{untracked}, kept in source/{patch}"
-
-
-def _refusals(entries: list[Mapping[str, str]]) -> str:
-    shown = [f"{entry['path']!r} ({entry['reason']})" for entry in entries[:_SHOWN_REFUSALS]]
-    more = len(entries) - _SHOWN_REFUSALS
-    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
-
-
-_SHOWN = 3
+_SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
 State = str | None  # mode and blob id of a path, None where it is absent
@@ -73,38 +28,65 @@ class FileChanges:
         return "; ".join(f"{word} {_first_paths(paths)}" for paths, word in kinds if paths)
 
 
-def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
-    """Return which files differ between two records of ``git.json``, or why that cannot be told.
+def source_lines(content: Mapping[str, Any]) -> list[str]:
+    """Return one line for each source of a ``git.json``, and one more for each that is not captured completely.
 
     Args:
-        was: the earlier record, or A's.
-        now: the later one, or B's.
-        repositories: folders whose repository may hold both commits; git is asked there.
+        content: the return value of ``load_source``.
+    """
+    lines = []
+    for record in (content, *content["others"]):
+        lines.append(_source_line(record))
+        missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record["refused"]]
+        missing += [f"{entry['path']!r} (it is a submodule)" for entry in record["submodules"]]
+        if missing:
+            more = f" and {len(missing) - _SHOWN_REASONS} more" if len(missing) > _SHOWN_REASONS else ""
+            shown = ", ".join(missing[:_SHOWN_REASONS])
+            lines.append(f"warning: not captured of the source of {record['root']}: {shown}{more}")
+    return lines
+
+
+def _source_line(record: Mapping[str, Any]) -> str:
+    if record["patch"] is None:
+        warning = "source" if record["status"] == "installed" else "warning: the source is not captured"
+        return f"{warning}: {record['note']}"
+    patch, count = record["patch"], len(record["changed"])
+    files = f"{count} file{'' if count == 1 else 's'}"
+    if record["commit"] is None:
+        return f"source: {record['root']} has no commit yet; {files}, stored in source/{patch}"
+    branch = f" on {record['branch']}" if record["branch"] else ", no branch"
+    place = f"source: commit {record['commit'][:10]} of {record['root']}{branch}"
+    if not record["dirty"]:
+        return f"{place}, clean"
+    untracked = f" ({len(record['untracked'])} untracked)" if record["untracked"] else ""
+    return f"{place}, with changes: {files}{untracked}, stored in source/{patch}"
+
+
+def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
+    """Return the files that differ between two records of ``git.json``, or the reason why they are unknown.
+
+    Args:
+        was: the earlier record.
+        now: the later record.
+        repositories: folders whose repository may contain both commits; git is asked there.
     """
     place = str(now.get("root") or was.get("root") or "the source")
     if not (was and now):
-        return f"{place}: part of one of the sources alone"
+        return f"{place}: part of only one of the two sources"
     if was.get("distribution") or now.get("distribution"):
         return f"{place}: installed, {was.get('distribution')} and {now.get('distribution')}"
     before, after = _contents(was), _contents(now)
     if before is None or after is None:
-        return f"{place}: which files differ was not recorded"
+        return f"{place}: the files were not captured, so their differences are unknown"
     between = _between(was.get("base"), now.get("base"), repositories)
     if between is None:
-        return f"{place}: another commit, and no repository here holds both: which files differ cannot be told"
+        return f"{place}: the commits differ, and no repository here contains both, so the changed files are unknown"
     return f"{place}: {_compare(before, after, between) or 'no file differs'}"
 
 
-def states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return the states in a record's tree of the paths that differ from its base, None for those that are gone."""
+def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
+    """Return the states of the paths in which a record's tree differs from its base; None for a removed path."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
-
-
-def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return the states in base and tree of the paths that differ, as recorded."""
-    found = record.get("contents")
-    right = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
-    return found if right else None
 
 
 def state(mode: str, blob: str) -> State:
@@ -112,26 +94,33 @@ def state(mode: str, blob: str) -> State:
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
+def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
+    """Return the recorded states in base and tree of the paths that differ; None when the record has none."""
+    found = record.get("contents")
+    valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
+    return found if valid else None
+
+
 def _compare(
     was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[str, tuple[State, State]]
 ) -> FileChanges | None:
     found = FileChanges()
     for path in sorted({*was, *now, *between}):
-        old, new = _state(path, 0, was, now, between), _state(path, 1, now, was, between)
+        old, new = _state_in(path, 0, was, now, between), _state_in(path, 1, now, was, between)
         if old != new:
             (found.added if old is None else found.removed if new is None else found.changed).append(path)
     return found if found != FileChanges() else None
 
 
-def _state(path: str, side: int, own: Any, other: Any, between: Mapping[str, tuple[State, State]]) -> Any:
-    """Return a path's state in one of the trees: as changed there, else as in its base."""
+def _state_in(path: str, side: int, own: Any, other: Any, between: Mapping[str, tuple[State, State]]) -> Any:
+    """Return a path's state in one of the trees: its changed state, else its state in the tree's base."""
     if path in own:
         return own[path][1]
-    return between[path][side] if path in between else other[path][0]  # of a path that both bases have alike
+    return between[path][side] if path in between else other[path][0]  # both bases have the same state
 
 
 def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
-    """Return the states of the paths that differ between two commits or trees; None when no repository holds both."""
+    """Return the states of the paths that differ between two commits or trees; None when no repository has both."""
     if a == b:
         return {}
     if not all(isinstance(base, str) and OBJECT_ID.fullmatch(base) for base in (a, b)):
@@ -148,5 +137,5 @@ def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[St
 
 
 def _first_paths(paths: list[str]) -> str:
-    more = len(paths) - _SHOWN
-    return ", ".join(paths[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    more = len(paths) - _SHOWN_PATHS
+    return ", ".join(paths[:_SHOWN_PATHS]) + (f" and {more} more" if more > 0 else "")

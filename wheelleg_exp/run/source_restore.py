@@ -25,13 +25,14 @@ _RECORD = {
     **dict.fromkeys(("status", "branch", "distribution"), _TEXT),
     **dict.fromkeys(("folders", "untracked", "changed"), _NAMES),
     "remote": Optional({"name": _TEXT, "url": _TEXT}),
+    "exact": Optional(bool),
     "patch_bytes": Optional(int),
     "refused": Optional([{"path": str, "reason": str}]),
     "submodules": Optional([{"path": str, "commit": str}]),
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# Bytes as recorded: no line ends of this user's, no download of big files (their pointers stay).
+# The recorded bytes: no conversion of line ends, and no download of LFS files (their pointers remain).
 _SETTINGS = {
     "core.autocrlf": "false",
     "core.eol": "lf",
@@ -47,17 +48,19 @@ def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a run's ``source/git.json``.
 
     Raises:
-        RunDirectoryError: it is missing, broken, of a format that is not known here, or names what no record names.
+        RunDirectoryError: the file is missing or broken, has an unknown format, or names something outside its tree.
     """
     path = Path(directory) / "source" / RECORD_NAME
     content = require_mapping(read_json(path), path)
     if content.get("format") != SOURCE_FORMAT:
-        raise RunDirectoryError("this describes no source tree", where=str(path), expected=f"format {SOURCE_FORMAT}")
+        raise RunDirectoryError(
+            "this is not a record of a source tree", where=str(path), expected=f"format {SOURCE_FORMAT}"
+        )
     for wrong in mistyped_keys(content, {**_RECORD, "others": Optional([_RECORD])}):
         raise RunDirectoryError(f"broken record of the source: '{wrong}' is missing or wrong", where=str(path))
     first, *others = ({**new_record("failed", None, None), **e} for e in (content, *(content.get("others") or ())))
     for entry in (first, *others):
-        _require_plain(entry, str(path))
+        _require_inside_tree(entry, str(path))
     return {**first, "others": others}
 
 
@@ -68,10 +71,10 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first folder whose repository holds a record's commit; None when it needs no repository.
+    """Return the first folder whose repository contains a record's commit; None when the record has no commit.
 
     Raises:
-        RunDirectoryError: none does; it tells how to get the commit.
+        RunDirectoryError: no repository contains the commit. The error names the command that fetches the commit.
     """
     commit = record["commit"]
     if commit is None:
@@ -81,44 +84,44 @@ def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | No
         try:
             run_git(folder, "cat-file", "-e", f"{commit}^{{commit}}")
         except GitError as error:
-            known = "does not hold it" if "Not a valid object name" in str(error) else str(error)
+            known = "does not contain it" if "Not a valid object name" in str(error) else str(error)
             complaints.append(f"{folder}: {known}")
         else:
             return folder
     remote = record.get("remote") or {}
-    fetch = f"git fetch {remote.get('url') or '<the repository it came from>'} {commit}"
-    looked = "; ".join(complaints) or "none to look in"
+    fetch = f"git fetch {remote.get('url') or '<the repository of the run>'} {commit}"
+    searched = "; ".join(complaints) or "no repository was searched"
     raise RunDirectoryError(
-        f"no repository here holds commit {commit} of '{record['root']}' ({looked})",
-        expected=f"--repository with a clone that holds it; inside a clone, '{fetch}' gets it",
+        f"no repository here contains commit {commit} of '{record['root']}' ({searched})",
+        expected=f"--repository with a clone that contains it; inside a clone, '{fetch}' fetches it",
     )
 
 
 def restore_source(
     directory: os.PathLike[str], destination: Path, repository: Path | None = None, *, which: int = 0
 ) -> str:
-    """Make the recorded tree of a run in the new folder ``destination`` and return its tree id.
+    """Restore the recorded tree of a run into the new folder ``destination`` and return the tree id.
 
-    The user's repository is read, never written: ``destination`` becomes a repository of its own that borrows the
-    other's objects. It is there only when its tree is the recorded one, and nothing is written outside of it,
-    whatever the patch says.
+    The user's repository is only read. ``destination`` becomes a separate repository that reads the objects of the
+    user's repository. It exists only when its tree is the recorded tree. Nothing is written outside of it, whatever
+    paths the patch contains.
 
     Args:
         directory: the run directory.
-        destination: the folder to make.
-        repository: a clone that holds the recorded commit, by default the recorded folder.
-        which: 0 for the main repository, 1 for the first of the others.
+        destination: the folder to create.
+        repository: a clone that contains the recorded commit; by default the recorded folder.
+        which: 0 for the main repository, 1 for the first additional one.
 
     Raises:
-        RunDirectoryError: the source was not kept, the patch is not the recorded one, the commit is not there, the
+        RunDirectoryError: the source was not captured, the patch is not the recorded one, the commit is missing, the
             result is not the recorded tree, or the folder exists.
         SimulationFailure: the disk is full.
     """
     record = source_records(directory)[which]
     if record["patch"] is None:
-        raise RunDirectoryError(f"the source was not kept ({record['status']}): {record['note']}")
+        raise RunDirectoryError(f"the source was not captured ({record['status']}): {record['note']}")
     if destination.exists():
-        raise RunDirectoryError(f"'{destination}' exists already", expected="a new folder")
+        raise RunDirectoryError(f"'{destination}' already exists", expected="a new folder")
     change = _patch(Path(directory) / "source" / record["patch"], record)
     origin = find_origin(record, [repository or Path(record["root"])])
     with for_people(destination), temporary_folder(destination) as unfinished:
@@ -127,8 +130,8 @@ def restore_source(
     return record["tree"]
 
 
-def _require_plain(entry: Mapping[str, Any], where: str) -> None:
-    """Refuse a record whose names could lead git or a reader elsewhere."""
+def _require_inside_tree(entry: Mapping[str, Any], where: str) -> None:
+    """Refuse a record that names a file or an object outside its tree."""
     for key in ("commit", "base", "tree"):
         if entry.get(key) is not None and not OBJECT_ID.fullmatch(str(entry[key])):
             raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
@@ -152,13 +155,12 @@ def _patch(path: Path, record: dict[str, Any]) -> bytes:
 
 def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
     try:
-        clone = _borrowing(origin, folder, record["tree"])
+        clone = _repository_with_objects_of(origin, folder, record["tree"])
         if record["commit"]:
             clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
             clone.run("read-tree", record["commit"])
         if change:
-            # Into the index, where no setting about line ends or white space can change a byte, and no path can
-            # leave the tree.
+            # --cached applies the patch to the index, where no setting changes line ends and no path leaves the tree.
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
         if tree != record["tree"]:
@@ -166,7 +168,7 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""
-        # Of a file that it cannot write git does not say why.
+        # Git does not report why it cannot write a file, so the free space is checked as well.
         if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
             raise SimulationFailure(
                 f"the source cannot be restored: {error}", expected="room on a working disk"
@@ -174,8 +176,8 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
         raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
 
 
-def _borrowing(origin: Path | None, folder: Path, tree: str) -> Repository:
-    """Make an empty repository that reads objects from another; nothing of that one's settings comes along."""
+def _repository_with_objects_of(origin: Path | None, folder: Path, tree: str) -> Repository:
+    """Create an empty repository that reads the objects of ``origin`` and none of its settings."""
     kind = "sha256" if len(tree) > 40 else "sha1"
     run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
     clone = Repository(folder.absolute())

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_text
 from wheelleg_exp.run.environment import environment_text, requested_variables, variables
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import require_resolved, write_params
 from wheelleg_exp.run.run_directory import RunDirectory, RunOptions
-from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_variables
 from wheelleg_exp.run.source_snapshot import snapshot_source
 
 _HYDRA_NAME = re.compile(r"[A-Za-z0-9_-]+(\.yaml)?")
-_NO_SECRETS = "no keys or tokens in a config; let the code that needs one read it from the environment"
-_SUMMARY = ("status", "root", "commit", "branch", "tree", "dirty", "note")
+_SUMMARY = ("status", "exact", "root", "commit", "branch", "tree", "dirty", "note")
 
 
 def start_run(
@@ -36,25 +33,24 @@ def start_run(
 ) -> Manifest:
     """Write the manifest (status ``running``) of a run that is about to start, then its snapshot.
 
-    A run that is killed while its source is read can thus be seen, and a snapshot that fails says so. What would be
-    kept has been looked through for secrets before (``refuse_secrets``).
+    The manifest exists before the source is read, so that a run that is killed meanwhile is visible.
 
     Args:
-        directory: a directory that was just created.
+        directory: a new run directory.
         command: the command line.
         params: plain ``env`` and ``agent`` parameters.
         hydra_files: text by file name (``config``, ``hydra``, ``overrides``, with or without ``.yaml``).
-        source_roots: folders whose source matters, the package's own first.
+        source_roots: source folders, the package's own first.
         seed: the seed or seeds.
         task: the task's name.
-        threads: the thread policy, and what torch says of the CPU.
+        threads: the thread policy, and torch's description of the CPU.
         max_patch_mb: see ``RunOptions``.
 
     Returns:
-        The manifest, to be finished by the caller.
+        The manifest, which the caller finishes.
 
     Raises:
-        RunDirectoryError: a parameter is not plain or holds ``${``, or the directory holds a run already.
+        RunDirectoryError: a parameter is not plain or contains ``${``, or the directory already contains a run.
     """
     require_resolved(params)
     hydra_paths = {directory.hydra / _hydra_name(name): text for name, text in hydra_files.items()}
@@ -75,9 +71,9 @@ def complete_snapshot(
     threads: Mapping[str, Any],
     max_patch_mb: float | None = None,
 ) -> None:
-    """Write the rest of the snapshot, behind parameters and configs: source and distributions.
+    """Write the second part of the snapshot, after parameters and configs: source and distributions.
 
-    A run that was killed before this was done has computed nothing, and can be completed when it is gone on with.
+    A run that was killed before this part was written has computed nothing. A resume completes its snapshot.
     """
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
@@ -86,50 +82,16 @@ def complete_snapshot(
 
 
 def _config_variables(hydra_files: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment variables that the config asks for and that are set.
+    """Return the environment variables that the config requests with ``${oc.env:NAME}`` and that are set.
 
-    The config is kept as it is written, ``${oc.env:NAME}`` included; with these it gives the same values again.
+    The stored config contains ``${oc.env:NAME}``. With these variables it resolves to the same values again.
     """
-    asked = requested_variables(hydra_files.values())
-    told = variables(also=asked)
-    return {name: told[name] for name in asked if name in told}
-
-
-def refuse_secrets(
-    command: Sequence[str],
-    texts: Mapping[str, str] | None = None,
-    config: Mapping[str, Any] | None = None,
-    kept: Mapping[str, Any] | None = None,
-) -> None:
-    """Refuse to write down what looks like a key or a token, or would become one: run directories are handed on.
-
-    Args:
-        command: the command line.
-        texts: further texts that are kept as they are written, by name: configs and overrides.
-        config: the resolved config.
-        kept: a resolved config that stands in the run already; what it holds is not asked about again.
-
-    Raises:
-        ConfigError: a text is one, the name of its key says so, or ``${oc.env:NAME}`` asks for a variable of such a
-            name, so that its value would be written.
-    """
-    named = {"the command line": "\n".join(command), **(texts or {})}
-    for place, text in named.items():
-        for variable in secret_variables(text):
-            raise ConfigError(
-                f"${{oc.env:{variable}}} would bring the value of {variable} into the run directory, and its name says "
-                "that it is a secret",
-                key=place,
-                expected=_NO_SECRETS,
-            )
-    known = set(secret_keys(kept or {}))
-    found = [entry for entry in secret_keys(config or {}) if entry not in known]
-    found += [(place, reason) for place, text in named.items() if (reason := secret_content(os.fsencode(text)))]
-    for key, reason in found:
-        raise ConfigError(f"this would be kept in the run directory, and {reason}", key=key, expected=_NO_SECRETS)
+    requested = requested_variables(hydra_files.values())
+    found = variables(also=requested)
+    return {name: found[name] for name in requested if name in found}
 
 
 def _hydra_name(name: str) -> str:
     if not _HYDRA_NAME.fullmatch(name):
-        raise RunDirectoryError(f"'{name}' is no file name for .hydra", expected="config, hydra or overrides")
+        raise RunDirectoryError(f"'{name}' is not a file name for .hydra", expected="config, hydra or overrides")
     return name if name.endswith(".yaml") else f"{name}.yaml"

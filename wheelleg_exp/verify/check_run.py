@@ -23,7 +23,7 @@ from wheelleg_exp.run.iteration_log import read_log
 from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, resolved
 from wheelleg_exp.run.run_directory import FAILURE, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.run_list import effective_status
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import drop_removed
 from wheelleg_exp.verify import check_files
@@ -114,7 +114,7 @@ def source(subject: Subject) -> Check:
         for key, value in summary.items()
         if key in ("status", "commit", "tree", "dirty") and record.get(key) != value
     ]
-    records = entries(record)
+    records = source_entries(record)
     failures += [problem for one in records for problem in _patch_problems(subject.run.source, one)]
     notes = [f"{one.get('status')}: {one['note']}" for one in records if one.get("note")]
     return Check(

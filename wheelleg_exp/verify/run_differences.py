@@ -23,7 +23,7 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import ROBOT, load_params, written_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import describe_changes
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
 # These settings change what is written and when, speed, or buffer sizes; a buffer that is too small is an error.
@@ -264,7 +264,7 @@ def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
         record = read_json(path) if path.is_file() else manifest.data.get("source")
     except RunDirectoryError:
         record = manifest.data.get("source")
-    return entries(record)
+    return source_entries(record)
 
 
 def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:

@@ -214,9 +214,7 @@ def _drive_one(
     """Return what was driven, and what is to be driven next."""
     scene = choice.scene or OWN_GROUND
     require_scene(scene)
-    prepared = prepare_policy(
-        wish.run, choice.checkpoint, wish.overrides, wish.command, display, lambda tree: drivable(tree, scene)
-    )
+    prepared = prepare_policy(wish.run, choice.checkpoint, wish.overrides, display, lambda tree: drivable(tree, scene))
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
     folder = create_exclusively(wish.run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))

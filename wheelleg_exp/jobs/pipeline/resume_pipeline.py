@@ -16,7 +16,6 @@ from wheelleg_exp.packages import join_recorded, left_out
 from wheelleg_exp.run.run_config import require_overrides
 from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
-from wheelleg_exp.run.start_run import refuse_secrets
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
 _CHANGEABLE_LATER = ("max_iterations", "gate")  # what may change of a phase that has begun
@@ -50,7 +49,6 @@ def resume_pipeline(
                 where=f"override {text}",
                 expected=f"settings of {PIPELINE}.phases.<phase>",
             )
-    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
     kept = index.data["config"]
     tree = apply_overrides({PIPELINE: kept}, overrides)[PIPELINE]
     found = list(changes(kept, tree, same, (PIPELINE,)))

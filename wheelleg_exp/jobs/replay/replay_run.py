@@ -29,7 +29,6 @@ from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
 from wheelleg_exp.run.run_config import OVERRIDES
 from wheelleg_exp.run.run_directory import NEEDED, REPLAYS, RunDirectory
 from wheelleg_exp.run.run_lock import is_alive
-from wheelleg_exp.run.start_run import refuse_secrets
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.verify import Comparison, FactDifference, compare_runs, environment_differences
 from wheelleg_exp.verify.run_parts import measure
@@ -177,13 +176,11 @@ def replay(
         keep: whether the restored source stays.
 
     Raises:
-        ConfigError: the command line holds a key or a token.
         RunDirectoryError: the run's snapshot is damaged or incomplete, its source cannot be restored, or its config
             asks for a variable that is not known.
         SimulationFailure: the training failed, or the disk is full.
         KeyboardInterrupt: it was stopped.
     """
-    refuse_secrets(command)
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
     require_variables(run, _recorded_variables(manifest))

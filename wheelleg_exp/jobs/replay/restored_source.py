@@ -29,7 +29,7 @@ class RestoredTree:
     Attributes:
         root: the recorded folder.
         how: ``restored`` (from commit and patch), ``installed`` (what is installed now), ``in place`` (the recorded
-            folder, unchanged), or ``missing``.
+            folder as it is now), or ``missing``.
         commit: the recorded commit.
         tree: the restored tree's id.
         origin: the repository that the commit was read from.
@@ -129,7 +129,7 @@ def _restore(
     candidates: Sequence[Path],
     source: RestoredSource,
 ) -> None:
-    destination = _destination(record["root"], number, workplace, source)
+    destination = _destination(record["root"], number, workplace)
     try:
         origin = find_origin(record, candidates)
     except RunDirectoryError:
@@ -150,15 +150,8 @@ def _restore(
     source.source_roots += folders
 
 
-def _destination(root: str, number: int, workplace: Path, source: RestoredSource) -> Path:
-    """Return where a tree goes: a submodule's into its superproject, any other into a folder of its own."""
-    inside = source.now(root)
-    if inside != Path(root) and not any(inside.glob("*")):
-        with for_people(inside):
-            inside.parent.mkdir(parents=True, exist_ok=True)
-            if inside.is_dir():
-                inside.rmdir()  # git leaves an empty folder where a submodule belongs
-        return inside
+def _destination(root: str, number: int, workplace: Path) -> Path:
+    """Return where a tree is restored: into a folder of its own with the recorded name."""
     name = _UNSAFE.sub("_", Path(root).name).strip(".") or "source"
     folder = workplace / "source" / str(number)
     with for_people(folder):
@@ -177,13 +170,13 @@ def _require_entry(folder: Path, record: dict[str, Any]) -> None:
 
 
 def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
-    """Tell what a record says was left out of it."""
+    """Name the files and submodules that the run did not capture."""
     for entry in record["refused"]:
-        now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is not there"
-        source.notes.append(f"'{entry['path']}' was not kept with the run ({entry['reason']}) and {now}")
+        now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is missing"
+        source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
     nested = [entry["path"] for entry in record["submodules"]]
     if nested:
-        source.notes.append(f"submodules are as far restored as the run has kept them: {', '.join(nested)}")
+        source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
 
 
 def _register(folder: Path, source: RestoredSource) -> None:
@@ -203,8 +196,8 @@ def _register(folder: Path, source: RestoredSource) -> None:
 def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
     if record["status"] != "installed":
         raise RunDirectoryError(
-            f"the source of the run was not kept ({record['status']}): {record['note']}",
-            expected="a run whose source was kept",
+            f"the source of the run was not captured ({record['status']}): {record['note']}",
+            expected="a run whose source was captured",
         )
     package = configs_dir().parent
     if not is_installed(package) or content_digest(package) != record["content_sha256"]:
@@ -216,10 +209,13 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use a folder of the user's that was not kept where it is, if it is what it was."""
+    """Use a source folder that the run did not capture as it is now, and note what may differ."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
-    if digest is not None and root.exists() and content_digest(root) == digest:
+    unchanged = digest is not None and root.exists() and content_digest(root) == digest
+    if unchanged or (status == "no_repository" and not record["patch"] and root.exists()):
+        if not unchanged:
+            source.notes.append(f"'{root}' was not captured with the run, and is used as it is now")
         source.trees.append(RestoredTree(str(root), "in place"))
         source.source_roots.append(root)
         return
@@ -227,11 +223,10 @@ def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
         name = record.get("distribution") or str(root)
         source.notes.append(f"the run used the installed {name}; what is installed here is not known to be the same")
     else:
-        reason = (
-            f"no repository here holds commit {record['commit'][:12]}; see --repository" if record["patch"] else status
-        )
+        missing = f"no repository here contains commit {str(record['commit'])[:12]}; see --repository"
+        reason = missing if record["patch"] else status
         source.notes.append(
-            f"'{root}' cannot be restored ({reason}); what it held is taken from what is installed, if at all"
+            f"'{root}' cannot be restored ({reason}); an installed package replaces it, if there is one"
         )
     source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record["commit"]))
 

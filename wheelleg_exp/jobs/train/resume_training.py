@@ -32,7 +32,7 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import NEEDED, RunDirectory
 from wheelleg_exp.run.run_lock import RunLock, is_alive, this_process
-from wheelleg_exp.run.start_run import complete_snapshot, refuse_secrets
+from wheelleg_exp.run.start_run import complete_snapshot
 from wheelleg_exp.terms.term_binding import NotAllowed
 from wheelleg_exp.verify.run_differences import decides
 
@@ -167,7 +167,6 @@ def prepare_resume(
         WheellegError: the run is being written, is damaged or finished, or an override is wrong. Nothing of the run
             has changed then.
     """
-    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
     lock = RunLock(run)
     try:
         return _prepare(run, overrides, command, display, config_dirs, lock, ranks)
@@ -198,7 +197,6 @@ def _prepare(
         kept = recorded_tree(run, manifest.data.get("config_variables") or {})
         with _naming_unused_folders(others):
             tree, changes = change_settings(kept, overrides)
-        refuse_secrets((), {}, tree, kept)
         point = find_point(run)
         _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)

@@ -43,7 +43,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_lock import RunLock
 from wheelleg_exp.run.source_changes import source_lines
 from wheelleg_exp.run.source_restore import load_source
-from wheelleg_exp.run.start_run import refuse_secrets, start_run
+from wheelleg_exp.run.start_run import start_run
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
@@ -207,7 +207,6 @@ def start(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks
     together = ranks.facts(config)
     env = trainer.env.env
     run = config["run"]
-    refuse_secrets(command, recipe.hydra_files, config)
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
     try:
         display.environment(env.describe())
