@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import tarfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,9 +22,7 @@ from .golden import (
     mjcf,
     training,
 )
-
-OLD_RUN = Path(__file__).with_name("old_run.tar.xz")
-OLD_COMMIT = "c696ebe458de39180ff37073a8111d40e05309f5"
+from .runs import require_old_commit, unpack
 
 # --- golden values ---
 
@@ -123,10 +119,7 @@ def old_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The run directory, unpacked below ``runs`` of the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
-    with tarfile.open(OLD_RUN) as archive:
-        archive.extractall(tmp_path / "runs", filter="data")
-    (run,) = (tmp_path / "runs" / "stand").iterdir()
-    return run
+    return unpack(tmp_path / "runs")
 
 
 @pytest.fixture
@@ -223,8 +216,7 @@ def test_the_old_run_is_resumed_as_if_it_had_never_stopped(old_run, answered):
 @pytest.mark.train
 @pytest.mark.slow
 def test_the_old_run_is_replayed(old_run, answered):
-    if subprocess.run(["git", "-C", REPOSITORY, "cat-file", "-e", OLD_COMMIT], capture_output=True).returncode:
-        pytest.skip(f"the commit of the old run, {OLD_COMMIT[:10]}, is not in this clone")
+    require_old_commit()
     status, out, err = command("replay", "latest", "--repository", REPOSITORY, "--json")
     assert status in (0, 1), err
     states = {name: part["state"] for name, part in json.loads(out)["comparison"]["parts"].items()}
