@@ -18,11 +18,9 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state.object_graph import PACKAGE, PLAIN, walk
 from wheelleg_exp.state.saved_values import NOTHING, Kept, Unsaveable, look, same
 from wheelleg_exp.state.stateful import Stateful, attributes
-
-_PLAIN = (bool, int, float, str, type(None))
-_PACKAGE = __name__.partition(".")[0]
 
 
 class Outside:
@@ -40,7 +38,7 @@ class Outside:
 
     def __init__(self, code: Mapping[str, Callable[..., Any]], owners: Mapping[str, Any], config: Any) -> None:
         self._code, self._config, self._own = code, config, frozenset(owners)
-        self._parts = dict(_parts(owners))
+        self._parts = dict(walk(owners.items(), _public_parts))
         self._before = dict(self._seen())
 
     def require_unchanged(self) -> None:
@@ -69,7 +67,7 @@ class Outside:
         for key, value in self._parts.items():
             own = key in self._own
             for name, item in vars(value).items():
-                if own and isinstance(item, _PLAIN) and not name.startswith("_"):
+                if own and isinstance(item, PLAIN) and not name.startswith("_"):
                     yield (key, f"the attribute '{name}'"), item
                 elif not _is_default(value, name):
                     yield (
@@ -79,23 +77,18 @@ class Outside:
         yield from _leaves(self._config, "env")
 
 
-def _parts(owners: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield owners, and the objects of this package in their public attributes that do not save themselves, by name."""
-    waiting, seen = list(owners.items()), {id(value) for value in owners.values()}
-    yield from waiting
-    for key, value in waiting:  # which grows
-        for name, item in vars(value).items():
-            is_ours = type(item).__module__.partition(".")[0] == _PACKAGE and hasattr(item, "__dict__")
-            is_public = not name.startswith("_") and not _is_default(value, name)
-            if is_ours and is_public and not isinstance(item, Stateful) and id(item) not in seen:
-                seen.add(id(item))
-                waiting.append((f"{key}.{name}", item))
-                yield waiting[-1]
+def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the objects of this package in the public attributes of an object, unless they save themselves."""
+    for attribute, item in vars(owner).items():
+        is_ours = type(item).__module__.partition(".")[0] == PACKAGE and hasattr(item, "__dict__")
+        is_public = not attribute.startswith("_") and not _is_default(owner, attribute)
+        if is_ours and is_public and not isinstance(item, Stateful):
+            yield f"{name}.{attribute}", item
 
 
 def _is_default(value: Any, name: str) -> bool:
     """Return whether an attribute overrides a number or None of its class, such as a dataclass has."""
-    return isinstance(getattr(type(value), name, NOTHING), _PLAIN)
+    return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
 def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
@@ -124,7 +117,7 @@ def _defaults(function: Any) -> Iterator[tuple[str, Any]]:
     count, given = function.__code__.co_argcount, function.__defaults__ or ()
     names = function.__code__.co_varnames[count - len(given) : count]
     for name, item in (*zip(names, given, strict=True), *(function.__kwdefaults__ or {}).items()):
-        if not isinstance(item, _PLAIN):
+        if not isinstance(item, PLAIN):
             yield f"the default argument '{name}' of '{function.__qualname__}'", item
 
 
@@ -132,7 +125,7 @@ def _looked(item: Any, name: str) -> Any:
     try:
         return look(item, name)
     except (Unsaveable, RecursionError):
-        return {n: part if isinstance(part, _PLAIN) else "there" for n, part in getattr(item, "__dict__", {}).items()}
+        return {n: part if isinstance(part, PLAIN) else "there" for n, part in getattr(item, "__dict__", {}).items()}
 
 
 def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:

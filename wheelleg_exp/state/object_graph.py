@@ -1,0 +1,155 @@
+"""Walk over an object graph: find the objects below some roots, and the places that hold their values.
+
+The checks for unsaved state and the capture of CUDA graphs use the same walk. It enters objects of this package and of
+classes that derive from this package's classes, and the containers, bound methods, partials, and closures that hold
+them. A class lists in ``outside_graphs`` the attributes that no captured part of a step reads or writes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from numbers import Number
+from types import FunctionType, MethodType
+from typing import Any
+
+import torch
+
+PACKAGE = __name__.partition(".")[0]
+PLAIN = (bool, int, float, str, type(None))
+MISSING = object()
+
+Named = tuple[str, Any]
+
+
+def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
+    """Yield each object once, with its dotted name: the roots, their children, and so on.
+
+    Args:
+        roots: the first objects by name.
+        children: returns the objects directly below an object, by name.
+    """
+    waiting, seen = list(roots), set[int]()
+    for name, node in waiting:  # grows during the loop
+        if id(node) not in seen:
+            seen.add(id(node))
+            yield name, node
+            waiting += children(name, node)
+
+
+def is_own(kind: type) -> bool:
+    """Return whether a class belongs to this package or derives from a class of this package."""
+    return any(base.__module__.partition(".")[0] == PACKAGE for base in kind.__mro__)
+
+
+def is_plain(value: Any) -> bool:
+    """Return whether a value is a number, a text, None, or a tuple of such values."""
+    if type(value) in PLAIN or isinstance(value, Number):  # includes the numbers of NumPy
+        return True
+    return type(value) is tuple and all(map(is_plain, value))
+
+
+class Slot:
+    """A place that holds a value: an attribute of an object, or an entry of a dictionary or list in an attribute.
+
+    Args:
+        owner: the object.
+        path: the name of the attribute, then keys of nested dictionaries and lists.
+    """
+
+    def __init__(self, owner: Any, path: tuple[Any, ...]) -> None:
+        self.owner, self.path = owner, path
+        self.id = (id(owner), *path)
+
+    def __str__(self) -> str:
+        return f"'{'.'.join(map(str, self.path))}' of {getattr(self.owner, 'path', type(self.owner).__name__)}"
+
+    @property
+    def container(self) -> Any:
+        """The dictionary or list that holds the value directly; ``MISSING`` if it no longer exists."""
+        found: Any = vars(self.owner)
+        for key in self.path[:-1]:
+            found = entry(found, key)
+            if not isinstance(found, (dict, list)):
+                return MISSING
+        return found
+
+    @property
+    def containers(self) -> Iterator[tuple[Any, Any, Any]]:
+        """Every container on the path below the attributes: its parent, its key there, and the container."""
+        parent: Any = vars(self.owner)
+        for key in self.path[:-1]:
+            yield parent, key, entry(parent, key)
+            parent = entry(parent, key)
+
+    def get(self) -> Any:
+        """Return the value; ``MISSING`` if the slot no longer exists."""
+        return entry(self.container, self.path[-1])
+
+    def reader(self) -> Callable[[], Any]:
+        """Return a function that does the same as ``get``, faster for an attribute."""
+        if len(self.path) > 1:
+            return self.get
+        return functools.partial(vars(self.owner).get, self.path[0], MISSING)
+
+    def set(self, value: Any) -> None:
+        """Assign a value. ``MISSING`` removes the entry from its dictionary."""
+        container, key = self.container, self.path[-1]
+        if value is MISSING and isinstance(container, dict):
+            container.pop(key, None)
+        elif isinstance(container, dict) or (isinstance(container, list) and key < len(container)):
+            container[key] = value
+
+
+def entry(container: Any, key: Any) -> Any:
+    """Return the entry of a dictionary or a list; ``MISSING`` if there is no such entry."""
+    if isinstance(container, dict):
+        return container.get(key, MISSING)
+    return container[key] if isinstance(container, list) and key < len(container) else MISSING
+
+
+def parts(name: str, node: Any) -> Iterator[Named]:
+    """Yield everything directly below an object in which tensors or plain values may be found."""
+    if isinstance(node, functools.partial):
+        found: Iterable[Any] = (node.func, *node.args, *node.keywords.values())
+    elif isinstance(node, (tuple, set, frozenset, list)):
+        found = node
+    elif isinstance(node, dict):
+        found = node.values()
+    elif isinstance(node, MethodType):
+        found = (node.__self__,)
+    elif isinstance(node, FunctionType):
+        found = (cell.cell_contents for cell in node.__closure__ or ())
+    else:
+        yield from ((f"{name}.{key}", value) for key, value in attributes_in_graphs(node))
+        return
+    yield from ((name, value) for value in found if not isinstance(value, torch.Tensor) and not is_plain(value))
+
+
+def attributes_in_graphs(node: Any) -> Iterator[Named]:
+    """Yield the attributes of an object of this package that a captured part of a step may read or write."""
+    kind = type(node)
+    if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):  # state only keeps books about others
+        return
+    skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}
+    yield from ((name, value) for name, value in getattr(node, "__dict__", {}).items() if name not in skipped)
+
+
+def slots(node: Any) -> Iterator[Slot]:
+    """Yield the slots of one object: tensors, plain values, tuples, and dictionaries and lists of these."""
+    for name, value in list(attributes_in_graphs(node)):
+        yield from _slots_below(node, (name,), value)
+
+
+def _slots_below(owner: Any, path: tuple[Any, ...], value: Any) -> Iterator[Slot]:
+    if isinstance(value, (torch.Tensor, tuple, dict, list)) or is_plain(value):
+        yield Slot(owner, path)
+    if isinstance(value, (dict, list)) and not _are_names(owner, value):
+        for key, item in list(value.items() if isinstance(value, dict) else enumerate(value)):
+            yield from _slots_below(owner, (*path, key), item)
+
+
+def _are_names(owner: Any, value: Any) -> bool:
+    """Return whether a list of this package holds only text: names of joints and bodies, which never change."""
+    own = type(owner).__module__.partition(".")[0] == PACKAGE
+    return own and isinstance(value, list) and all(type(item) is str for item in value)
