@@ -69,7 +69,7 @@ def test_acting_as_a_graph_is_acting(make_trainer):
             found = trainer.algorithm.storage.actions.clone(), trainer.algorithm.storage.actions_log_prob.clone()
             trainer.algorithm.storage.clear()
         trainer.found = found
-    assert ours._acts._graph is not None
+    assert ours._ppo.act._graph is not None
     for mine, others in zip(ours.found, theirs.found, strict=True):
         torch.testing.assert_close(mine, others, atol=1e-3, rtol=1e-3)
 

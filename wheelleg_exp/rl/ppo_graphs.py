@@ -41,6 +41,23 @@ def is_plain_ppo(algorithm: Any) -> bool:
     return not (beside or others or compiled)
 
 
+def captured_ppo(algorithm: Any) -> Any:
+    """Return an object that acts and updates as the algorithm does, with CUDA graphs where possible."""
+    return CapturedPPO(algorithm) if can_capture_update(algorithm) else algorithm
+
+
+class CapturedPPO:
+    """Acting and updating of rsl_rl's PPO as CUDA graphs.
+
+    Args:
+        algorithm: an algorithm for which ``can_capture_update`` holds.
+    """
+
+    def __init__(self, algorithm: PPO) -> None:
+        self.update = CapturedUpdate(algorithm)
+        self.act = CapturedActing(algorithm) if can_capture_acting(algorithm) else algorithm.act
+
+
 class CapturedUpdate:
     """Updates the networks of a PPO of rsl_rl's as its own ``update`` does.
 

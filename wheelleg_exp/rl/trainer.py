@@ -22,7 +22,7 @@ from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
 from wheelleg_exp.rl.policy_average import PolicyAverage
-from wheelleg_exp.rl.ppo_graphs import CapturedActing, CapturedUpdate, can_capture_acting, can_capture_update
+from wheelleg_exp.rl.ppo_graphs import captured_ppo
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -89,57 +89,44 @@ class Trainer:
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
-        graphs = bool(agent.get("graph_update")) and can_capture_update(self.algorithm)
-        self._graphed = CapturedUpdate(self.algorithm) if graphs else None
-        self._acts = CapturedActing(self.algorithm) if graphs and can_capture_acting(self.algorithm) else None
+        # Acts and updates in place of the algorithm, with the same numbers.
+        self._ppo = captured_ppo(self.algorithm) if agent.get("graph_update") else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
-        """Train up to ``until`` iterations in total; yields after each, when everything is whole.
+        """Train up to ``until`` iterations in total, and yield after each iteration.
 
-        Where several processes train together, all of them must ask for each iteration. What the first yields is of
-        all: scalars are means, steps are sums.
+        If several ranks train together, all of them must ask for each iteration. What the first rank yields covers all
+        ranks: scalars are means, steps are sums.
 
         Raises:
-            SimulationFailure: numbers were not finite: observations, actions, what an event wrote, a loss, a parameter,
-                or physics and rewards in more environments than may be (``agent.max_non_finite``).
+            SimulationFailure: a number is NaN or inf: an observation, an action, a number that an event wrote, a loss,
+                a parameter, or physics and rewards in more environments than ``agent.max_non_finite`` allows.
         """
         self.algorithm.train_mode()
         if self.ranks.together:
             self.algorithm.broadcast_parameters()
         while self.iteration < until:
             start = time.perf_counter()
-            with self.ranks.agreed(), self._told(), no_global_draws("numpy", "python"):
-                self._collect()
+            self._collect()
             collected = time.perf_counter()
-            with self._told(), self._products():
-                losses = self._graphed() if self._graphed else self.algorithm.update()
-            with self.ranks.agreed():
-                self._require_sane(losses)
-            if self.ranks.together:
-                self._share_buffers()
-            self.average.take()
+            losses = self._update()
             learned = time.perf_counter()
-            scalars = self.log.collect() | self._means.collect()
-            scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
-            scalars["Loss/learning_rate"] = float(self.algorithm.learning_rate)
-            scalars["Policy/mean_std"] = self.algorithm.get_policy().output_std.mean().item()
-            steps = self.num_steps * self.env.num_envs
-            scalars["Perf/total_fps"] = steps / (learned - start)
-            scalars["Perf/collection_time"] = collected - start
-            scalars["Perf/learning_time"] = learned - collected
-            scalars = self.ranks.merged(scalars, ("Perf/collection_time", "Perf/learning_time"))
-            done = Iteration(self.iteration, scalars, steps * self.ranks.size)
+            scalars = self._scalars(losses, collected - start, learned - collected)
+            done = Iteration(self.iteration, scalars, self.num_steps * self.env.num_envs * self.ranks.size)
             self.iteration += 1
             yield done
 
-    @torch.inference_mode()
     def _collect(self) -> None:
-        """Roll the policy out and compute returns."""
+        """Collect a rollout and compute its returns."""
+        with self.ranks.agreed(), self._named_errors(), no_global_draws("numpy", "python"):
+            self._roll_out()
+
+    @torch.inference_mode()
+    def _roll_out(self) -> None:
         observations = self.env.get_observations().to(self.device)
-        act = self._acts or self.algorithm.act
         failed = FailureCount(self.env.num_envs, self._agent)
         for _ in range(self.num_steps):
-            actions = act(observations).to(self.env.env.device)
+            actions = self._ppo.act(observations).to(self.env.env.device)
             require_finite_actions(self.env.env, actions)
             with no_global_draws("torch"):
                 observations, rewards, dones, extras = self.env.step(actions)
@@ -151,6 +138,28 @@ class Trainer:
             self.algorithm.process_env_step(observations, rewards, dones, extras)
         with one_thread():
             self.algorithm.compute_returns(observations)
+
+    def _update(self) -> dict[str, float]:
+        """Update the networks on the rollout; return the losses by name."""
+        with self._named_errors(), self._products():
+            losses: dict[str, float] = self._ppo.update()
+        with self.ranks.agreed():
+            self._require_finite(losses)
+        if self.ranks.together:
+            self._share_buffers()
+        self.average.take()
+        return losses
+
+    def _scalars(self, losses: Mapping[str, float], collection_time: float, learning_time: float) -> dict[str, float]:
+        """Return what is logged of an iteration, by the keys of rsl_rl and Isaac Lab."""
+        scalars = self.log.collect() | self._means.collect()
+        scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
+        scalars["Loss/learning_rate"] = float(self.algorithm.learning_rate)
+        scalars["Policy/mean_std"] = self.algorithm.get_policy().output_std.mean().item()
+        scalars["Perf/total_fps"] = self.num_steps * self.env.num_envs / (collection_time + learning_time)
+        scalars["Perf/collection_time"] = collection_time
+        scalars["Perf/learning_time"] = learning_time
+        return self.ranks.merged(scalars, ("Perf/collection_time", "Perf/learning_time"))
 
     def _share_buffers(self) -> None:
         """Give all processes the first's running means of observations: each has seen its own samples alone."""
@@ -172,7 +181,7 @@ class Trainer:
         return bfloat16_products(self.networks())
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _named_errors(self) -> Iterator[None]:
         """Tell of an error in rsl_rl or in a network: numbers that have grown too large end in many ways."""
         try:
             yield
@@ -184,7 +193,7 @@ class Trainer:
         except Exception as error:
             if self.ranks.together and is_communication(error):
                 raise left() from error
-            self._require_sane({}, error)
+            self._require_finite({}, error)
             raise SimulationFailure(
                 f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}",
                 key="agent",
@@ -193,7 +202,7 @@ class Trainer:
                 evidence=self._learning({}),
             ) from error
 
-    def _require_sane(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
+    def _require_finite(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
         """Refuse losses and parameters that are not finite."""
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
         for role in checkpoint.roles_of(self.algorithm):
