@@ -98,7 +98,7 @@ def warm_up(env: ManagerBasedRLEnv, todo: list[torch.Tensor]) -> None:
         env.step(todo[steps % len(todo)])
         steps += 1
         if steps % (10 * WARM_UP) == 0:
-            before, captured = captured, env._captured_reset.counts if env._captured_reset else 0
+            before, captured = captured, env.graph_capture.recordings if env.graph_capture else 0
             if captured == before:
                 break
 

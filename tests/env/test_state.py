@@ -60,7 +60,7 @@ DERIVED = frozenset(
         ".sensors['contact']._readings",
         ".sensors['contact']._pressures",
         ".sensors['contact']._normals",
-        "._asked",  # masks on their way to the host, of the last step
+        "._ended",  # masks on their way to the host, of the last step
         "._has_worked",  # what messages tell: whether a term has run before, and what it returned
         ".form",
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for

@@ -60,7 +60,7 @@ DERIVED |= {
     for name in ("height_scanner", "lidar", "camera")
     for what in ("_data", "_outdated", "_pictures")
 }
-DERIVED |= {".recorder_manager", "._parts['env.recorders']"}  # what has been recorded is no state
+DERIVED |= {".recorder_manager", "reset_order[7]", "._parts['env.recorders']"}  # what has been recorded is no state
 
 
 def files(group: str) -> list[str]:

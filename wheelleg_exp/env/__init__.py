@@ -1,15 +1,12 @@
-"""The manager-based environment: the step and the reset of N robots, as Isaac Lab orders them.
+"""The manager-based environment: the step and the reset of N robots, in the order of Isaac Lab.
 
-| module | what it offers |
+| module | content |
 |---|---|
 | `env` | the environment: build, step, reset, state |
-| `faces` | what Isaac Lab's environments have beside that |
-| `state_elsewhere` | what terms keep beside their own attributes: saved, or refused by name |
-| `captured`, `captured_step` | parts of the step that are recorded and repeated, and which these are |
-| `variants` | what such a recording needs when it is repeated |
-| `slots` | where objects hold what such a part reads and writes |
-| `recorders` | what records: CUDA graphs |
-| `host` | whole tensors brought to the host for whoever records them |
+| `isaaclab_attributes` | further attributes of Isaac Lab's environments |
+| `env_attributes` | attributes that terms put on the environment: saved; state anywhere else: rejected |
+| `graph_capture` | parts of the step as CUDA graphs |
+| `captured_values` | values on which such a graph depends, and values that it changes |
 """
 
 from wheelleg_exp.env.env import ManagerBasedRLEnv, Observations, StepResult

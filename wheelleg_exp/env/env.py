@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import Memory
-from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
+from wheelleg_exp.env.env_attributes import EnvAttributes
+from wheelleg_exp.env.graph_capture import GraphCapture, captured_part, host_part
 from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
-from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers import (
     ActionManager,
@@ -26,7 +25,7 @@ from wheelleg_exp.managers import (
     TerminationManager,
 )
 from wheelleg_exp.managers.async_queries import AsyncMaskQuery
-from wheelleg_exp.managers.non_finite import failures, require_finite_observations
+from wheelleg_exp.managers.non_finite import failures, note_observations, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
@@ -36,7 +35,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-_LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
+_BYTES_PER_ENV = 10_000  # at least: state, outputs, and observations of one small robot
 
 Observations = dict[str, Group]
 AutoresetMode = Literal["same_step", "next_step", "disabled"]
@@ -44,29 +43,38 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 
 
 class ManagerBasedRLEnv(IsaacLabAttributes):
-    """N environments under nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
+    """N environments with nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
+
+    ``step`` and ``reset`` call the methods below them in the order of the file. The decorators ``captured_part`` and
+    ``host_part`` matter on a GPU with ``env.sim.graph_step`` only; see ``graph_capture``.
 
     Args:
         cfg: the composed ``env`` section, plain.
         mjcf: the robot's MJCF file.
-        seed: seed of every random stream.
+        seed: seed of all random streams.
 
     Attributes:
-        device: where all tensors are; nobody else says so.
-        autoreset: when an environment that is done is reset: within the step; in the next, which counts for nothing;
-            or by the caller.
-        keep_final_obs: whether ``extras["final_obs"]`` holds the last observation of the episodes that end.
-        observers: called in every step after the rewards and before the resets.
+        device: device of all tensors. There is no other source of the device.
+        autoreset: when an environment whose episode ended is reset: within the same step; in the next step, which then
+            does nothing else; or only by the caller.
+        keep_final_obs: whether ``extras["final_obs"]`` holds the last observations of episodes that end.
+        observers: functions that each step calls after the rewards and before the resets.
+        reset_order: the managers in the order in which a reset resets them.
 
     Raises:
-        ConfigError: something in ``cfg`` is wrong.
+        ConfigError: ``cfg`` contains a mistake.
     """
+
+    outside_graphs = (
+        *("cfg", "extras", "observers", "curriculum_manager", "recorder_manager", "common_step_counter"),
+        *("graph_capture", "reset_order", "_ended", "_attributes"),
+    )
 
     def __init__(self, cfg: Mapping[str, Any], mjcf: Path, seed: int) -> None:
         self.cfg = Cfg(cfg)
         self.seed = seed
         self.num_envs: int = read_value(Env, cfg, "env", "num_envs")
-        require_memory(_LEAST_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")
+        require_memory(_BYTES_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")
         self.decimation: int = read_value(Env, cfg, "env", "decimation")
         sim = read_value(Env, cfg, "env", "sim")
         self.device = torch.device(read_value(SimOptions, sim, "env.sim", "device"))
@@ -74,7 +82,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
         self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
-        # Rounded first, because 5 s / (2 / 120 s) must be 300 steps and not 301.
+        # Rounded first: 5 s / (2 / 120 s) must be 300 steps, not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
@@ -100,20 +108,21 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
         self.event_manager.apply("startup")
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
-        self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
-        self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
-        self._asked = AsyncMaskQuery(self.num_envs, self.device)
-        self._captured_memory = Memory(is_told=True)
+        self.reset_order = [
+            *(self.observation_manager, self.action_manager, self.reward_manager, self.curriculum_manager),
+            *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
+        ]
+        self._ended = AsyncMaskQuery(self.num_envs, self.device)
         self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
-        self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
-        self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
-        self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
-        self._captured_commands = captured_commands(self) if self.scene.sim.is_captured else None
-        self._term_state = TermState(self, self.managers, cfg)
+        self.graph_capture: GraphCapture | None = None
+        self._attributes = EnvAttributes(self, self.managers, cfg)
+        captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms  # recorders wait for the GPU
+        if captures:
+            self.graph_capture = GraphCapture(self)
 
     @property
     def managers(self) -> dict[str, Any]:
-        """The nine managers by the name of their section, in the order of construction."""
+        """The nine managers by the name of their config section."""
         return {
             "scene": self.scene_manager,
             "events": self.event_manager,
@@ -127,152 +136,63 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         }
 
     def step(self, action: torch.Tensor) -> StepResult:
-        """Advance every environment by one control step.
+        """Advance every environment by one control step, in the order of Isaac Lab.
 
-        Terminations and rewards see the new state before anything is reset; an environment that is done is reset
-        within the step, so that the returned observation begins its next episode. Commands and interval events
-        come after the resets, as in Isaac Lab: a push shows in the observation that this step returns.
+        Terminations and rewards are computed from the new state. Environments whose episode ended are reset after that,
+        so that the returned observation is the first of their next episode. Commands and interval events come after the
+        resets: the returned observation shows the effect of a push.
 
         Args:
             action: raw actions (N, total_action_dim).
 
         Returns:
-            Observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. An environment
-            whose physics or rewards were not finite has failed, and this step's reward is 0: ``extras["non_finite"]``.
+            Observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If the physics or
+            the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
+            ``extras["non_finite"]`` names the term.
 
         Raises:
-            SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
+            SimulationFailure: observations, or numbers that an event wrote, are NaN or inf.
         """
-        self._captured_memory.is_seen = False  # who calls may have changed settings
-        waiting, watched = self._waiting(), self._is_watched()
-        self._asked.begin(*self._simulate(action, waiting))  # which have ended: a GPU has the rewards to do meanwhile
-        ended, broken = self._asked.ids(self._reward(waiting), at_once=watched)
-        self.extras.pop("non_finite", None)
-        if len(ended):
-            self._end_failed(broken)
-        for observe in self.observers:
-            observe()
-        self.recorder_manager.record_post_step()
-
-        self.extras["log_is_fresh"] = False
-        self.extras.pop("final_obs", None)
-        if self.autoreset != "same_step":
-            ended = self._no_ids if waiting is None else ids_where(waiting)
-        if len(ended):
-            if self.keep_final_obs:
-                self.extras["final_obs"] = self.observation_manager.peek()
-            self.recorder_manager.record_pre_reset(ended)
-            self._reset_idx(ended)
-            self.recorder_manager.record_post_reset(ended)
-        self._end_late(*self._asked.late())
-        self._captured_memory.is_seen &= not watched
-        self._command()
-        if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:
-            self._captured_memory.is_seen = False
-        self.scene.show_written()
-        observations = self._observe()
-        if self.autoreset == "same_step":  # else those that have failed still show it
-            require_finite_observations(self, is_noted=self._captured_look is not None)
-        terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
-        reward = self.reward_buf if self._captured is None else self.reward_buf.clone()
-        return observations, reward, terminated.clone(), time_outs.clone(), self.extras
-
-    def _graphs(self, waiting: torch.Tensor | None) -> CapturedStep | None:
-        """Return what does this step, where it is captured."""
-        return self._captured if waiting is None and not self.recorder_manager.active_terms else None
-
-    def _is_watched(self) -> bool:
-        """Return whether all that end have to be known before anything is reset."""
-        lookers = self.observers or self.recorder_manager.active_terms
-        return self._captured is None or bool(lookers) or self.keep_final_obs or self.autoreset != "same_step"
-
-    def _simulate(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Act, simulate and judge: return which environments have ended, and whose physics has failed, (N,) bool."""
-        graphs = self._graphs(waiting)
-        if graphs is None:
-            return self._act_and_judge(action, waiting)
-        count = self.common_step_counter
-        self._action.copy_(action)
-        ended, failed = graphs()
-        self.common_step_counter = count + 1
-        return ended, failed
-
-    def _act_and_judge(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        skipped = self._skipped()
         self._act(action)
         for substep in range(self.decimation):
             if substep:
-                self._act_again()
+                self._update_and_act()
             self.scene.sim.step()
-        return self._judge(waiting)
-
-    def _act(self, action: torch.Tensor) -> None:
-        """Take up an action, and write what the first physics step begins with."""
-        self.action_manager.process_action(action)
-        self.recorder_manager.record_pre_step()
-        self.scene.robot.begin_control_step()
-        self.action_manager.apply_action()
-        self.scene.write_data_to_sim()
-
-    def _act_again(self) -> None:
-        """Take up a physics step that has run, and write what the next one begins with."""
-        self.recorder_manager.record_post_physics_decimation_step()
-        self.scene.update()
-        self.observation_manager.sample_between()
-        self.action_manager.apply_action()
-        self.scene.write_data_to_sim()
-
-    def _judge(self, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Take up the last physics step, and judge: which environments have ended, and whose physics has failed."""
-        self.recorder_manager.record_post_physics_decimation_step()
-        self.scene.update()
-        self.episode_length_buf += 1
+            self.recorder_manager.record_post_physics_decimation_step()
         self.common_step_counter += 1
-        done, failed = self.termination_manager.compute(waiting), self.scene.unstable()
-        if waiting is not None:
-            failed = failed & ~waiting
-        return done | failed, failed
+        done, unstable = self._update_and_terminate(skipped)
+        self._ended.start(done, unstable)
+        self.reward_manager.start_step()
+        reward_failed = self._compute_reward(skipped)
+        ended = self._end_episodes(reward_failed)
+        self._call_observers()
+        self.recorder_manager.record_post_step()
 
-    def _reward(self, waiting: torch.Tensor | None) -> torch.Tensor:
-        """Work out the rewards: return whose are not finite, (N,) bool."""
-        graphs = self._graphs(waiting)
-        return self._work_out_rewards(waiting) if graphs is None else graphs.rewards()
+        if self.autoreset != "same_step":
+            ended = ids_where(torch.zeros_like(done) if skipped is None else skipped)
+        self._reset_ended(ended)
+        self._reset_late()
+        self._advance_commands()
+        self._apply_interval_events()
+        self.scene.show_written()
+        observations = self._observe()
+        if self.autoreset == "same_step":  # otherwise failed environments still show their last state
+            require_finite_observations(self, is_noted=True)
+        ends = self.termination_manager
+        return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
 
-    def _work_out_rewards(self, waiting: torch.Tensor | None) -> torch.Tensor:
-        self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
-        failed = self.reward_manager.failed
-        return failed if waiting is None else failed & ~waiting
-
-    def _command(self) -> None:
-        """Advance the commands, and the timers of events."""
-        if self._captured_commands is not None and not self.command_manager.may_draw(self.step_dt):
-            self._captured_commands()
-            return
-        self.command_manager.compute(self.step_dt, draws=None if self._captured_commands is None else True)
-        self._captured_memory.is_seen = False
-        self.event_manager.advance_timers(self.step_dt)
-
-    def _observe(self) -> Observations:
-        """Return the observations; those of a graph are copied out of its memory."""
-        if self._captured_look is None:
-            return self.observation_manager.compute()
-        return cloned(self._captured_look())
-
-    def _waiting(self) -> torch.Tensor | None:
-        """Return which environments ended in the last step and begin anew in this one, (N,) bool (``next_step``)."""
-        if self.autoreset != "next_step":
-            return None
-        return self.termination_manager.dones & (self.episode_length_buf > 0)
-
+    @host_part
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset environments and return the observations of all; those of the others stay as they were.
+        """Reset environments and return the observations of all; those of the remaining environments do not change.
 
-        Commands are drawn but not post-processed here: the first observation shows the drawn command of an
-        environment that is to stand still, as in Isaac Lab.
+        Commands are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command
+        even of an environment that is commanded to stand still.
 
         Args:
-            seed: starts every random stream anew.
+            seed: new seed of all random streams; None continues them.
             env_ids: environments, or None for all.
         """
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
@@ -291,81 +211,152 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         require_finite_observations(self, only)
         return observations, self.extras
 
+    def _skipped(self) -> torch.Tensor | None:
+        """Return the environments (N,) bool that only reset in this step (``autoreset="next_step"``), or None."""
+        if self.autoreset != "next_step":
+            return None
+        return self.termination_manager.dones & (self.episode_length_buf > 0)
+
+    @captured_part()
+    def _act(self, action: torch.Tensor) -> None:
+        """Process the action, and write what the first physics step starts from."""
+        self.action_manager.process_action(action)
+        self.recorder_manager.record_pre_step()
+        self.scene.robot.begin_control_step()
+        self.action_manager.apply_action()
+        self.scene.write_data_to_sim()
+
+    @captured_part()
+    def _update_and_act(self) -> None:
+        """Read the result of a physics step, and apply the same action again for the next one."""
+        self.scene.update()
+        self.observation_manager.sample_between()
+        self.action_manager.apply_action()
+        self.scene.write_data_to_sim()
+
+    @captured_part()
+    def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Read the result of the last physics step; return who is done, and whose physics failed, (N,) bool."""
+        self.scene.update()
+        self.episode_length_buf += 1
+        done, unstable = self.termination_manager.compute(skipped), self.scene.unstable()
+        if skipped is not None:
+            unstable = unstable & ~skipped
+        return done | unstable, unstable
+
+    @captured_part()
+    def _compute_reward(self, skipped: torch.Tensor | None) -> torch.Tensor:
+        """Compute ``reward_buf``; return whose reward is NaN or inf, (N,) bool."""
+        self.reward_buf = self.reward_manager.compute(self.step_dt, skipped)
+        failed = self.reward_manager.failed
+        return failed if skipped is None else failed & ~skipped
+
+    def _end_episodes(self, reward_failed: torch.Tensor) -> torch.Tensor:
+        """End the episodes that failed; return the environments whose episode ended, (n,)."""
+        needs_all = bool(self.observers or self.recorder_manager.active_terms or self.keep_final_obs)
+        ended, failed = self._ended.ids(reward_failed, at_once=needs_all or self.autoreset != "same_step")
+        self.extras.pop("non_finite", None)
+        self._end_failed(failed)
+        return ended
+
+    def _end_failed(self, env_ids: torch.Tensor) -> None:
+        """End the episodes of environments whose physics or reward failed; report the terms and the state."""
+        if len(env_ids):
+            self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
+            found = failures(self, env_ids)
+            self.extras.setdefault("non_finite", found)["keys"].update(found["keys"])
+            self.termination_manager.force(env_ids)
+
+    @host_part
+    def _call_observers(self) -> bool:
+        for observe in self.observers:
+            observe()
+        return bool(self.observers)
+
+    def _reset_ended(self, ended: torch.Tensor) -> None:
+        """Reset the environments whose episode ended, (n,)."""
+        self.extras["log_is_fresh"] = False
+        self.extras.pop("final_obs", None)
+        if len(ended):
+            if self.keep_final_obs:
+                self.extras["final_obs"] = self.observation_manager.peek()
+            self.recorder_manager.record_pre_reset(ended)
+            self._reset_idx(ended)
+            self.recorder_manager.record_post_reset(ended)
+
+    def _reset_late(self) -> None:
+        """End and reset the episodes whose reward was found to be NaN or inf only after ``_reset_ended``."""
+        failed, not_reset = self._ended.late()
+        self._end_failed(failed)
+        if len(not_reset):
+            log = self.extras.get("log") if self.extras["log_is_fresh"] else None
+            self._reset_idx(not_reset)
+            self.extras["log"] = log or self.extras["log"]  # the log of the episodes that ended normally
+
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
-        """Reset ``env_ids``: the curriculum sees the terminal state, events set the new one, then the records."""
-        self.curriculum_manager.compute(env_ids)
-        self._captured_memory.is_seen = False
-        if self._captured_reset is None:
-            log = self._reset_rows(env_ids)
-        else:
-            log = self._captured_reset(env_ids)
-            for manager in (self.curriculum_manager, self.recorder_manager):
-                log.update(manager.reset(env_ids))
-            self._captured_memory.is_seen &= not self.curriculum_manager.remembers
-        self.extras["log"] = log
+        """Reset environments: the curriculum sees the terminal state, then events set the new state."""
+        self._run_curriculum(env_ids)
+        self.command_manager.read_settings()
+        self.extras["log"] = self._reset_rows(env_ids)
         self.extras["log_is_fresh"] = True
 
-    def _reset_rows(self, env_ids: torch.Tensor, host: bool = True) -> dict[str, Any]:
-        """Reset simulations and managers of ``env_ids``; return what is logged.
+    @host_part
+    def _run_curriculum(self, env_ids: torch.Tensor) -> bool:
+        self.curriculum_manager.compute(env_ids)
+        return bool(self.curriculum_manager.active_terms)
 
-        Args:
-            env_ids: environments, (n,).
-            host: whether those managers are among them whose work is the host's.
-        """
+    @captured_part()
+    def _reset_rows(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Reset the simulations and the managers of ``env_ids``; return the log of the episodes that ended."""
         log: dict[str, Any] = {**self.scene.diagnostics(env_ids)}
         self.scene.reset(env_ids)
         self.event_manager.apply("reset", env_ids, self.common_step_counter)
-        for manager in (
-            self.observation_manager,
-            self.action_manager,
-            self.reward_manager,
-            *((self.curriculum_manager,) if host else ()),
-            self.command_manager,
-            self.event_manager,
-            self.termination_manager,
-            *((self.recorder_manager,) if host else ()),
-        ):
+        for manager in self.reset_order:
             log.update(manager.reset(env_ids))
         self.episode_length_buf.index_fill_(0, env_ids, 0)
         return log
 
+    def _advance_commands(self) -> None:
+        """Advance the commands and the timers of interval events; draw commands whose time is up."""
+        if self.command_manager.may_draw(self.step_dt):
+            self._advance_and_draw()
+        else:
+            self._advance_without_draws()
+
+    @host_part
+    def _advance_and_draw(self) -> None:
+        self.command_manager.compute(self.step_dt, may_draw=True)
+        self.event_manager.advance_timers(self.step_dt)
+
+    @captured_part()
+    def _advance_without_draws(self) -> None:
+        self.command_manager.compute(self.step_dt, may_draw=False)
+        self.event_manager.advance_timers(self.step_dt)
+
+    @host_part
+    def _apply_interval_events(self) -> bool:
+        return self.event_manager.apply_due(self.step_dt) or self._sensors_refresh
+
+    @captured_part(to_caller=True)
+    def _observe(self) -> Observations:
+        observations = self.observation_manager.compute()
+        if self.autoreset == "same_step":
+            note_observations(self)
+        return observations
+
+    @host_part
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
-        """Run the events of a mode of the caller's own, and make derived quantities fresh."""
+        """Run the events of a user-defined mode, and update the quantities that are derived from the state."""
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
-    def _end_failed(self, env_ids: torch.Tensor) -> None:
-        """End the episodes in which a number was not finite; tell whose it was, and keep the state, in ``extras``.
-
-        Args:
-            env_ids: environments whose physics or rewards have failed, (n,).
-        """
-        if len(env_ids):
-            self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
-            told = failures(self, env_ids)
-            self.extras.setdefault("non_finite", told)["keys"].update(told["keys"])
-            self.termination_manager.force(env_ids)
-
-    def _end_late(self, failed: torch.Tensor, alone: torch.Tensor) -> None:
-        """End the episodes whose rewards were found not to be finite when the others were being reset.
-
-        Args:
-            failed: environments whose rewards have failed, and not their physics, (n,).
-            alone: those of them that nothing else has ended.
-        """
-        self._end_failed(failed)
-        if len(alone):
-            log = self.extras.get("log") if self.extras["log_is_fresh"] else None
-            self._reset_idx(alone)
-            self.extras["log"] = log or self.extras["log"]  # of those that have ended in the usual way
-
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the coming steps depend on.
+        """Return everything that later steps depend on.
 
         Raises:
-            ConfigError: a term keeps state where it cannot be saved.
+            ConfigError: a term holds state that cannot be saved.
         """
-        attributes = self._term_state.save()
+        attributes = self._attributes.save()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {
             "seed": self.seed,
@@ -375,10 +366,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             "extras": cloned(self.extras),
             "streams": self.streams.state_dict(),
             "scene": self.scene.state_dict(),
-            "managers": {name: state for name, state in managers.items() if state},  # recorders keep none of their own
+            "managers": {name: state for name, state in managers.items() if state},  # stock recorders have none
             **({"attributes": attributes} if attributes else {}),
         }
 
+    @host_part
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned, in an environment built from the same config."""
         saved = {name: part if name == "streams" else on_device(part, self.device) for name, part in saved.items()}
@@ -391,11 +383,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         for name, state in saved["managers"].items():
             self.managers[name].load_state_dict(state)
         self.streams.load_state_dict(saved["streams"])
-        self._term_state.restore(saved.get("attributes", {}))
+        self._attributes.restore(saved.get("attributes", {}))
         self.recorder_manager.forget()
         forget()
 
     def describe(self) -> str:
-        """Return a table for each manager: its terms, shapes, weights."""
+        """Return a table for each manager: its terms, shapes, and weights."""
         shown = [m for name, m in self.managers.items() if name != "recorders" or m.active_terms]
         return "\n\n".join(map(str, shown))

@@ -10,72 +10,78 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Which environments have ended: masks that go to the host, and their indices that come back.
+    """Find the environments whose episode ended: masks go to the host, and indices come back.
 
-    What is launched on a GPU between ``begin`` and ``ids`` runs while the host waits and works out the indices.
+    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, ``ids`` waits for them. A
+    third mask is known later than the first two. On a GPU ``ids`` does not wait for the third mask unless it must;
+    ``late`` then returns what it adds.
 
     Args:
         count: the length of a mask, N.
         device: where the masks are.
+
+    Attributes:
+        answers_late: whether ``late`` may answer for the third mask. On a CPU this would save nothing.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
         self._device, on_gpu = device, device.type == "cuda"
+        self.answers_late = on_gpu
         with torch.inference_mode(False):
             self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
             self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)
             self._none = torch.zeros(0, dtype=torch.long, device=device)
-        self._seen, self._found = self._masks.numpy(), self._ids.numpy()  # NumPy asks in a tenth of torch's time
-        self._events = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
-        self._is_late = False
+        # NumPy finds the indices in a tenth of torch's time.
+        self._host_masks, self._host_ids = self._masks.numpy(), self._ids.numpy()
+        self._copied = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
+        self._has_late = False
 
-    def begin(self, outer: torch.Tensor, inner: torch.Tensor) -> None:
-        """Let a mask (N,) go to the host, and another that holds nowhere else."""
-        self._masks[0].copy_(outer, non_blocking=True)
-        self._masks[1].copy_(inner, non_blocking=True)
+    def start(self, ended: torch.Tensor, failed: torch.Tensor) -> None:
+        """Start to copy two masks (N,) to the host. ``failed`` is a subset of ``ended``."""
+        self._masks[0].copy_(ended, non_blocking=True)
+        self._masks[1].copy_(failed, non_blocking=True)
         self._record(0)
 
-    def ids(self, also: torch.Tensor, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the indices at which each mask holds, or ``also`` (N,) does; they are on the device by then.
+    def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the indices of the environments that ended, and of those that failed.
 
         Args:
-            also: a third mask, which is known later.
-            at_once: whether it is waited for; else ``late`` tells where it holds.
+            also_failed: further environments (N,) that failed.
+            at_once: whether the caller needs the indices of these now; otherwise ``late`` may return them.
         """
-        self._masks[2].copy_(also, non_blocking=True)
+        self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
-        self._wait_for(int(at_once))
-        outer, inner, later = self._seen
-        if at_once:
-            outer, inner = outer | later, inner | later
-        self._is_late = not at_once
-        return self._brought(outer, 0), self._brought(inner, 1)
+        self._has_late = self.answers_late and not at_once
+        self._wait(0 if self._has_late else 1)
+        ended, failed, also = self._host_masks
+        if not self._has_late:
+            ended, failed = ended | also, failed | also
+        return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return where the third mask holds and the second does not, and where alone it holds: what ``ids`` left."""
-        if not self._is_late:
+        """Return the environments of ``also_failed`` that ``ids`` left out: not in ``failed``, and not in ``ended``."""
+        if not self._has_late:
             return self._none, self._none
-        self._wait_for(1)
-        outer, inner, later = self._seen
-        return self._brought(later & ~inner, 2), self._brought(later & ~outer, 3)
+        self._wait(1)
+        ended, failed, also = self._host_masks
+        return self._to_device(also & ~failed, 2), self._to_device(also & ~ended, 3)
 
     def _record(self, index: int) -> None:
-        if self._events:
-            self._events[index].record(torch.cuda.current_stream(self._device))
+        if self._copied:
+            self._copied[index].record(torch.cuda.current_stream(self._device))
 
-    def _wait_for(self, index: int) -> None:
-        if self._events:
-            self._events[index].synchronize()
+    def _wait(self, index: int) -> None:
+        if self._copied:
+            self._copied[index].synchronize()
 
-    def _brought(self, mask: np.ndarray[Any, Any], row: int) -> torch.Tensor:
+    def _to_device(self, mask: np.ndarray[Any, Any], row: int) -> torch.Tensor:
         (found,) = mask.nonzero()
-        count = len(found)
-        if not count:
+        if not len(found):
             return self._none
-        if not self._events:
+        if not self._copied:
             return torch.from_numpy(found)
-        self._found[row, :count] = found
-        return self._ids[row, :count].to(self._device, non_blocking=True)
+        self._host_ids[row, : len(found)] = found
+        return self._ids[row, : len(found)].to(self._device, non_blocking=True)
 
 
 def is_finite(total: torch.Tensor) -> bool:

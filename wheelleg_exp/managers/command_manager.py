@@ -31,7 +31,7 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
-    draws: bool | None = None  # whether somebody's time may be up in this step, where it is known beforehand
+    may_draw = True  # whether the time of an environment may be up in this step
 
     def __init__(
         self,
@@ -83,15 +83,15 @@ class CommandTerm(TermBase):
             self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
-        if self.may_expire(dt) if self.draws is None else self.draws:
+        if self.may_draw:
             expired = ids_where(self.time_left <= 0.0)
             if len(expired):
                 self._resample(expired)
         self.post_process()
         return errors
 
-    def take_settings(self) -> None:
-        """Take up settings that others have changed, in memory that stays: a recorded reset draws from that."""
+    def read_settings(self) -> None:
+        """Read the settings again. Tensors that ``draw`` uses must keep their memory: a captured reset reads it."""
 
     def may_expire(self, dt: float) -> bool:
         """Return whether the time of a command may be up within ``dt`` seconds, without waiting for a GPU."""
@@ -157,29 +157,30 @@ class CommandManager(ManagerBase):
         """Return the commands of one environment by term."""
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
 
-    def take_present_settings(self) -> None:
-        """Take up the settings of all terms as they are now: a curriculum may have changed one."""
-        for term in self._command_terms.values():
-            term.take_settings()
+    def read_settings(self) -> None:
+        """Read the settings of all terms again, because a curriculum may have changed one."""
+        for name, term in self._command_terms.items():
+            with self._terms[name].blamed():
+                term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
         """Return whether a command may be drawn in the coming step of ``dt`` seconds, without waiting for a GPU."""
         return any([term.may_expire(dt) for term in self._command_terms.values()])  # each of them is asked
 
-    def compute(self, dt: float, draws: bool | None = None) -> None:
+    def compute(self, dt: float, *, may_draw: bool = True) -> None:
         """Advance every term by one control step.
 
         Args:
             dt: control step, s.
-            draws: what ``may_draw`` has said of it; None: each term finds out.
+            may_draw: whether a command may be drawn in this step; see the method of this name.
         """
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
-                if draws is not None:
-                    term.draws = draws
+                if not may_draw:
+                    term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
-                if draws is not None:
-                    del term.draws  # no state
+                if not may_draw:
+                    del term.may_draw  # of this step only, so it must not become state of the term
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""

@@ -94,6 +94,11 @@ class Term(Kept):
         form: what it has to return, where the manager needs something.
     """
 
+    outside_graphs: ClassVar = (
+        *("name", "path", "target", "generator", "settings", "form", "arguments"),
+        *("_has_worked", "_make", "_made_with", "_keeps_params"),
+    )
+
     name: str
     path: str
     target: str

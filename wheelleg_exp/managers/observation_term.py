@@ -44,6 +44,8 @@ class ObservationTerm(Kept):
         flatten: whether the history is flattened, oldest first.
     """
 
+    outside_graphs = ("_part_forms",)
+
     def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
         self.term = term
         self._env = env

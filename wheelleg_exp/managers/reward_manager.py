@@ -14,7 +14,13 @@ from wheelleg_exp.sim.ids import not_finite
 
 
 class RewardManager(ManagerBase):
-    """``reward = sum of value * weight * dt``; a term of weight 0 is not called."""
+    """``reward = sum over terms of value * weight * dt``. A term of weight 0 is not called.
+
+    Attributes:
+        step_reward: weighted value of each term in this step, per second, (terms, N).
+        failed: environments (N,) bool whose reward in this step was NaN or inf. Their reward is 0.
+        non_finite: by index of a failed environment, the terms whose values were NaN or inf.
+    """
 
     kind = "rewards"
 
@@ -27,63 +33,58 @@ class RewardManager(ManagerBase):
         self.failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
         self.non_finite: dict[int, list[str]] = {}
         self._raw_values = self.step_reward
-        self._nothing = torch.zeros(self._num_envs, device=env.device)
-        self._take_weights(self._present_weights())
+        self._zeros = torch.zeros(self._num_envs, device=env.device)
+        self._read_weights()
 
     @property
     def _episode_sums(self) -> dict[str, torch.Tensor]:
-        """What the present episodes have summed up, (N,) by term; people's curricula read it of Isaac Lab's."""
+        """Episode sums (N,) by term, under the name that curricula written for Isaac Lab read."""
         return dict(zip(self._terms, self._sums.unbind(), strict=True))
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return this step's weighted values per second of one environment by term."""
+        """Return the weighted values per second of this step of one environment by term."""
         values = self.step_reward[:, env_idx].tolist()
         return [(name, [value]) for name, value in zip(self._terms, values, strict=True)]
 
     @property
     def raw_values(self) -> torch.Tensor:
-        """Weighted values per second of this step, those that are not finite included, (terms, N)."""
+        """``step_reward`` including values that are NaN or inf, (terms, N)."""
         return self._raw_values if self.non_finite else self.step_reward
 
-    def compute(self, dt: float, but: torch.Tensor | None = None) -> torch.Tensor:
-        """Return this step's reward (N,); ``step_reward`` keeps each term's weighted value per second.
+    def start_step(self) -> None:
+        """Read the weights again, because a curriculum may have changed one; forget the failures of the last step."""
+        self.non_finite.clear()
+        if self._weights != self._present_weights():
+            self._read_weights()
 
-        A value that is not finite is never summed: its environment's step counts for nothing, as ``failed`` says.
+    def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the reward (N,) of this step: ``sum over terms of value * weight * dt``.
 
         Args:
-            dt: what the step lasts, s.
-            but: environments (N,) bool whose step counts for nothing.
+            dt: duration of the step, s.
+            skipped: environments (N,) bool whose reward is 0 in this step.
         """
-        self.take_present_weights()
+        self.start_step()
         if self._terms:
-            values = torch.stack([self._nothing if term is None else term(self._env) for term in self._called])
+            weighted = zip(self._terms.values(), self._weights, strict=True)
+            values = torch.stack([self._zeros if weight == 0.0 else term(self._env) for term, weight in weighted])
             torch.mul(values.to(self._factors.dtype), self._factors, out=self.step_reward)
-        if but is not None:
-            self.step_reward.masked_fill_(but, 0.0)
+        if skipped is not None:
+            self.step_reward.masked_fill_(skipped, 0.0)
         reward = self.step_reward.sum(dim=0).mul_(dt)
-        self.non_finite.clear()
         self.failed.copy_(not_finite(reward))
-        self._sums.add_(torch.where(self.failed, self._nothing, self.step_reward), alpha=dt)
+        self._sums.add_(torch.where(self.failed, self._zeros, self.step_reward), alpha=dt)
         return reward.masked_fill_(self.failed, 0.0)
-
-    def take_present_weights(self) -> None:
-        """Take up the weights as they are now: a curriculum may have changed one."""
-        weights = self._present_weights()
-        if weights != self._weights:
-            self._take_weights(weights)
 
     def _present_weights(self) -> list[float]:
         return [term.fields["weight"] for term in self._terms.values()]
 
-    def _take_weights(self, weights: list[float]) -> None:
-        """Make what a step needs for these weights."""
-        self._weights = weights
-        terms = zip(self._terms.values(), weights, strict=True)
-        self._called = [term if weight != 0.0 else None for term, weight in terms]
-        self._factors = self.step_reward.new_tensor(weights).unsqueeze(1)
+    def _read_weights(self) -> None:
+        self._weights = self._present_weights()
+        self._factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
-        """Name in ``non_finite`` the terms whose values failed in ``env_ids``, and take these out of the step."""
+        """Name in ``non_finite`` the terms whose values are NaN or inf in ``env_ids``, and set the values to 0."""
         self._raw_values = self.step_reward.clone()
         for env_id in env_ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()
@@ -91,19 +92,19 @@ class RewardManager(ManagerBase):
         self.step_reward[:, env_ids] = 0.0
 
     def episode_sums(self, name: str) -> torch.Tensor:
-        """Return what a term has added to the rewards of the present episodes, (N,)."""
+        """Return the sum of a term's rewards over the current episodes, (N,)."""
         self.get_term_cfg(name)
         return self._sums[self.active_terms.index(name)]
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Return ``Episode_Reward/<term>``: mean of the episode sums over the longest episode's seconds."""
+        """Return ``Episode_Reward/<term>``: mean of the episode sums, divided by the longest episode's duration, s."""
         means = self._sums.index_select(1, env_ids).mean(dim=1) / self._env.max_episode_length_s
         self._sums.index_fill_(1, env_ids, 0.0)
         self._reset_terms(env_ids)
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the episode sums, this step's values, and the terms' states."""
+        """Return the episode sums, the values of this step, and the states of the terms."""
         return {
             **super().state_dict(),
             "episode_sums": self._sums.clone(),
@@ -114,7 +115,7 @@ class RewardManager(ManagerBase):
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        self._take_weights(self._present_weights())
+        self._read_weights()
         self._sums.copy_(saved["episode_sums"])
         self.step_reward.copy_(saved["step_reward"])
         self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}

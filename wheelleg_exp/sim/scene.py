@@ -48,6 +48,8 @@ class Scene(Kept):
         stream: returns the random stream of a config path.
     """
 
+    outside_graphs = ("_compiled", "spec", "options", "_sim_options")
+
     def __init__(
         self,
         mjcf: Path,

@@ -18,7 +18,7 @@ def test_where_masks_hold_is_told_at_once_or_late(device, at_once):
     for _ in range(3):  # the memory is used again
         masks = torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])
         masks[1] &= masks[0]
-        asked.begin(masks[0].to(device), masks[1].to(device))
+        asked.start(masks[0].to(device), masks[1].to(device))
         found = (*asked.ids(masks[2].to(device), at_once=at_once), *asked.late())
         assert {each.device.type for each in found} == {torch.device(device).type}
         outer, inner, also = (set(mask.nonzero().flatten().tolist()) for mask in masks)

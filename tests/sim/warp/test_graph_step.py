@@ -25,7 +25,7 @@ def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(
     if not device.startswith("cuda"):
         pytest.skip("CUDA graphs need a GPU")
     plain, captured = stand(device, False), stand(device, True)
-    assert captured._captured is not None
+    assert captured.graph_capture is not None
     gen = torch.Generator().manual_seed(1)
     ended = 0
     for index in range(STEPS):
@@ -41,6 +41,9 @@ def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(
         assert torch.equal(ours[3], theirs[3])
         ended += int(theirs[3].sum())
     assert ended > 0
+    parts = captured.graph_capture.parts
+    assert all(part.recordings for name, part in parts.items() if name not in ("_reset_rows", "_advance_without_draws"))
+    assert not any(part.fails for part in parts.values())
 
 
 def waits(env) -> torch.Tensor:
@@ -63,6 +66,6 @@ def test_a_step_with_a_term_that_waits_goes_on_kernel_by_kernel_and_names_it(dev
             theirs, ours = plain.step(action), captured.step(action)
             torch.testing.assert_close(ours[1], theirs[1], atol=2e-2, rtol=2e-2)
 
-    with pytest.warns(UserWarning, match=r"kernel by kernel: env\.rewards\.alive") as told:
+    with pytest.warns(UserWarning, match=r"without a CUDA graph: env\.rewards\.alive") as told:
         both()
-    assert len([one for one in told if "kernel by kernel" in str(one.message)]) == 1
+    assert len([one for one in told if "without a CUDA graph" in str(one.message)]) == 1

@@ -66,10 +66,10 @@ class RangedCommand(CommandTerm):
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return lows and highs (k,) of the axes in order."""
-        self.take_settings()
+        self.read_settings()
         return self._bounds
 
-    def take_settings(self) -> None:
+    def read_settings(self) -> None:
         """Take up ranges that a curriculum has set, in the same memory."""
         if self.ranges != self._taken:
             for mine, present in zip(self._bounds, self._present(), strict=True):

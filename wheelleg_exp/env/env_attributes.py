@@ -1,4 +1,4 @@
-"""State that terms keep elsewhere than in themselves: on the environment it is saved, anywhere else it is refused."""
+"""Save attributes that terms put on the environment, and reject state that terms hold anywhere else."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from wheelleg_exp.state import Memory, Outside, Stateful
 from wheelleg_exp.state.saved_values import NOTHING, Reference, Unsaveable, look, made_again, same, writable
 from wheelleg_exp.state.stateful import refusal
 
-# What the environment and those who drive it change themselves.
-_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg")
+# Attributes that the environment itself or its caller changes.
+_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 _PLAIN = (bool, int, float, str, type(None))
 
 
-class TermState:
-    """Looks after what terms keep beside their own attributes.
+class EnvAttributes:
+    """State of terms outside their own attributes.
 
     Args:
-        env: the environment, whole.
-        managers: its managers by the name of their section.
-        cfg: its section of the config.
+        env: the complete environment.
+        managers: the managers by the name of their config section.
+        cfg: the ``env`` section.
 
     Raises:
-        ConfigError: a term has stored state that cannot be saved, or has written to the compiled model.
+        ConfigError: a term holds state that cannot be saved, or has written to the compiled model.
     """
 
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
@@ -52,14 +52,14 @@ class TermState:
             cfg,
         )
         self._memory = Memory(owners, lambda: _tensors(kept) | {"the state": env.scene.sim.state})
-        self._names = {*vars(env), "_term_state"}
+        self._names = {*vars(env), "_attributes"}
         self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
 
     def save(self) -> dict[str, Any]:
-        """Return the attributes that terms have put on the environment, or changed there.
+        """Return the attributes that terms added to the environment or changed there.
 
         Raises:
-            ConfigError: a term has kept something where it cannot be saved.
+            ConfigError: a term holds state where it cannot be saved.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()
@@ -70,14 +70,14 @@ class TermState:
                 continue
             try:
                 looked = look(item, name)
-                if not isinstance(looked, Reference):  # what only points to something is no state
+                if not isinstance(looked, Reference):  # a reference is not state
                     found[name] = writable(looked, NOTHING, name)
             except (Unsaveable, RecursionError) as error:
                 raise refusal(self._env, error, "env") from error
         return found
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Give the environment the attributes that ``save`` returned, and none that it had not."""
+        """Restore the attributes that ``save`` returned, and delete all others that terms added."""
         for name in vars(self._env).keys() - self._names - saved.keys():
             delattr(self._env, name)
         for name, item in {**self._plain, **saved}.items():
@@ -89,7 +89,7 @@ def _is_plain(name: str, item: Any) -> bool:
 
 
 def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
-    """Return the objects that save their attributes, by config key."""
+    """Return the objects whose attributes are their state, by config key."""
     found: dict[str, Any] = {term.path: term.stateful for term in terms if term.stateful is not None}
     found |= {f"env.robot.actuators.{name}": actuator for name, actuator in env.scene.robot.actuators.items()}
     manager = env.observation_manager
@@ -100,7 +100,7 @@ def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
 
 
 def _tensors(kept: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Return the tensors that are attributes of the environment's own objects, by name."""
+    """Return the tensors among the attributes of the environment's own objects, by name."""
     return {
         f"{owner}.{name}": item
         for owner, value in kept.items()

@@ -1,4 +1,4 @@
-"""A tape of operations stands in for a CUDA graph, so that a recorded step is tried without a GPU."""
+"""A tape of torch operations replaces a CUDA graph, so that graph capture can be tested without a GPU."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from torch.utils._pytree import tree_flatten
 
 from env.composed import composed
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured
-from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
+from wheelleg_exp.env.captured_values import Values
+from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture
 
-# What a graph cannot hold: the host waits for a number, or brings one.
+# Operations that a CUDA graph cannot hold: the host waits for a number, or sends one.
 WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
 
 
 class Tape(TorchDispatchMode):
-    """Notes torch's operations with their memory, and does them again on the same memory."""
+    """Notes torch operations with their memory, and repeats them on the same memory."""
 
     def __init__(self, streams=()) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class Tape(TorchDispatchMode):
             work()
 
     def replay(self):
-        if self.is_new:  # a graph's recording does nothing, the tape's has done it
+        if self.is_new:  # a CUDA graph does not run the kernels that it records, but the tape has run them
             self.is_new = False
             return
         for operation, args, kwargs, result in self.notes:
@@ -46,22 +46,24 @@ class Tape(TorchDispatchMode):
                     old.copy_(new)
 
 
-def stand(task: str = "stand", *more: str) -> ManagerBasedRLEnv:
-    words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5", *more]
+def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> ManagerBasedRLEnv:
+    """Return a reset environment with 16 simulations and short episodes; ``captured``: with tapes for graphs."""
+    words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5", *overrides]
     env = ManagerBasedRLEnv(composed(*words).config["env"], ASSETS / "legged.xml", 0)
     env.reset(seed=0)
+    if captured:
+        env.graph_capture = GraphCapture(env, Tape)
+        env._ended.answers_late = True
     return env
 
 
-def parts(env: ManagerBasedRLEnv) -> list[Captured]:
-    step = env._captured
-    return [step.act, step.act_again, step.judge, step.reward, env._captured_look, env._captured_commands]
+def make_part(work, term, *, values: Values | None = None, make_graph=Tape):
+    """Return a captured part of a term, before each run of which the settings are compared."""
+    values = values or Values(term)
+    part = CapturedPart(work, values, make_graph)
 
+    def run(*args):
+        values.is_checked = False
+        return part(*args)
 
-def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
-    """Let an environment's step be taped as a GPU's would be captured."""
-    env._captured = CapturedStep(env)
-    env._captured_look = captured_look(env)
-    env._captured_reset = CapturedReset(env)
-    env._captured_commands = captured_commands(env)
-    return env
+    return part, run

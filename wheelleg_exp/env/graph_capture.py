@@ -1,0 +1,479 @@
+"""Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
+
+``captured_part`` marks a method of the environment as a part. Without graph capture the method simply runs. With it,
+``GraphCapture`` runs the part a few times, records it, and from then on replays the recording.
+
+A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to know what the Python code of
+a part does. The contract for the objects that a part uses (terms, managers, robot, sensors) is:
+
+- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to them or rebind them
+  to a new tensor of the same shape.
+- **Settings** are attributes that hold a number, a text, None, or a tuple. If one changes between two parts, the part
+  runs with the new value: each combination of settings that occurs often has its own recording.
+- A part may set such an attribute as well (for example a flag), but the new value must follow from the old values.
+- Everything else is undeclared: a number that a part counts up, and a list that grows, a deque, a tuple of tensors, a
+  module, or a foreign object that a part changes. A part with undeclared state runs without a graph. So does a part
+  that waits for the GPU. A warning names the reason.
+
+A part runs twice before it is recorded. In the second run, the capture compares all attributes before and after.
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+
+import torch
+
+from wheelleg_exp.env.captured_values import (
+    Key,
+    TouchedMemory,
+    Values,
+    copy_tensors,
+    fits,
+    form_of,
+    frozen,
+    has_other_entries,
+    is_changed,
+    write_back,
+)
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.state import cloned
+from wheelleg_exp.state.object_graph import Slot, is_plain
+
+_RUNS_BEFORE_CAPTURE = 2  # lazily created tensors exist then, and libraries have their workspaces
+_RECORDINGS, _RESET_RECORDINGS = (
+    8,
+    128,
+)  # most recordings of one part; a reset needs one for each number of environments
+_WINDOW = 1024  # last runs of a part in which the capture counts how often a combination of values occurred
+_MANY = 256  # more runs without a graph than with one, before a warning
+_MOST_MISMATCHES = 64
+
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
+Self = TypeVar("Self")
+
+
+def captured_part(
+    *, to_caller: bool = False
+) -> Callable[[Callable[Concatenate[Self, Params], Result]], Callable[Concatenate[Self, Params], Result]]:
+    """Mark a method of the environment as a part of the step that may be captured.
+
+    Args:
+        to_caller: whether the caller of the environment receives the result: it is then copied out of the memory of the
+            graph, and the settings are checked before the next part, because the caller may change them.
+    """
+
+    def decorate(method: Callable[Concatenate[Self, Params], Result]) -> Callable[Concatenate[Self, Params], Result]:
+        @functools.wraps(method)
+        def run(env: Self, *args: Params.args, **kwargs: Params.kwargs) -> Result:
+            capture: GraphCapture | None = getattr(env, "graph_capture", None)
+            if capture is None:
+                return method(env, *args, **kwargs)
+            found: Result = capture.run(method, args, to_caller=to_caller)
+            return found
+
+        return run
+
+    return decorate
+
+
+def host_part(method: Callable[Concatenate[Self, Params], Result]) -> Callable[Concatenate[Self, Params], Result]:
+    """Mark a method that is never captured and that may change settings, for example because it calls user code.
+
+    A method that returns False has changed nothing.
+    """
+
+    @functools.wraps(method)
+    def run(env: Self, *args: Params.args, **kwargs: Params.kwargs) -> Result:
+        capture: GraphCapture | None = getattr(env, "graph_capture", None)
+        if capture is None:
+            return method(env, *args, **kwargs)
+        is_checked = capture.values.is_checked
+        capture.values.is_checked = False
+        found = method(env, *args, **kwargs)
+        capture.values.is_checked = is_checked and found is False
+        return found
+
+    return run
+
+
+class Graph(Protocol):
+    """Records work and repeats it: a CUDA graph, or a substitute in tests."""
+
+    def record(self, work: Callable[[], None]) -> None:
+        """Record the work."""
+
+    def replay(self) -> None:
+        """Repeat the recorded work on the same memory."""
+
+
+class CudaGraph:
+    """A CUDA graph whose random streams advance with each replay.
+
+    Args:
+        generators: the random streams that the work may draw from.
+    """
+
+    def __init__(self, generators: Sequence[torch.Generator]) -> None:
+        self._generators = generators
+        self._graph = self._make()
+
+    def _make(self) -> torch.cuda.CUDAGraph:
+        graph = torch.cuda.CUDAGraph()
+        for generator in self._generators:
+            # torch accepts no subclass of Generator here: this is one of the class itself, with the same state.
+            graph.register_generator_state(generator.graphsafe_get_state())
+        return graph
+
+    def record(self, work: Callable[[], None]) -> None:
+        """Record the work. Its kernels do not run before the first replay."""
+        torch.cuda.synchronize()
+        stream, failed = torch.cuda.current_stream(), []
+        try:
+            with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+                try:
+                    work()
+                except Exception as error:
+                    failed.append(error)
+                    raise
+        except Exception as error:
+            torch.cuda.set_stream(stream)  # a capture that fails at its end leaves its own stream current
+            # The generators of a failed capture wait for its end. An empty capture ends it.
+            with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
+                torch.zeros(1, device="cuda")
+            cause = (failed or [error])[0]  # the error of the work, which names the term
+            raise cause from cause.__cause__
+
+    def replay(self) -> None:
+        """Launch the graph."""
+        self._graph.replay()
+
+
+class GraphCapture:
+    """Runs the parts of an environment's step: directly at first, as recordings later.
+
+    Args:
+        env: the environment, complete except for this attribute.
+        make_graph: makes an empty graph for work that draws from the given random streams.
+    """
+
+    def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
+        env.observation_manager.in_masks = True  # a list of row indices has another length in each step
+        # The log of curricula and recorders is made of Python numbers, so they are reset after the replay.
+        self._reset_later = [env.curriculum_manager, env.recorder_manager]
+        env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
+        self._env, self._make_graph = env, make_graph
+        self.values = Values(env)
+        self.parts: dict[str, CapturedPart] = {}
+
+    @property
+    def recordings(self) -> int:
+        """Number of recordings of all parts."""
+        return sum(len(part.recordings) for part in self.parts.values())
+
+    def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
+        """Run a part, or replay a recording of it."""
+        env = self._env
+        if method.__name__ not in self.parts:
+            self.parts[method.__name__] = CapturedPart(
+                functools.partial(method, env),
+                self.values,
+                self._make_graph,
+                reset_caches=env.scene.robot.data.invalidate,
+                streams=env.streams.all,
+                is_reset=any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args),
+            )
+        part = self.parts[method.__name__]
+        found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
+        if part.is_reset:
+            env.scene.robot.mark_written(args[0])
+            for manager in self._reset_later:
+                found.update(manager.reset(args[0]))
+                self.values.is_checked &= not manager.active_terms
+        elif to_caller:
+            found = cloned(found)
+            self.values.is_checked = False
+        return found
+
+
+@dataclass
+class Recording:
+    """One recording of a part, and what Python has to do around a replay.
+
+    Attributes:
+        graph: the recorded kernels.
+        inputs: memory for the arguments.
+        buffers: slots of tensors that the work reads or writes, and the memory that the graph uses for them.
+        shared: ids of such memory that several slots see: no other values can be copied into it.
+        assigned: slots that the work assigned, and the value.
+        filled: dictionaries that the work filled, and their entries.
+        output: the result of the work, in the memory of the graph.
+    """
+
+    graph: Graph
+    inputs: list[Any]
+    buffers: list[tuple[Slot, torch.Tensor]]
+    assigned: list[tuple[Slot, Any]]
+    filled: list[tuple[Slot, dict[Any, Any]]]
+    output: Any
+    shared: set[int] = field(init=False)
+    _places: list[tuple[Any, Any, torch.Tensor]] = field(init=False)
+    _containers: list[tuple[Any, Any, Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        counts = Counter(static.untyped_storage().data_ptr() for _, static in self.buffers)
+        self.shared = {id(s) for _, s in self.buffers if counts[s.untyped_storage().data_ptr()] > 1}
+        self._find_places()
+
+    def _find_places(self) -> None:
+        """Look up the dictionaries and lists that hold the buffers: faster than by slot at every replay."""
+        self._places = [(slot.container, slot.path[-1], static) for slot, static in self.buffers]
+        found = {(id(parent), key): (parent, key, c) for slot, _ in self.buffers for parent, key, c in slot.containers}
+        self._containers = list(found.values())
+
+    def load(self, args: tuple[Any, ...]) -> list[Slot]:
+        """Copy the present values into the memory of the graph; return the slots where this is not possible."""
+        try:
+            if not all([parent[key] is container for parent, key, container in self._containers]):
+                self._find_places()
+            moved = [(place, now) for place in self._places if (now := place[0][place[1]]) is not place[2]]
+        except (LookupError, TypeError):  # a slot no longer exists
+            return [slot for slot, _ in self.buffers if not isinstance(slot.get(), torch.Tensor)]
+        if moved:
+            wrong = {id(static) for (_, _, static), now in moved if not fits(now, static) or id(static) in self.shared}
+            if wrong:
+                return [slot for slot, static in self.buffers if id(static) in wrong]
+            copy_tensors([(static, now) for (_, _, static), now in moved])
+            for (container, key, static), _ in moved:
+                container[key] = static
+        for static, now in zip(self.inputs, args, strict=True):
+            if isinstance(static, torch.Tensor):
+                static.copy_(now)
+        return []
+
+    def replay(self) -> Any:
+        """Repeat the work."""
+        self.graph.replay()
+        for slot, content in self.filled:
+            whole = slot.get()
+            if isinstance(whole, dict):
+                whole.clear()
+                whole.update(content)
+        for slot, value in self.assigned:
+            slot.set(value)
+        return self.output
+
+
+class CapturedPart:
+    """One part of the step.
+
+    Args:
+        work: the part. It returns tensors, or for a reset a log: numbers by name.
+        values: the settings and flags of the environment, which all parts share.
+        make_graph: makes an empty graph for work that draws from the given random streams.
+        reset_caches: is called before every run; forgets derived quantities.
+        streams: returns all random streams.
+        is_reset: whether it is a reset: the number of rows differs from call to call, and the result is a log.
+    """
+
+    def __init__(
+        self,
+        work: Callable[..., Any],
+        values: Values,
+        make_graph: Callable[[Sequence[torch.Generator]], Graph],
+        *,
+        reset_caches: Callable[[], None] = lambda: None,
+        streams: Callable[[], Sequence[torch.Generator]] = list,
+        is_reset: bool = False,
+    ) -> None:
+        self._work, self._values, self._make_graph = work, values, make_graph
+        self._reset_caches, self._streams, self.is_reset = reset_caches, streams, is_reset
+        self.recordings: dict[Key, Recording] = {}
+        self.fails = False
+        self._generation = values.generation
+        self._recent, self._counts = deque[Key](), Counter[Key]()
+        self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
+        self._checked: set[Key] = set()
+        self._drawn: list[torch.Generator] = []
+        self._mismatches, self._missed = 0, 0
+        self._last: Key = (-1, ())
+
+    def __call__(self, *args: Any) -> Any:
+        """Run the part, or replay a recording."""
+        self._reset_caches()
+        if self.fails:
+            return self._run(args)
+        state = self._values.key()
+        if self._generation != self._values.generation:  # recordings depend on values that were not known before
+            self._generation = self._values.generation
+            self.recordings.clear()
+            self._checked.clear()
+        key = (*(form_of(arg) for arg in args), *state)
+        count = self._count(key)
+        recording = self.recordings.get(key)
+        if recording is None and not self._is_worth(key, count):
+            is_second = not self._checked and len(self._recent) == _RUNS_BEFORE_CAPTURE
+            if is_second or (count >= _RUNS_BEFORE_CAPTURE and state not in self._checked):
+                return self._run_checked(args, state)
+            self._warn_of_changes(key)
+            return self._run(args)
+        if recording is None:
+            recording = self._try_to_record(args)
+            if recording is None:
+                self._reset_caches()
+                return self._run(args)
+            if self._generation == self._values.generation:  # else the key lacks a flag that the work has set
+                self._store(key, recording)
+        elif unfit := recording.load(args):
+            self._drop(key, unfit)
+            return self._run(args)
+        self._missed -= self._missed > 0
+        self._last = key
+        output = recording.replay()
+        return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
+
+    def _run(self, args: tuple[Any, ...]) -> Any:
+        """Run the part without a graph."""
+        self._values.is_checked = False  # Python code that runs may change settings
+        return self._work(*args)
+
+    # --- which combinations of values have a recording ---
+
+    def _count(self, key: Key) -> int:
+        """Count a run; return how many of the last ``_WINDOW`` runs had this key."""
+        self._recent.append(key)
+        self._counts[key] += 1
+        if len(self._recent) > _WINDOW:
+            oldest = self._recent.popleft()
+            self._counts[oldest] -= 1
+            if not self._counts[oldest]:
+                del self._counts[oldest]
+        return self._counts[key]
+
+    def _is_worth(self, key: Key, count: int) -> bool:
+        """Return whether to record a key: it occurs often, and more often than a recording that would be replaced."""
+        if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
+            return False
+        # Twice as often: otherwise keys that are equally rare would replace each other again and again.
+        return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
+
+    def _rarest(self) -> Key:
+        return min(self.recordings, key=lambda known: self._counts[known])
+
+    def _store(self, key: Key, recording: Recording) -> None:
+        if len(self.recordings) >= self._room:
+            del self.recordings[self._rarest()]
+        self.recordings[key] = recording
+
+    def _drop(self, key: Key, unfit: list[Slot]) -> None:
+        """Drop a recording whose memory cannot take the present tensors: their kind becomes part of the key."""
+        del self.recordings[key]
+        self._values.add_flags(unfit)
+        self._mismatches += 1
+        if self._mismatches > _MOST_MISMATCHES:
+            self._give_up(f"{unfit[0]} holds other memory again and again")
+
+    def _warn_of_changes(self, key: Key) -> None:
+        self._missed += 1
+        if self._missed == _MANY:
+            changed = self._values.difference(self._last[-2:], key[-2:])
+            self._warn(f"{changed} changes again and again")
+        if not self.recordings:
+            self._last = key
+
+    def _give_up(self, reason: str) -> None:
+        self.fails = True
+        self.recordings.clear()
+        self._warn(reason)
+
+    def _warn(self, reason: str) -> None:
+        name = getattr(getattr(self._work, "func", self._work), "__name__", "part").strip("_")
+        warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
+
+    # --- recording ---
+
+    def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
+        """Run the part without a graph, and check that it keeps the contract (see the module)."""
+        values = self._values
+        before = [(slot, slot.get()) for slot in values.slots()]
+        undeclared = dict(values.undeclared())
+        states = [(stream, stream.get_state()) for stream in self._streams()]
+        found = self._run(args)
+        moved = [stream for stream, was in states if not torch.equal(stream.get_state(), was)]
+        self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
+        flags = []
+        for slot, was in before:
+            now = slot.get()
+            if isinstance(was, torch.Tensor) and isinstance(now, torch.Tensor):
+                if now is not was and form_of(now) == form_of(was):
+                    values.rebound.add(slot.id)
+            elif type(was) in (int, float) and type(now) in (int, float) and now != was:
+                self._give_up(f"{slot} counts; use a tensor that is changed in place")
+            elif is_changed(was, now):
+                flags.append(slot)
+        values.add_flags(flags)
+        for name, (was, now) in values.undeclared_changes(undeclared):
+            del was, now
+            self._give_up(f"{name} changes, and is neither a tensor nor a number")
+            break
+        self._checked.add(state)
+        return found
+
+    def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
+        """Record the work; return None if this is not possible, for example because the work waits for the GPU."""
+        # Each registered stream costs two launches at every replay. So first only those that the work drew from.
+        for streams in (self._drawn, self._streams()):
+            try:
+                return self._record(args, self._make_graph(streams))
+            except (RuntimeError, SimulationFailure) as error:
+                if not isinstance(error, RuntimeError) and not isinstance(error.__cause__, RuntimeError):
+                    raise
+                reason = str(error).splitlines()[0]  # of the term, with its key
+        self._give_up(reason)
+        return None
+
+    def _record(self, args: tuple[Any, ...], graph: Graph) -> Recording:
+        values = self._values
+        found = list(values.slots())
+        values.move_rebound(found)
+        before = [(slot, slot.get()) for slot in found]
+        tensors = [(slot, value) for slot, value in before if isinstance(value, torch.Tensor)]
+        others = [(slot, value) for slot, value in before if is_plain(value) or isinstance(value, tuple)]
+        dictionaries = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
+        with torch.inference_mode(False):
+            inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
+        touched, outputs = TouchedMemory(), list[Any]()
+
+        def work() -> None:
+            with touched:
+                outputs.append(self._packed(self._work(*inputs)))
+                write_back(tensors)
+
+        try:
+            graph.record(work)
+        except Exception:  # no kernel has run, so the attributes must be as before, too
+            for slot, content in dictionaries:
+                slot.set(content)
+            for slot, value in (*tensors, *others):
+                slot.set(value)
+            raise
+        assigned = [(slot, slot.get()) for slot, value in (*tensors, *others) if slot.get() is not value]
+        values.add_flags([slot for slot, value in (*tensors, *others) if is_changed(value, slot.get())])
+        filled = [(slot, dict(slot.get())) for slot, was in dictionaries if has_other_entries(slot.get(), was)]
+        touched.note((outputs, inputs, [v for _, v in assigned], [c for _, c in filled]))
+        buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
+        return Recording(graph, inputs, buffers, assigned, filled, frozen(outputs[0]))
+
+    def _packed(self, result: Any) -> Any:
+        """Return the log of a reset as names and one tensor, because its numbers are copied at every replay."""
+        if not self.is_reset:
+            return result
+        if not all(isinstance(value, torch.Tensor) for value in result.values()):
+            raise RuntimeError("the log of a reset holds something other than tensors")
+        return list(result), torch.stack([value.reshape(()) for value in result.values()])
