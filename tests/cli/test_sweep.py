@@ -161,9 +161,9 @@ def test_the_users_root_holds_the_index(tmp_path):
 def test_jobs_find_the_environment_that_a_run_alone_finds():
     """Counting cores with joblib leaves nothing behind in it."""
     code = (
-        "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import sweep;"
+        "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import train_sweep;"
         "jobs = types.SimpleNamespace(jobs=[0] * 1000, n_jobs=-1, launcher='joblib');"
-        "print(sweep._at_once(jobs) >= 1, dict(os.environ) == before)"
+        "print(train_sweep._at_once(jobs) >= 1, dict(os.environ) == before)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "True"]

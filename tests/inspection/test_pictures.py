@@ -257,11 +257,9 @@ def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) 
     path = write_recording(tmp_path / "r.rrd")
     code = (
         "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.recording_reader import Recording\n"
-        "from wheelleg_exp.inspection import pictures, video\n"
-        "from wheelleg_exp.inspection import plots\n"
-        "from wheelleg_exp.inspection import export\n"
-        "from wheelleg_exp.inspection import viewer\n"
-        f"pictures.scenery(Recording(Path({str(path)!r})))\n"
+        "from wheelleg_exp.inspection import recording_pictures, recording_video\n"
+        "from wheelleg_exp.inspection import recording_plots, export_numbers, rerun_viewer\n"
+        f"recording_pictures.scenery(Recording(Path({str(path)!r})))\n"
         "print([m for m in ('torch', 'mujoco', 'matplotlib.pyplot') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -242,8 +242,8 @@ def test_the_process_of_a_pipelines_step_chooses_by_itself(monkeypatch):
 
 FIRST_USE = """
 import sys
-from wheelleg_exp import threads
-threads.keep_kernels = lambda recorded: print(recorded["MKL_CBWR"], "tensordict" in sys.modules)
+from wheelleg_exp import machine
+machine.keep_kernels = lambda recorded: print(recorded["MKL_CBWR"], "tensordict" in sys.modules)
 from wheelleg_exp.cli.main import main
 main(["resume", sys.argv[1]])
 """

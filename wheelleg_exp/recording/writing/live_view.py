@@ -16,7 +16,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 from rerun.chunk import Chunk
@@ -24,8 +24,10 @@ from rerun.chunk import Chunk
 from wheelleg_exp.recording.blueprint import blueprint
 from wheelleg_exp.recording.reading.messages import HEADER_SIZE, RECORDING, ROWS, Rows, decode_rows
 from wheelleg_exp.recording.rerun_program import rerun_program
-from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.recording.writing.recording_file import APPLICATION
+
+if TYPE_CHECKING:  # the recorder loads torch and mujoco, which `wheelleg inspect` does not need
+    from wheelleg_exp.recording.writing.recorder import Recorder
 
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
