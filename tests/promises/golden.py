@@ -115,7 +115,8 @@ def without_wording(value: Any, key: str = "", digits: int | None = None) -> Any
             value = value | {"line": line_of(in_repository(value["file"]), line)}
         return {name: without_wording(item, name, digits) for name, item in value.items()}
     if isinstance(value, list):
-        return [without_wording(item, key, digits) for item in value]
+        items = [without_wording(item, key, digits) for item in value]
+        return without_internal_meanings(items) if key == "meaning" else items
     if isinstance(value, float) and digits is not None:
         return float(f"{value:.{digits}g}")
     if not isinstance(value, str):
@@ -128,6 +129,12 @@ def without_wording(value: Any, key: str = "", digits: int | None = None) -> Any
     if " " not in text and key not in _SENTENCES:
         return text
     return names_in(value) if key in _NAMING else PROSE
+
+
+def without_internal_meanings(meanings: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Remove what internal classes say of a key: ``explain`` omits it where a config file says the same words."""
+    public = [meaning for meaning in meanings if meaning["where"] != "wheelleg_exp"]
+    return public or meanings[:1]
 
 
 # --- sections ---
