@@ -1,5 +1,72 @@
-"""Isaac Lab's module paths, so that a term written for it needs another import line and nothing else.
+"""Isaac Lab's module paths, so that a term written for Isaac Lab runs after its import lines are changed.
 
 ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers import SceneEntityCfg``.
-The modules hand on what is elsewhere in this package; ``docs/isaaclab.md`` says what is the same and what is not.
+``docs/isaaclab.md`` describes the differences.
+
+Only ``managers`` and ``utils`` have code of their own. The other modules of Isaac Lab contain existing classes under
+Isaac Lab's names. They are created here from a table when the package is imported, instead of one file for each.
 """
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.isaaclab_attributes import Simulation
+from wheelleg_exp.isaaclab import managers
+from wheelleg_exp.sim import actuators, sensors
+from wheelleg_exp.sim.articulation_data import ArticulationData
+from wheelleg_exp.sim.robot import Robot
+from wheelleg_exp.sim.scene import Scene
+from wheelleg_exp.sim.terrain import TerrainBase
+
+_TERMS = ("actions", "commands", "curriculums", "events", "observations", "rewards", "terminations")
+
+
+def _public(module: ModuleType) -> dict[str, Any]:
+    """Return the public names that a module or its submodules define."""
+    own = f"{module.__name__}."
+    names = {n: v for n, v in vars(module).items() if not n.startswith("_") and not isinstance(v, ModuleType)}
+    return {n: v for n, v in names.items() if f"{getattr(v, '__module__', module.__name__)}.".startswith(own)}
+
+
+def _add_module(path: str, doc: str, members: dict[str, Any]) -> None:
+    """Create a module below this package, and make it importable by its dotted path."""
+    module = ModuleType(f"{__name__}.{path}", doc)
+    module.__spec__ = ModuleSpec(module.__name__, None, is_package=True)
+    module.__path__ = []
+    vars(module).update(members)
+    sys.modules[module.__name__] = module
+    parent, _, name = module.__name__.rpartition(".")
+    setattr(sys.modules[parent], name, module)
+
+
+_ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
+_BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
+_TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
+_MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
+# Path: docstring, members. A package comes before its modules.
+_MODULES: dict[str, tuple[str, dict[str, Any]]] = {
+    "actuators": ("The actuator models.", _public(actuators)),
+    "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),
+    "assets.articulation": ("The robot.", _ROBOT),
+    "assets.rigid_object": ("The robot.", _BODY),
+    "envs": ("The environment.", dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)),
+    "envs.mdp": ("The stock terms.", {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}),
+    **{f"envs.mdp.{kind}": (f"The stock {kind}.", terms) for kind, terms in _TERMS_BY_KIND.items()},
+    "managers.action_manager": ("Terms and managers.", _MANAGERS),
+    "managers.command_manager": ("Terms and managers.", _MANAGERS),
+    "managers.manager_base": ("Terms and managers.", _MANAGERS),
+    "managers.manager_term_cfg": ("Terms and managers.", _MANAGERS),
+    "managers.scene_entity_cfg": ("Terms and managers.", _MANAGERS),
+    "scene": ("The scene.", {"InteractiveScene": Scene}),
+    "sensors": ("The sensors of the scene.", {**_public(sensors), "TiledCamera": sensors.Camera}),
+    "sim": ("The simulation, for annotations.", {"SimulationContext": Simulation}),
+    "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
+}
+for _path, (_doc, _members) in _MODULES.items():
+    _add_module(_path, _doc, _members)

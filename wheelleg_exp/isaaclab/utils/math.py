@@ -12,66 +12,10 @@ import numpy as np
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.rotation import wrap_to_pi
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
-__all__ = [
-    "apply_delta_pose",
-    "axis_angle_from_quat",
-    "combine_frame_transforms",
-    "compute_pose_error",
-    "convert_camera_frame_orientation_convention",
-    "convert_quat",
-    "copysign",
-    "create_rotation_matrix_from_view",
-    "default_orientation",
-    "euler_xyz_from_quat",
-    "is_identity_pose",
-    "make_pose",
-    "matrix_from_euler",
-    "matrix_from_quat",
-    "normalize",
-    "orthogonalize_perspective_depth",
-    "pose_inv",
-    "project_points",
-    "quat_apply",
-    "quat_apply_inverse",
-    "quat_apply_yaw",
-    "quat_box_minus",
-    "quat_box_plus",
-    "quat_conjugate",
-    "quat_error_magnitude",
-    "quat_from_angle_axis",
-    "quat_from_euler_xyz",
-    "quat_from_matrix",
-    "quat_inv",
-    "quat_mul",
-    "quat_rotate",
-    "quat_rotate_inverse",
-    "quat_slerp",
-    "quat_unique",
-    "random_orientation",
-    "random_yaw_orientation",
-    "rigid_body_twist_transform",
-    "sample_cylinder",
-    "sample_gaussian",
-    "sample_log_uniform",
-    "sample_triangle",
-    "sample_uniform",
-    "saturate",
-    "scale_transform",
-    "skew_symmetric_matrix",
-    "subtract_frame_transforms",
-    "transform_points",
-    "unmake_pose",
-    "unproject_depth",
-    "unscale_transform",
-    "wrap_to_pi",
-    "yaw_quat",
-]
-
-
-SMALL = 1e-6  # an angle below which its sine is taken for itself
+wrap_to_pi = rotation.wrap_to_pi
+SMALL = 1e-6  # rad: angles below use sin(x) = x
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

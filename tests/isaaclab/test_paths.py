@@ -1,0 +1,47 @@
+"""Isaac Lab's dotted paths import, each in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PATHS = {
+    "actuators": "ImplicitActuator DCMotor",
+    "assets": "Articulation ArticulationData AssetBase RigidObject RigidObjectCollection RigidObjectData",
+    "assets.articulation": "Articulation ArticulationData",
+    "assets.rigid_object": "RigidObject RigidObjectData",
+    "envs": "ManagerBasedEnv ManagerBasedRLEnv mdp",
+    "envs.mdp": "JointPositionAction UniformVelocityCommand modify_term_cfg joint_pos_rel base_height_l2 time_out",
+    "envs.mdp.actions": "JointPositionAction",
+    "envs.mdp.commands": "UniformVelocityCommand",
+    "envs.mdp.curriculums": "modify_term_cfg",
+    "envs.mdp.events": "reset_joints_by_scale push_by_setting_velocity",
+    "envs.mdp.observations": "joint_effort",
+    "envs.mdp.rewards": "base_height_l2 body_lin_acc_l2",
+    "envs.mdp.terminations": "time_out",
+    "managers": "SceneEntityCfg ActionTerm CommandTermCfg RewardTermCfg RewardManager ManagerTermBase",
+    "managers.action_manager": "ActionTerm",
+    "managers.command_manager": "CommandTerm",
+    "managers.manager_base": "ManagerTermBase",
+    "managers.manager_term_cfg": "RewardTermCfg ActionTermCfg",
+    "managers.scene_entity_cfg": "SceneEntityCfg",
+    "scene": "InteractiveScene",
+    "sensors": "Camera ContactSensor Imu RayCaster TiledCamera",
+    "sim": "SimulationContext",
+    "terrains": "TerrainImporter",
+    "utils": "configclass math string",
+    "utils.configclass": "configclass",
+    "utils.math": "quat_mul wrap_to_pi sample_uniform",
+    "utils.string": "resolve_matching_names",
+}
+
+
+def test_every_path_has_its_names():
+    lines = [f"from wheelleg_exp.isaaclab.{path} import {', '.join(names.split())}" for path, names in PATHS.items()]
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True)
+
+
+def test_a_path_imports_first():
+    """A module that the package creates is found before anything else of the package was imported."""
+    for path in ("managers.command_manager", "envs.mdp.rewards"):
+        subprocess.run([sys.executable, "-c", f"import wheelleg_exp.isaaclab.{path}"], check=True)

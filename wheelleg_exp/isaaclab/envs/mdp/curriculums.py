@@ -1,3 +1,0 @@
-"""The stock curriculums."""
-
-from wheelleg_exp.mdp.curriculums import *  # noqa: F403

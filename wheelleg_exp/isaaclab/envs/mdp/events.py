@@ -1,3 +1,0 @@
-"""The stock events."""
-
-from wheelleg_exp.mdp.events import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""The stock terminations."""
-
-from wheelleg_exp.mdp.terminations import *  # noqa: F403
