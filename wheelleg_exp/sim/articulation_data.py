@@ -8,42 +8,93 @@ from typing import Any
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.class_members import alias_of, cached_until_change, declare_unsupported
+from wheelleg_exp.sim.class_members import alias_of, cached_until_change, concatenation, declare_unsupported
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_data import RobotData
 
+_ONE_FRICTION = "MuJoCo has one friction of a joint at rest and in motion, joint_friction_coeff"
+_TENDONS = "a robot's tendons are not read here; env.scene.model has MuJoCo's"
+_FIXED = ("stiffness", "damping", "limit_stiffness", "rest_length", "offset", "pos_limits")
+_SPATIAL = ("stiffness", "damping", "limit_stiffness", "offset")
+_UNSUPPORTED = {
+    "joint_dynamic_friction_coeff": _ONE_FRICTION,
+    "default_joint_dynamic_friction_coeff": _ONE_FRICTION,
+    "fixed_tendon_limit": _TENDONS,
+    "default_fixed_tendon_limit": _TENDONS,
+    "body_incoming_joint_wrench_b": "MuJoCo computes the wrench between links only for force and torque sensors"
+    " of the model; applied_torque has the torque that the actuators apply",
+}
+_UNSUPPORTED |= {f"{start}fixed_tendon_{name}": _TENDONS for start in ("", "default_") for name in _FIXED}
+_UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "default_") for name in _SPATIAL}
 
-class RootData(RobotData):
-    """Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity; world axes.
+# MuJoCo's fields of a degree of freedom, by Isaac Lab's name.
+_FIELDS = {
+    "armature": "dof_armature",
+    "friction_coeff": "dof_frictionloss",
+    "viscous_friction_coeff": "dof_damping",
+}
+
+
+@declare_unsupported(_UNSUPPORTED)
+class ArticulationData(RobotData):
+    """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order.
+
+    ``_w`` is world axes, ``_b`` axes of the link. ``root_``, ``body_`` velocities are of centres of mass unless the
+    name says ``link``; poses are of link frames unless the name says ``com``. Quaternions are (w, x, y, z). Poses are
+    a position and a quaternion, velocities linear then angular, states a pose and a velocity.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
         FORWARD_VEC_B: the link's x axis, link axes, (N, 3).
-        default_root_state: where resets begin: pose of the link from the environment's origin, velocity, (N, 13).
+        default_root_state: state at a reset: pose of the link relative to the environment's origin, velocity, (N, 13).
+        default_joint_stiffness: kp of the config, N·m/rad, (N, J).
+        default_joint_damping: kd of the config, N·m·s/rad, (N, J).
+        default_joint_armature: reflected rotor inertia of the model, kg·m^2, (N, J).
+        default_joint_friction_coeff: friction loss of the model, N·m, (N, J).
+        default_joint_viscous_friction_coeff: passive damping of the model, N·m·s/rad, (N, J).
+        default_joint_pos_limits: limits of the model, rad, (N, J, 2).
+        gear_ratio: 1, because actuators act on the joints directly, (N, J).
+        default_mass: mass of each body in the model, kg, (N, B).
+        default_inertia: inertia about each body's centre of mass, link axes, row by row, kg·m^2, (N, B, 9).
     """
 
-    def __init__(self, *args: Any) -> None:
+    def __init__(self, *args: Any, gains: Callable[[str, bool], torch.Tensor]) -> None:
         super().__init__(*args)
-        n, layout = self._sim.num_envs, self._layout
+        n, layout, bodies, device = self._sim.num_envs, self._layout, len(self._body_ids), self._sim.device
+        self._gains = gains
         self.GRAVITY_VEC_W = self._gravity_dir.repeat(n, 1)
-        self.FORWARD_VEC_B = torch.tensor([1.0, 0.0, 0.0], device=self._sim.device).repeat(n, 1)
-        still = torch.zeros(6, device=self._sim.device)
-        start = torch.cat((layout.default_root_pos, layout.default_root_quat, still))
+        self.FORWARD_VEC_B = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(n, 1)
+        start = torch.cat((layout.default_root_pos, layout.default_root_quat, torch.zeros(6, device=device)))
         self.default_root_state = start.repeat(n, 1)
+        self.default_joint_stiffness = gains("stiffness", False)
+        self.default_joint_damping = gains("damping", False)
+        self.default_joint_armature = self._of_joints("armature").clone()
+        self.default_joint_friction_coeff = self._of_joints("friction_coeff").clone()
+        self.default_joint_viscous_friction_coeff = self._of_joints("viscous_friction_coeff").clone()
+        self.default_joint_pos_limits = self.joint_pos_limits.clone()
+        self.gear_ratio = torch.ones_like(self.default_joint_pos)
+        self.default_mass = self._of_bodies("body_mass").clone()
+        axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
+        inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
+        self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
+        # None until a term reads body accelerations: only then are velocities stored before each physics step.
+        self._vel_before: torch.Tensor | None = None
+        self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
     def settings(self) -> dict[str, torch.Tensor]:
         """Return the tensors that come from the config and the model, and that an event may change."""
         return {**super().settings(), "default_root_state": self.default_root_state}
 
-    @cached_until_change
-    def root_link_pose_w(self) -> torch.Tensor:
-        """Pose of the root link, m and (w, x, y, z), (N, 7)."""
-        return torch.cat((self.root_pos_w, self.root_quat_w), dim=1)
+    @property
+    def device(self) -> torch.device:
+        """Device of the tensors."""
+        return self._sim.device
 
-    @cached_until_change
-    def root_link_vel_w(self) -> torch.Tensor:
-        """Velocity of the root link's origin, m/s and rad/s, (N, 6)."""
-        return torch.cat((self.root_link_lin_vel_w, self.root_ang_vel_w), dim=1)
+    def update(self, dt: float) -> None:
+        """Do nothing: quantities are computed from the present state on each read."""
+        del dt
+
+    # --- root ---
 
     @cached_until_change
     def root_com_pos_w(self) -> torch.Tensor:
@@ -55,31 +106,27 @@ class RootData(RobotData):
         """Orientation of the root body's principal axes of inertia (w, x, y, z), (N, 4)."""
         return rotation.quat_mul(self.root_quat_w, self._of_bodies("body_iquat")[:, 0])
 
-    @cached_until_change
-    def root_com_pose_w(self) -> torch.Tensor:
-        """Pose of the root body's centre of mass and principal axes, m and (w, x, y, z), (N, 7)."""
-        return torch.cat((self.root_com_pos_w, self.root_com_quat_w), dim=1)
-
-    @cached_until_change
-    def root_com_vel_w(self) -> torch.Tensor:
-        """Velocity of the root body's centre of mass, m/s and rad/s, (N, 6)."""
-        return torch.cat((self.root_lin_vel_w, self.root_ang_vel_w), dim=1)
-
-    @cached_until_change
-    def root_state_w(self) -> torch.Tensor:
-        """Pose of the root link and velocity of its centre of mass, (N, 13)."""
-        return torch.cat((self.root_link_pose_w, self.root_com_vel_w), dim=1)
-
-    @cached_until_change
-    def root_link_state_w(self) -> torch.Tensor:
-        """Pose and velocity of the root link's origin, (N, 13)."""
-        return torch.cat((self.root_link_pose_w, self.root_link_vel_w), dim=1)
-
-    @cached_until_change
-    def root_com_state_w(self) -> torch.Tensor:
-        """Pose and velocity of the root body's centre of mass, (N, 13)."""
-        return torch.cat((self.root_com_pose_w, self.root_com_vel_w), dim=1)
-
+    root_link_pose_w = concatenation("root_pos_w", "root_quat_w", "Pose of the root link, m and (w, x, y, z), (N, 7).")
+    root_link_vel_w = concatenation(
+        "root_link_lin_vel_w", "root_ang_vel_w", "Velocity of the root link's origin, m/s and rad/s, (N, 6)."
+    )
+    root_com_pose_w = concatenation(
+        "root_com_pos_w",
+        "root_com_quat_w",
+        "Pose of the root body's centre of mass and principal axes, m and (w, x, y, z), (N, 7).",
+    )
+    root_com_vel_w = concatenation(
+        "root_lin_vel_w", "root_ang_vel_w", "Velocity of the root body's centre of mass, m/s and rad/s, (N, 6)."
+    )
+    root_state_w = concatenation(
+        "root_link_pose_w", "root_com_vel_w", "Pose of the root link and velocity of its centre of mass, (N, 13)."
+    )
+    root_link_state_w = concatenation(
+        "root_link_pose_w", "root_link_vel_w", "Pose and velocity of the root link's origin, (N, 13)."
+    )
+    root_com_state_w = concatenation(
+        "root_com_pose_w", "root_com_vel_w", "Pose and velocity of the root body's centre of mass, (N, 13)."
+    )
     root_pose_w = alias_of("root_link_pose_w")
     root_vel_w = alias_of("root_com_vel_w")
     root_link_pos_w = alias_of("root_pos_w")
@@ -91,53 +138,7 @@ class RootData(RobotData):
     root_com_lin_vel_b = alias_of("root_lin_vel_b")
     root_com_ang_vel_b = alias_of("root_ang_vel_b")
 
-
-_ONE_FRICTION = "MuJoCo has one friction of a joint at rest and in motion, joint_friction_coeff"
-_TENDONS = "a robot's tendons are not read here; env.scene.model has MuJoCo's"
-_FIXED = ("stiffness", "damping", "limit_stiffness", "rest_length", "offset", "pos_limits")
-_SPATIAL = ("stiffness", "damping", "limit_stiffness", "offset")
-
-# Model fields of a joint's degree of freedom, by Isaac Lab's name of them.
-_FIELDS = {
-    "armature": "dof_armature",
-    "friction_coeff": "dof_frictionloss",
-    "viscous_friction_coeff": "dof_damping",
-}
-
-
-@declare_unsupported(
-    {
-        "joint_dynamic_friction_coeff": _ONE_FRICTION,
-        "default_joint_dynamic_friction_coeff": _ONE_FRICTION,
-        "fixed_tendon_limit": _TENDONS,
-        "default_fixed_tendon_limit": _TENDONS,
-    }
-    | {f"{start}fixed_tendon_{name}": _TENDONS for start in ("", "default_") for name in _FIXED}
-    | {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "default_") for name in _SPATIAL}
-)
-class JointData(RobotData):
-    """Joint parameters, (N, J) in the robot's order.
-
-    Attributes:
-        default_joint_stiffness: kp that the config gave, N·m/rad.
-        default_joint_damping: kd that the config gave, N·m·s/rad.
-        default_joint_armature: of the model, kg·m^2.
-        default_joint_friction_coeff: friction loss of the model, N·m.
-        default_joint_viscous_friction_coeff: of the model, N·m·s/rad.
-        default_joint_pos_limits: of the model, rad, (N, J, 2).
-        gear_ratio: 1: actuators act on the joints themselves.
-    """
-
-    def __init__(self, *args: Any, gains: Callable[[str, bool], torch.Tensor]) -> None:
-        super().__init__(*args)
-        self._gains = gains
-        self.default_joint_stiffness = gains("stiffness", False)
-        self.default_joint_damping = gains("damping", False)
-        self.default_joint_armature = self._of_joints("armature").clone()
-        self.default_joint_friction_coeff = self._of_joints("friction_coeff").clone()
-        self.default_joint_viscous_friction_coeff = self._of_joints("viscous_friction_coeff").clone()
-        self.default_joint_pos_limits = self.joint_pos_limits.clone()
-        self.gear_ratio = torch.ones_like(self.default_joint_pos)
+    # --- joints ---
 
     @property
     def joint_names(self) -> list[str]:
@@ -146,12 +147,12 @@ class JointData(RobotData):
 
     @property
     def joint_stiffness(self) -> torch.Tensor:
-        """Stiffness of the drives inside the solver, N·m/rad, (N, J); 0 of explicit actuators."""
+        """Stiffness of the drives inside the solver, N·m/rad, (N, J); 0 for explicit actuators."""
         return self._gains("stiffness", True)
 
     @property
     def joint_damping(self) -> torch.Tensor:
-        """Damping of the drives inside the solver, N·m·s/rad, (N, J); 0 of explicit actuators."""
+        """Damping of the drives inside the solver, N·m·s/rad, (N, J); 0 for explicit actuators."""
         return self._gains("damping", True)
 
     @property
@@ -178,30 +179,7 @@ class JointData(RobotData):
     default_joint_limits = alias_of("default_joint_pos_limits")
     default_joint_friction = alias_of("default_joint_friction_coeff")
 
-
-@declare_unsupported(
-    {
-        "body_incoming_joint_wrench_b": "MuJoCo works out what acts between links only for force and torque sensors"
-        " of the model; applied_torque has what the actuators apply"
-    }
-)
-class BodyData(RobotData):
-    """Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity; world axes.
-
-    Attributes:
-        default_mass: of the model, kg, (N, B).
-        default_inertia: of the model, about the centre of mass in link axes, kg·m^2, row by row, (N, B, 9).
-    """
-
-    def __init__(self, *args: Any, **more: Any) -> None:
-        super().__init__(*args, **more)
-        n, bodies = self._sim.num_envs, len(self._body_ids)
-        self.default_mass = self._of_bodies("body_mass").clone()
-        axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
-        inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
-        self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        self._vel_before: torch.Tensor | None = None  # once somebody has asked for accelerations
-        self._acc_valid = torch.zeros(n, 1, 1, device=self._sim.device)
+    # --- bodies ---
 
     @property
     def body_names(self) -> list[str]:
@@ -209,20 +187,10 @@ class BodyData(RobotData):
         return self._layout.body_names
 
     @cached_until_change
-    def body_link_pose_w(self) -> torch.Tensor:
-        """Poses of the link frames, m and (w, x, y, z), (N, B, 7)."""
-        return torch.cat((self.body_pos_w, self.body_quat_w), dim=2)
-
-    @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the links' origins, m/s, (N, B, 3)."""
         lever = self.body_pos_w - self.body_com_pos_w
         return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, lever)
-
-    @cached_until_change
-    def body_link_vel_w(self) -> torch.Tensor:
-        """Velocities of the links' origins, m/s and rad/s, (N, B, 6)."""
-        return torch.cat((self.body_link_lin_vel_w, self.body_ang_vel_w), dim=2)
 
     @cached_until_change
     def body_com_pos_w(self) -> torch.Tensor:
@@ -236,31 +204,6 @@ class BodyData(RobotData):
         return rotation.quat_mul(link, inertial).view_as(self.body_quat_w)
 
     @cached_until_change
-    def body_com_pose_w(self) -> torch.Tensor:
-        """Poses of the bodies' centres of mass and principal axes, m and (w, x, y, z), (N, B, 7)."""
-        return torch.cat((self.body_com_pos_w, self.body_com_quat_w), dim=2)
-
-    @cached_until_change
-    def body_com_vel_w(self) -> torch.Tensor:
-        """Velocities of the bodies' centres of mass, m/s and rad/s, (N, B, 6)."""
-        return torch.cat((self.body_lin_vel_w, self.body_ang_vel_w), dim=2)
-
-    @cached_until_change
-    def body_state_w(self) -> torch.Tensor:
-        """Poses of the links and velocities of their centres of mass, (N, B, 13)."""
-        return torch.cat((self.body_link_pose_w, self.body_com_vel_w), dim=2)
-
-    @cached_until_change
-    def body_link_state_w(self) -> torch.Tensor:
-        """Poses and velocities of the links' origins, (N, B, 13)."""
-        return torch.cat((self.body_link_pose_w, self.body_link_vel_w), dim=2)
-
-    @cached_until_change
-    def body_com_state_w(self) -> torch.Tensor:
-        """Poses and velocities of the bodies' centres of mass, (N, B, 13)."""
-        return torch.cat((self.body_com_pose_w, self.body_com_vel_w), dim=2)
-
-    @cached_until_change
     def body_com_pos_b(self) -> torch.Tensor:
         """Centres of mass in their link's frame, m, (N, B, 3)."""
         return self._of_bodies("body_ipos")
@@ -270,16 +213,54 @@ class BodyData(RobotData):
         """Principal axes of inertia in their link's frame (w, x, y, z), (N, B, 4)."""
         return self._of_bodies("body_iquat")
 
-    @cached_until_change
-    def body_com_pose_b(self) -> torch.Tensor:
-        """Centres of mass and principal axes in their link's frame, m and (w, x, y, z), (N, B, 7)."""
-        return torch.cat((self.body_com_pos_b, self.body_com_quat_b), dim=2)
+    body_link_pose_w = concatenation(
+        "body_pos_w", "body_quat_w", "Poses of the link frames, m and (w, x, y, z), (N, B, 7)."
+    )
+    body_link_vel_w = concatenation(
+        "body_link_lin_vel_w", "body_ang_vel_w", "Velocities of the links' origins, m/s and rad/s, (N, B, 6)."
+    )
+    body_com_pose_w = concatenation(
+        "body_com_pos_w",
+        "body_com_quat_w",
+        "Poses of the bodies' centres of mass and principal axes, m and (w, x, y, z), (N, B, 7).",
+    )
+    body_com_vel_w = concatenation(
+        "body_lin_vel_w", "body_ang_vel_w", "Velocities of the bodies' centres of mass, m/s and rad/s, (N, B, 6)."
+    )
+    body_state_w = concatenation(
+        "body_link_pose_w", "body_com_vel_w", "Poses of the links and velocities of their centres of mass, (N, B, 13)."
+    )
+    body_link_state_w = concatenation(
+        "body_link_pose_w", "body_link_vel_w", "Poses and velocities of the links' origins, (N, B, 13)."
+    )
+    body_com_state_w = concatenation(
+        "body_com_pose_w", "body_com_vel_w", "Poses and velocities of the bodies' centres of mass, (N, B, 13)."
+    )
+    body_com_pose_b = concatenation(
+        "body_com_pos_b",
+        "body_com_quat_b",
+        "Centres of mass and principal axes in their link's frame, m and (w, x, y, z), (N, B, 7).",
+    )
+    body_link_pos_w = alias_of("body_pos_w")
+    body_link_quat_w = alias_of("body_quat_w")
+    body_link_ang_vel_w = alias_of("body_ang_vel_w")
+    body_com_lin_vel_w = alias_of("body_lin_vel_w")
+    body_com_ang_vel_w = alias_of("body_ang_vel_w")
+    body_pose_w = alias_of("body_link_pose_w")
+    body_vel_w = alias_of("body_com_vel_w")
+    body_acc_w = alias_of("body_com_acc_w")
+    body_lin_acc_w = alias_of("body_com_lin_acc_w")
+    body_ang_acc_w = alias_of("body_com_ang_acc_w")
+    com_pos_b = alias_of("body_com_pos_b")
+    com_quat_b = alias_of("body_com_quat_b")
+
+    # --- accelerations of bodies ---
 
     @cached_until_change
     def body_com_acc_w(self) -> torch.Tensor:
         """Accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); a body at rest has 0.
 
-        Finite difference over the last physics step, 0 after a reset or a written velocity until the next one.
+        Finite difference over the last physics step; 0 from a reset or a written velocity until the next step.
         """
         if self._vel_before is None:
             self._vel_before = self._velocity_before()
@@ -296,21 +277,12 @@ class BodyData(RobotData):
         """Angular accelerations of the bodies, rad/s^2, (N, B, 3)."""
         return self.body_com_acc_w[..., 3:]
 
-    body_link_pos_w = alias_of("body_pos_w")
-    body_link_quat_w = alias_of("body_quat_w")
-    body_link_ang_vel_w = alias_of("body_ang_vel_w")
-    body_com_lin_vel_w = alias_of("body_lin_vel_w")
-    body_com_ang_vel_w = alias_of("body_ang_vel_w")
-    body_pose_w = alias_of("body_link_pose_w")
-    body_vel_w = alias_of("body_com_vel_w")
-    body_acc_w = alias_of("body_com_acc_w")
-    body_lin_acc_w = alias_of("body_com_lin_acc_w")
-    body_ang_acc_w = alias_of("body_com_ang_acc_w")
-    com_pos_b = alias_of("body_com_pos_b")
-    com_quat_b = alias_of("body_com_quat_b")
-
     def _velocity_before(self) -> torch.Tensor:
-        """Return the bodies' velocities at the start of the last physics step, from the state kept of it."""
+        """Return the bodies' velocities at the start of the last physics step.
+
+        Only joint states are stored before a step. The engine computes body velocities for the present state, so the
+        old joint state is put in, evaluated, and taken out again. This happens once, at the first read.
+        """
         sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
         self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
         self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
@@ -326,18 +298,18 @@ class BodyData(RobotData):
         return velocity
 
     def forget_accelerations(self, ids: torch.Tensor) -> None:
-        """Report no acceleration of bodies whose velocity was written, until the next physics step."""
+        """Report zero acceleration in ``ids``, whose velocities were written, until the next physics step."""
         if self._vel_before is not None:
             fill_rows(self._acc_valid, ids, 0.0)
 
     def before_step(self) -> None:
-        """Keep the motion state that the coming physics step starts from."""
+        """Store the motion state that the coming physics step starts from."""
         super().before_step()
         if self._vel_before is not None:
             self._vel_before = self.body_com_vel_w
 
     def mark_stepped(self) -> None:
-        """Note that the last solve belongs to every environment's present episode."""
+        """Mark torques and accelerations as valid in every environment after a physics step."""
         super().mark_stepped()
         if self._vel_before is not None:
             self._acc_valid.fill_(1.0)
@@ -348,14 +320,11 @@ class BodyData(RobotData):
         self.forget_accelerations(ids)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what is kept of the last physics step."""
+        """Return the stored state of the last physics step."""
         if self._vel_before is None:
             return super().state_dict()
-        return {
-            **super().state_dict(),
-            "body_vel_before": self._vel_before.clone(),
-            "acc_valid": self._acc_valid.clone(),
-        }
+        velocities = {"body_vel_before": self._vel_before.clone(), "acc_valid": self._acc_valid.clone()}
+        return {**super().state_dict(), **velocities}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -363,20 +332,3 @@ class BodyData(RobotData):
         found = saved.get("body_vel_before")
         self._vel_before = None if found is None else found.clone()
         self._acc_valid.copy_(saved.get("acc_valid", torch.zeros_like(self._acc_valid)))
-
-
-class ArticulationData(BodyData, JointData, RootData):
-    """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order.
-
-    ``_w`` is world axes, ``_b`` axes of the link. ``root_``, ``body_`` velocities are of centres of mass unless the
-    name says ``link``; poses are of link frames unless the name says ``com``. Quaternions are (w, x, y, z).
-    """
-
-    @property
-    def device(self) -> torch.device:
-        """Where the tensors are."""
-        return self._sim.device
-
-    def update(self, dt: float) -> None:
-        """Do nothing: what is asked for is worked out of the present state."""
-        del dt

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from operator import attrgetter
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import torch
 
 from wheelleg_exp.errors import ConfigError
+
+_Class = TypeVar("_Class", bound=type)
 
 
 def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
@@ -24,59 +26,58 @@ def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
     return property(get, doc=compute.__doc__)
 
 
+def concatenation(first: str, second: str, doc: str) -> property:
+    """Make a cached property that concatenates two others along the last dimension."""
+    name = f"{first}|{second}"
+
+    def get(self: Any) -> torch.Tensor:
+        value = self._cache.get(name)
+        if value is None:
+            value = self._cache[name] = torch.cat((getattr(self, first), getattr(self, second)), dim=-1)
+        return value
+
+    return property(get, doc=doc)
+
+
 def alias_of(name: str) -> property:
-    """Make a property that is another one under a second name of Isaac Lab's."""
+    """Make a property that is a second name of another one."""
     return property(attrgetter(name), doc=f"Same as ``{name}``.")
 
 
-_Class = TypeVar("_Class", bound=type)
-
-
 class NotInMuJoCo(ConfigError, AttributeError):
-    """A member of Isaac Lab's that there is no counterpart of; ``hasattr`` is false of it."""
+    """A member of Isaac Lab has no counterpart in MuJoCo; ``hasattr`` returns False for it."""
 
 
 class UnsupportedMember:
-    """A member that is not there.
+    """A member of Isaac Lab that raises ``NotInMuJoCo`` on access.
 
     Args:
+        name: the member.
         why: what MuJoCo lacks, and what to use instead.
     """
 
-    def __init__(self, why: str) -> None:
-        self.why = why
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, why: str) -> None:
+        self.name, self.why = name, why
 
     def __get__(self, instance: object, owner: type) -> Any:
         if instance is None:
             return self
-        return self._refuse(type(instance).__name__)
-
-    def _refuse(self, owner: str) -> NoReturn:
-        raise NotInMuJoCo(f"'{self.name}' of Isaac Lab's is not there: {self.why}", where=owner)
+        raise NotInMuJoCo(f"Isaac Lab's '{self.name}' does not exist here: {self.why}", where=type(instance).__name__)
 
 
 def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class]:
-    """Give a class members that are refused.
-
-    Args:
-        reasons: why each is absent, by name.
-    """
+    """Give a class members that raise ``NotInMuJoCo``, from the reason for each name."""
 
     def give(owner: _Class) -> _Class:
         for name, why in reasons.items():
-            member = UnsupportedMember(why)
-            member.__set_name__(owner, name)
-            setattr(owner, name, member)
+            setattr(owner, name, UnsupportedMember(name, why))
         return owner
 
     return give
 
 
 def unsupported_members(owner: type) -> dict[str, str]:
-    """Return why members of a class are absent, by name."""
+    """Return the unsupported members of a class and the reason for each."""
     return {
         name: member.why
         for kind in reversed(owner.__mro__)

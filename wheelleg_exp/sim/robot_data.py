@@ -1,4 +1,4 @@
-"""The robot's state in Isaac Lab's names, and when each quantity is up to date."""
+"""The robot's state under Isaac Lab's names. Quantities are computed on the first read after a change."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
 
-# Tensors that come from the config and the model, and that an event may change.
+# Tensors that come from the config and the model, and that events can change.
 _SETTINGS = (
     "default_joint_pos",
     "default_joint_vel",
@@ -36,11 +36,11 @@ class RobotData(Kept):
         sim: the running simulations.
         layout: the robot's names, ids, defaults and limits.
         targets: the joint targets.
-        computed_torque: returns the unclipped torques (N, J) that the actuators asked for in the last physics step.
+        computed_torque: returns the actuators' unclipped torques (N, J) of the last physics step.
 
     Attributes:
-        encoder_bias: by how much the joints' encoders read too much, rad, (N, J).
-        has_encoder_bias: whether some term gives them a bias.
+        encoder_bias: encoder reading minus joint position, rad, (N, J).
+        has_encoder_bias: whether some term sets an encoder bias.
     """
 
     def __init__(
@@ -84,33 +84,33 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        sim.view("actuator_force")  # bound before the first step, it is zero until then
+        sim.view("actuator_force")  # a view that is bound before the first step reads zero until that step
 
     def invalidate(self) -> None:
-        """Forget derived quantities; called whenever the state has changed."""
+        """Clear the cache of derived quantities; called after each change of the state."""
         self._cache.clear()
         self._shows_outputs = False
 
     def outputs_refreshed(self) -> None:
-        """Forget what was derived from outputs of the engine, which now show what was written before."""
+        """Clear the cache if it contains engine outputs, which the engine has just recomputed for the written state."""
         if self._shows_outputs:
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return an output of the engine; that of written state is there from the scene's refresh on."""
+        """Return an output of the engine; after a write it is out of date until the scene's refresh."""
         self._shows_outputs = True
         return self._sim.derived(name)
 
     def before_step(self) -> None:
-        """Keep the motion state that the coming physics step starts from."""
+        """Store the motion state that the coming physics step starts from."""
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """Let the accelerations (n, k) of written joint velocities count from them."""
+        """Set the velocities (n, k) that the next finite-difference accelerations start from, after a write."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
-        """Note that the last solve belongs to every environment's present episode."""
+        """Mark torques as valid in every environment after a physics step, and read them."""
         if not self._all_valid:
             self._torque_valid.fill_(1.0)
             self._all_valid = True
@@ -129,11 +129,11 @@ class RobotData(Kept):
         self.invalidate()
 
     def settings(self) -> dict[str, torch.Tensor]:
-        """Return the tensors that come from the config and the model, and that an event may change."""
+        """Return the tensors that come from the config and the model, and that events can change."""
         return {name: getattr(self, name) for name in _SETTINGS}
 
     def _model(self, name: str) -> torch.Tensor:
-        """Return a field of the model as each simulation has it now, (N, ...); only to read."""
+        """Return the present values of a model field in each simulation, (N, ...), read-only."""
         if name in self._sim.expanded:
             return self._sim.expanded[name]
         if name not in self._constants:
@@ -146,11 +146,11 @@ class RobotData(Kept):
         return self._model(name)[:, self._body_ids].float()
 
     def begin_control_step(self) -> None:
-        """Keep the motion state that the coming control step starts from, for what may fail in it."""
+        """Store the motion state that the coming control step starts from: a failure report contains it."""
         self.motion_at_start.copy_(self._sim.motion)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what is kept of the last physics step."""
+        """Return the stored state of the last physics step."""
         return {
             "motion_before": self._motion_before.clone(),
             "torque_valid": self._torque_valid.clone(),
@@ -208,7 +208,7 @@ class RobotData(Kept):
     @cached_until_change
     def root_quat_w(self) -> torch.Tensor:
         """Orientation of the root link (w, x, y, z), (N, 4)."""
-        # MuJoCo keeps it a unit quaternion.
+        # MuJoCo normalises this quaternion in each step.
         return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
     @cached_until_change
@@ -268,7 +268,7 @@ class RobotData(Kept):
 
     @property
     def joint_pos_measured(self) -> torch.Tensor:
-        """What the joints' encoders read, rad, (N, J): position + bias."""
+        """Readings of the joints' encoders, rad, (N, J): position + bias."""
         return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
 
     @cached_until_change
@@ -325,7 +325,7 @@ class RobotData(Kept):
     def body_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the links' centres of mass, m/s, (N, B, 3).
 
-        MuJoCo's ``cvel`` is referenced to the centre of mass of the kinematic tree; it is shifted here.
+        MuJoCo's ``cvel`` refers to the centre of mass of the kinematic tree. It is shifted to the bodies' own.
         """
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
