@@ -30,11 +30,11 @@ def test_what_fits_is_right(overrides):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["env.sim.device=cuda:0"], "env.sim.device: the engine 'mujoco' runs on the CPU, and not on 'cuda:0'"),
-        ([WARP, "env.sim.device=gpu"], "env.sim.device: 'gpu' is no device of the engine 'warp'"),
+        (["env.sim.device=cuda:0"], "env.sim.device: the engine 'mujoco' runs on the CPU, not on 'cuda:0'"),
+        ([WARP, "env.sim.device=gpu"], "env.sim.device: 'gpu' is not a device of the engine 'warp'"),
         (
             [WARP, "env.sim.device=cuda:0", "env.sim.deterministic=true"],
-            "env.sim.deterministic: the engine 'warp' does not repeat to the bit on a GPU, nor with",
+            "env.sim.deterministic: the engine 'warp' is not bit-reproducible on a GPU, even with",
         ),
         ([WARP, "env.sim.solver=pgs"], "env.sim.solver: the engine 'warp' has no solver 'pgs'"),
     ],

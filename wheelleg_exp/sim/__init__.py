@@ -1,12 +1,14 @@
-"""N simulations on MuJoCo: scene assembly, robot state, actuators and contact sensing.
+"""N simulations of one scene on MuJoCo: scene assembly, robot, actuators, sensors, and terrain.
 
 | module | what it offers |
 |---|---|
-| `engine`, `batch` | what a scene asks of an engine, and MuJoCo's own |
-| `scene`, `robot_spec` | ground, robot and sensors in one model; the robot's file in it |
-| `robot`, `layout`, `data` | the robot: writing it, what is fixed, its state |
-| `actuators` | joint targets become controls |
-| `sensors`, `terrain` | members of the scene, also a user's own |
-| `options` | what may stand in `env.sim`, `env.scene` and `env.robot` |
-| `names`, `rotation`, `ids`, `delay` | expressions, quaternions, masks, late samples |
+| `engine`, `batch_engine`, `warp_engine` | the interface of an engine, MuJoCo on the CPU, mujoco-warp on a GPU |
+| `warp_fields`, `warp_kernels`, `warp_runtime` | parts of the engine `warp` |
+| `scene`, `robot_model` | ground, robot and sensors in one model; the robot's part of it |
+| `robot`, `robot_writers` | the robot, and the methods that write its state, parameters and targets |
+| `robot_data`, `articulation_data`, `class_members` | the robot's state under Isaac Lab's names |
+| `actuators`, `sensors`, `terrain` | members of the scene, stock or user-defined |
+| `options` | the keys of `env.sim`, `env.scene` and `env.robot` |
+| `names`, `rotation`, `ids` | name expressions, quaternions, indices |
+| `delay`, `timers`, `static_rays` | delayed samples, countdown timers on a GPU, rays to the ground on the CPU |
 """

@@ -27,12 +27,12 @@ _UNSTABLE = [
 
 
 class BatchEngine(Engine):
-    """N simulations on the CPU, each of whose steps equals ``mj_step`` to the bit.
+    """N simulations on the CPU; each step is bit-identical to ``mj_step``.
 
     Args:
         model: the compiled scene.
         num_envs: number of simulations, N.
-        nthread: physics threads (0: one for each core that the process may use); no result depends on it.
+        nthread: physics threads (0 means one for each core that the process may use); it changes no result.
     """
 
     name = "mujoco"
@@ -64,23 +64,23 @@ class BatchEngine(Engine):
 
     @property
     def motion(self) -> torch.Tensor:
-        """Positions, then velocities, a live view of the state rows, (N, nq + nv)."""
+        """Positions, then velocities: a live view of the state rows, (N, nq + nv)."""
         return self._motion
 
     def _column(self, name: str) -> int:
-        """Return the column of the state row at which a state field begins."""
+        """Return the first column of a state field in the state rows."""
         return (self.view(name).data_ptr() - self.state.data_ptr()) // self.state.element_size()
 
     def view(self, name: str) -> torch.Tensor:
         """Return a live float64 view (N, ...) of an MjData field (see ``Engine.view``)."""
         if name not in self._views:
-            with warnings.catch_warnings():  # torch cannot mark a tensor read-only and says so
+            with warnings.catch_warnings():  # torch warns that it cannot mark a tensor read-only
                 warnings.simplefilter("ignore", UserWarning)
                 self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
 
     def derived(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+        """Return a live view (N, ...) of an output that depends on positions and velocities; each step updates it."""
         view = self.view(name)
         if name not in self._current:
             self._current.add(name)
@@ -88,7 +88,7 @@ class BatchEngine(Engine):
         return view
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a model field one value a simulation; return the live tensor (N, ...)."""
+        """Give a model field one value per simulation; return the live tensor (N, ...)."""
         self.asked.add(name)
         if name not in self.expanded:
             self.expanded[name] = torch.from_numpy(self.batch.expand(name))
@@ -112,27 +112,27 @@ class BatchEngine(Engine):
             raise SimulationFailure(f"physics failed: {error}") from error
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Make derived outputs describe the present state of ``ids`` (all when None)."""
+        """Recompute derived outputs for the present state of ``ids`` (None means all)."""
         if self._current:
             self.batch.forward(_rows(ids), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Zero all of ``ids`` but finite positions and velocities; a simulation is its state row."""
+        """Reset the state rows of ``ids``, except for positions and velocities that are finite."""
         rows = self.state.index_select(0, ids)
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
+        """Return which simulations, (N,) bool, have had NaN or huge values since their reset.
 
-        MuJoCo notices it at the next step, sets the simulation to the model's defaults in silence and raises a
-        counter; what the last step left behind is looked at here as well.
+        MuJoCo detects such values at the start of the next step, silently resets the simulation to the model's
+        defaults, and increments a warning counter. The values of the last step are therefore checked here, too.
         """
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return one sum over the state rows of some simulations (see ``Engine.total``)."""
+        """Return the sum over the state rows of the simulations ``rows`` (see ``Engine.total``)."""
         return (self.state.index_select(0, rows) if isinstance(rows, torch.Tensor) else self.state[rows]).sum()
 
     def ray(
@@ -142,7 +142,7 @@ class BatchEngine(Engine):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return how far rays go before they meet a geom (see ``Engine.ray``); the next step starts afresh."""
+        """Return the distance of each ray's first hit (see ``Engine.ray``)."""
         groups = None
         if geom_groups is not None:
             groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
@@ -154,18 +154,18 @@ class BatchEngine(Engine):
         return torch.from_numpy(distances)
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Say that a group's geoms never move (see ``Engine.cast_alone``)."""
+        """Declare that the geoms of a group never move (see ``Engine.cast_alone``)."""
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next step depends on: state rows, warnings, per-simulation model fields.
+        """Return everything that determines the next step: state rows, warnings, per-simulation model fields.
 
         Raises:
-            ConfigError: a model field was expanded by ``batch`` itself.
+            ConfigError: a term has expanded a model field with ``batch.expand`` instead of the engine's ``expand``.
         """
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"a term has expanded {' and '.join(hidden)} of the batch itself, which no checkpoint saves",
+                f"a term has expanded {' and '.join(hidden)} with the batch's own method, which no checkpoint saves",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
@@ -178,12 +178,12 @@ class BatchEngine(Engine):
         }
 
     def _edited_since(self, then: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Return the model fields that derived constants were computed from, where they have been edited since."""
+        """Return the values at the last ``set_const`` of the model fields that have been edited since."""
         before = {**self._unedited, **then}
         return {n: before[n].clone() for n, now in sorted(self.expanded.items()) if not torch.equal(before[n], now)}
 
     def _restore_fields(self, fields: dict[str, torch.Tensor], then: dict[str, torch.Tensor] | None) -> None:
-        """Write model fields, and let MuJoCo derive its constants from what it derived them from."""
+        """Write model fields, and let MuJoCo derive its constants from the values at the saved ``set_const``."""
         for name in fields:
             self.expand(name)
         now = {**self._unedited, **fields}
@@ -208,7 +208,7 @@ class BatchEngine(Engine):
 
 
 def _keep_log_out_of_files() -> None:
-    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; its warnings still reach the console."""
+    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; warnings still appear on the console."""
     config = mujoco.MjLogConfig.get()
     config.logto_file = False
     config.set()

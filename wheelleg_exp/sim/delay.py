@@ -13,15 +13,15 @@ from wheelleg_exp.state import Stateful
 
 
 class DelayBuffer:
-    """The last samples of each environment, of which it hands out the one of age ``lag``.
+    """The last samples of each environment; ``push`` returns the sample of age ``lag``.
 
-    The first sample after a reset stands for all before it, so that the age is ``min(lag, samples - 1)``, as in Isaac
-    Lab's ``DelayBuffer``. Lags are drawn at a reset, uniform in their range; before the first they are 0.
+    The first sample after a reset replaces all earlier samples, so that the age is ``min(lag, samples - 1)``, as in
+    Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from their range; before the first reset they are 0.
 
     Args:
-        sample: a sample (N, ...).
+        sample: a sample (N, ...), for shape and device.
         lags: shortest and longest lag, in samples.
-        generator: what lags are drawn from.
+        generator: the random stream of the lags.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -32,18 +32,18 @@ class DelayBuffer:
         self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
-        """Take up a sample (N, ...) and return the delayed one."""
-        # A new tensor, as the old one may belong to inference mode.
+        """Store a sample (N, ...) and return the delayed sample."""
+        # Assign a new tensor: the old one may have been created in inference mode.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
         return self._read(self._samples)
 
     def peek(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return what ``push`` would, and change nothing."""
+        """Return the result of ``push`` without storing the sample."""
         return self._read(self._pushed(sample))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the samples of ``env_ids`` and draw their lags."""
+        """Drop the samples of ``env_ids`` and draw their lags."""
         low, high = self._range
         drawn = torch.randint(low, high + 1, (len(env_ids),), generator=self._generator, device=self.lag.device)
         self.lag[env_ids] = drawn
@@ -60,7 +60,7 @@ class DelayBuffer:
         self.lag.copy_(saved["lag"])
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return the samples with one more, newest first."""
+        """Return the samples with the new one in front."""
         newest = sample.unsqueeze(1)
         later = torch.cat((newest, self._samples[:, :-1]), dim=1)
         first = self._is_first.view(-1, *[1] * (later.ndim - 1))
@@ -71,13 +71,12 @@ class DelayBuffer:
 
 
 class TargetDelay(Stateful):
-    """Keeps the targets of a group of joints, and gives those of some physics steps ago.
+    """Delays the targets of a group of joints by some physics steps.
 
-    One lag an environment holds for positions, velocities and efforts. It is drawn at each reset, uniformly on whole
-    steps, and is 0 before the first. The first targets after a reset stand for all that came before them.
+    Each environment has one lag for positions, velocities and efforts (see ``DelayBuffer``).
 
     Args:
-        bounds: fewest and most physics steps.
+        bounds: shortest and longest lag, physics steps.
         joint_ids: the group's joints, (k,).
         shape: environments and joints of the robot, (N, J).
         generator: the group's random stream.
@@ -100,11 +99,11 @@ class TargetDelay(Stateful):
         return self._past.lag
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the targets of ``env_ids`` and draw their lags."""
+        """Drop the targets of ``env_ids`` and draw their lags."""
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Take the targets of a physics step, and return those that act in it; other joints' are not kept."""
+        """Store the targets of a physics step, and return the delayed targets; only the group's joints are valid."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

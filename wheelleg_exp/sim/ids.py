@@ -1,4 +1,4 @@
-"""Indices as callers give them."""
+"""Indices of environments, joints, and bodies in the forms that callers pass: tensor, list, slice, or None for all."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ _ALL = slice(None)
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
-    """Return the indices at which a mask (N,) holds, (n,).
+    """Return the indices (n,) at which a mask (N,) is True.
 
-    How many there are is known to the host, which on a GPU waits for it; whatever else a step decides, it decides in
-    whole tensors.
+    On a GPU the host waits for the count n. Other decisions within a step use whole tensors and do not wait.
     """
     return mask.nonzero().squeeze(1)
 
 
 def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
-    """Return indices that a caller gave, as a tensor (n,): None is all, slices and lists are as well taken.
+    """Return a caller's indices as a tensor (n,).
 
     Args:
-        ids: the indices.
-        everything: all there are, (N,).
+        ids: the indices; None means all.
+        everything: all indices, (N,).
     """
     if ids is None:
         return everything
@@ -35,19 +34,22 @@ def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
 
 
 def not_finite(values: torch.Tensor) -> torch.Tensor:
-    """Return where numbers are not finite: their difference from themselves is none then."""
+    """Return where values are NaN or inf: there, and only there, ``x - x`` is NaN."""
     return values - values != 0.0
 
 
 def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> torch.Tensor:
-    """Return some columns (N, k, ...) of values (N, K, ...): what ``values[:, ids]`` is, several times as fast."""
-    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:  # no mask
+    """Return columns (N, k, ...) of values (N, K, ...), as ``values[:, ids]`` does, but several times as fast."""
+    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:  # not a mask
         return values.index_select(1, ids)
     return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
 
 
 def fill_rows(values: torch.Tensor, ids: EnvIds, number: float) -> None:
-    """Set rows of values (N, ...) to a number. ``values[ids] = number`` copies it from the host: no CUDA graph can."""
+    """Set rows of values (N, ...) to a number.
+
+    ``values[ids] = number`` would copy the number from the host, which a CUDA graph cannot do.
+    """
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         values.index_fill_(0, ids, number)
     else:
@@ -55,14 +57,14 @@ def fill_rows(values: torch.Tensor, ids: EnvIds, number: float) -> None:
 
 
 def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:
-    """Return what indexes a dimension by itself: None is all."""
+    """Return a caller's indices as a tensor or slice for one dimension; None means all."""
     if ids is None:
         return slice(None)
     return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)
 
 
 def narrowed(indices: Sequence[int], device: torch.device | None) -> torch.Tensor | slice:
-    """Return indices of columns in the form that is read fastest: a slice where they follow one another."""
+    """Return indices of columns in the form that is fastest to read: a slice if they are consecutive."""
     first = indices[0] if indices else 0
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))

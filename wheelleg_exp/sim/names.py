@@ -22,7 +22,7 @@ def match_names(
     Args:
         expressions: one regular expression or several.
         names: the names to match, in the asset's order.
-        key: config key of the expressions, for the message, where there is one.
+        key: config key of the expressions, for the message.
         what: what the names are (``joint``, ``body``), for the message.
         preserve_order: order by expression (True) or by the asset (False).
 
@@ -35,7 +35,9 @@ def match_names(
     for pattern in patterns:
         matched = [name for name in names if _compiled(pattern, key).fullmatch(name)]
         if not matched:
-            listed = f"an expression that matches some of: {', '.join(names)}" if names else f"no {what}: there is none"
+            listed = (
+                f"an expression that matches some of: {', '.join(names)}" if names else f"nothing: no {what} exists"
+            )
             message, nearest = f"the {what} expression '{pattern}' matches nothing", nearest_name(pattern, names)
             raise ConfigError(message, key=key, expected=listed, nearest=nearest)
         for name in matched:
@@ -54,13 +56,12 @@ def match_names(
 def values_by_name(
     values: float | int | Mapping[str, Any], names: Sequence[str], default: Any, *, key: str, what: str
 ) -> list[Any]:
-    """Spread a number, or a mapping of expressions to values, over names.
+    """Return one value for each name, from one number or from a mapping of expressions to values.
 
-    Returns:
-        One value a name; names that no expression matches keep ``default``.
+    A name that no expression matches gets ``default``.
 
     Raises:
-        ConfigError: an expression matches nothing, or two match one name.
+        ConfigError: an expression matches nothing, or two expressions match the same name.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -73,16 +74,16 @@ def values_by_name(
 
 
 def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[ConfigError]:
-    """Return the mistake of a mapping by joint expression that leaves joints without a value."""
+    """Return an error if a mapping from joint expressions to values leaves joints without a value."""
     if not isinstance(values, Mapping):
         return []
     missing = [name for name in names if not any(_compiled(str(pattern), key).fullmatch(name) for pattern in values)]
     message = f"no value for joint {', '.join(missing)}"
-    return [ConfigError(message, key=key, expected="a value a joint")] if missing else []
+    return [ConfigError(message, key=key, expected="one value for each joint")] if missing else []
 
 
 def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
-    """Return what is wrong with ``env.robot.joint_order`` of a robot that has these joints."""
+    """Return the mistakes in ``env.robot.joint_order`` for a robot with these joints."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
     errors = [
         ConfigError(f"the robot has no joint '{n}'", key=key, expected=expected, nearest=nearest_name(str(n), joints))
@@ -100,11 +101,11 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 
 
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
-    """Return the mistakes of joints that two drive.
+    """Return an error for each joint that two groups or terms drive.
 
     Args:
-        claims: who drives what: a name, the config key of its expressions, and the joints.
-        expected: what is expected instead.
+        claims: name of the group or term, config key of its joint expressions, and its joints.
+        expected: what to write instead.
     """
     owner: dict[str, str] = {}
     errors = []

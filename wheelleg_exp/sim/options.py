@@ -1,4 +1,4 @@
-"""What may stand under ``env.sim``, ``env.scene`` and ``env.robot``; no defaults, so every number is in the config."""
+"""Keys of ``env.sim``, ``env.scene`` and ``env.robot``. Almost none has a default: the config states every number."""
 
 from __future__ import annotations
 
@@ -27,55 +27,53 @@ _GPU_PACKAGES = ("warp", "mujoco_warp")
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Hold the engine against its device and its solver, and against what is installed."""
+    """Check that the engine supports the device and the solver, and that its packages are installed."""
     device = given["device"]
     if given["engine"] == "mujoco":
         if device != "cpu":
-            yield Broken(
-                "device", f"the engine 'mujoco' runs on the CPU, and not on {device!r}", "cpu, or engine: warp"
-            )
+            yield Broken("device", f"the engine 'mujoco' runs on the CPU, not on {device!r}", "cpu, or engine: warp")
         return
     if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
-        yield Broken("device", f"{device!r} is no device of the engine 'warp'", "cpu, or cuda:0 and so on")
+        yield Broken("device", f"{device!r} is not a device of the engine 'warp'", "cpu, or cuda:0 and so on")
     if given.get("deterministic") and device != "cpu":
-        told = "the engine 'warp' does not repeat to the bit on a GPU, nor with mujoco-warp's own opt.deterministic"
-        yield Broken("deterministic", told, "false, or engine: mujoco, which repeats (docs/gpu.md)")
+        message = "the engine 'warp' is not bit-reproducible on a GPU, even with mujoco-warp's own opt.deterministic"
+        yield Broken("deterministic", message, "false, or engine: mujoco, which is bit-reproducible (docs/gpu.md)")
     if given["solver"] == "pgs":
         yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
     for name in _GPU_PACKAGES:
         if find_spec(name) is None:
-            told = f"the engine 'warp' needs the package {name}, which is not installed"
-            yield Broken("engine", told, f"mujoco, or: {GPU_EXTRA}")
+            message = f"the engine 'warp' needs the package {name}, which is not installed"
+            yield Broken("engine", message, f"mujoco, or: {GPU_EXTRA}")
             return
 
 
 @relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
-    """The solver (``env.sim``), in MuJoCo's terms.
+    """The engine and the solver (``env.sim``), in MuJoCo's terms.
 
     Attributes:
-        engine: what simulates: ``mujoco`` is MuJoCo's batch on the CPU, which repeats to the bit; ``warp`` is
-            mujoco-warp, in single precision, on a GPU, or on the CPU for tests.
-        device: where the engine's tensors are: ``cpu``, or ``cuda:0`` and so on for the engine ``warp``.
+        engine: ``mujoco`` is MuJoCo's batch on the CPU, which is bit-reproducible; ``warp`` is mujoco-warp in single
+            precision on a GPU, or on the CPU for tests.
+        device: device of the engine's tensors: ``cpu``, or ``cuda:0`` and so on for the engine ``warp``.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
         integrator: MuJoCo integrator.
         solver: constraint solver.
         cone: friction cone.
-        iterations: most solver iterations of one step.
-        ls_iterations: most line-search iterations of one solver iteration.
-        tolerance: solver tolerance at which iterations end early.
+        iterations: maximum number of solver iterations in one step.
+        ls_iterations: maximum number of line-search iterations in one solver iteration.
+        tolerance: solver tolerance at which the iterations stop early.
         impratio: frictional to normal constraint impedance.
-        nthread: physics threads; 0 takes one for each core that the process may use. It never changes a result.
-        nconmax: engine ``warp``: contacts that there is room for, a simulation on average, since all share one room; 0
-            works it out of the model. More than that is an error.
-        njmax: engine ``warp``: constraint rows that each simulation has room for; 0 works it out of the model and
-            ``nconmax``. More than that is an error.
-        graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
-        graph_step: engine ``warp`` on a GPU: whether what torch does from the actions to the rewards, for resets,
-            commands and observations, is launched as CUDA graphs. docs/gpu.md says what that asks of terms.
-        deterministic: whether nothing may simulate that does not repeat to the bit: ``warp`` on a GPU is refused.
+        nthread: physics threads; 0 means one for each core that the process may use. It never changes a result.
+        nconmax: engine ``warp``: capacity for contacts, per simulation on average, since all simulations share one
+            buffer; 0 derives it from the model. More contacts are an error.
+        njmax: engine ``warp``: capacity for constraint rows in each simulation; 0 derives it from the model and
+            ``nconmax``. More rows are an error.
+        graph: engine ``warp`` on a GPU: launch a physics step as one CUDA graph, which changes no number.
+        graph_step: engine ``warp`` on a GPU: launch the torch operations of a control step (actions, rewards, resets,
+            commands, observations) as CUDA graphs. docs/gpu.md lists the requirements for terms.
+        deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU.
     """
 
     engine: Literal["mujoco", "warp"]
@@ -104,7 +102,7 @@ class SceneOptions:
     Attributes:
         env_spacing: distance between the origins of neighbouring environments, m.
         terrain: the node of the ground.
-        sensors: one node a sensor, by name.
+        sensors: the sensors' nodes by name.
     """
 
     env_spacing: NonNegative
@@ -119,8 +117,8 @@ class InitState:
     Attributes:
         pos: root link, m.
         rot: root link, (w, x, y, z).
-        joint_pos: rad, by joint expression; others are 0.
-        joint_vel: rad/s, by joint expression; others are 0.
+        joint_pos: rad, by joint expression; 0 for joints that no expression matches.
+        joint_vel: rad/s, by joint expression; 0 for joints that no expression matches.
     """
 
     pos: Annotated[Sequence[float], Length(3)]
@@ -134,17 +132,17 @@ class RobotOptions:
     """The robot (``env.robot``).
 
     Attributes:
-        profile: name of this set of numbers; results carry it.
+        profile: name of this set of numbers, which results state.
         asset: the robot's USD file, relative to an asset folder.
-        base: whether the base is free.
+        base: whether the base is floating or fixed; ``auto`` accepts the model's base.
         init_state: the state that resets start from.
         joint_order: joint names in the order that terms see; null is breadth-first, as in PhysX.
-        soft_joint_pos_limit_factor: share of the joint range that the soft limits keep.
-        friction_source: which of a material's two coefficients MuJoCo's single one is taken from.
-        actuators: one node an actuator group, by name.
-        self_collisions: whether the robot's own bodies may touch; null is what the asset says.
-        root_frame: the root link's frame in the file's, (w, x, y, z), for a file that has not x forwards and z upwards;
-            null is the file's own.
+        soft_joint_pos_limit_factor: width of the soft limits as a share of the joint range.
+        friction_source: which of a material's two coefficients becomes MuJoCo's single coefficient.
+        actuators: the nodes of the actuator groups by name.
+        self_collisions: whether the robot's own bodies collide; null uses the asset's setting.
+        root_frame: orientation of the root link's frame relative to the file's, (w, x, y, z), for a file without x
+            forwards and z upwards; null uses the file's frame.
     """
 
     profile: str

@@ -1,4 +1,4 @@
-"""The robot: its names, limits, actuators, and the writing of state, targets and wrenches."""
+"""The robot of the scene: it runs its actuators, and tracks which environments' state was written."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ ACTUATORS_KEY = "env.robot.actuators"
 
 
 class Robot(RobotParameterWriters):
-    """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
+    """The robot of the scene; ``RobotWriters`` has the members that terms use.
 
     Args:
         options: the ``env.robot`` section.
         actuators: the actuator groups by name.
         spec: the scene's spec, before compilation; the robot's actuators are added to it.
         root_name: the robot's root body.
-        device: where the tensors are.
+        device: device of the tensors.
     """
 
     def __init__(
@@ -60,17 +60,17 @@ class Robot(RobotParameterWriters):
 
     @property
     def floating(self) -> bool:
-        """Whether the base is free."""
+        """Whether the base moves freely."""
         return self.layout.floating
 
     @property
     def default_root_pos(self) -> torch.Tensor:
-        """Where resets place the root link, m, relative to the environment's origin, (3,)."""
+        """Position of the root link at a reset, m, relative to the environment's origin, (3,)."""
         return self.layout.default_root_pos
 
     @property
     def default_root_quat(self) -> torch.Tensor:
-        """The root link's orientation (w, x, y, z) that resets start from, (4,)."""
+        """Orientation of the root link at a reset, (w, x, y, z), (4,)."""
         return self.layout.default_root_quat
 
     def connect(self, sim: Engine, stream: Callable[[str], torch.Generator]) -> None:
@@ -101,14 +101,16 @@ class Robot(RobotParameterWriters):
         self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
-        # Force and torque of the root, components first, (2, 3, N).
+        # Force and torque on the root, components first, (2, 3, N).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        self._stale: list[torch.Tensor] = []  # environments whose state was written; most often one and the same tensor
+        # Environments whose state was written since the last refresh. A reset writes several times with one and the
+        # same tensor, so a list with an identity check is cheaper than a mask.
+        self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = self._settings()
         self._wrench_bodies: tuple[int, ...] = ()
-        # Components first in memory, as the product with rotations of components first is fastest.
+        # The components are the first dimensions in memory: the product with rotations of the same layout is fastest.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -120,13 +122,13 @@ class Robot(RobotParameterWriters):
         return torque
 
     def _targets_of_joints(self) -> JointTargets:
-        """Return the targets of the joints themselves: drives hold what encoders read at the positions asked for."""
+        """Return the targets minus the encoder bias: a drive controls the encoder's reading, not the true position."""
         if not self.data.has_encoder_bias:
             return self.targets
         return JointTargets(self.targets.pos - self.data.encoder_bias, self.targets.vel, self.targets.effort)
 
     def _gains(self, name: str, in_solver: bool) -> torch.Tensor:
-        """Return a number of the actuators for each joint (N, J); with ``in_solver`` 0 for explicit actuators."""
+        """Return a gain of the actuators by its name for each joint (N, J); with ``in_solver`` 0 for explicit ones."""
         found = torch.zeros_like(self.targets.pos)
         for actuator in self.actuators.values():
             if isinstance(actuator, ImplicitActuator) or not in_solver:
@@ -147,7 +149,7 @@ class Robot(RobotParameterWriters):
         return self._wrench
 
     def begin_control_step(self) -> None:
-        """Note that a control step begins: its first physics step takes up every target."""
+        """Start a control step: its first physics step passes all targets to the actuators."""
         self.data.begin_control_step()
         self._has_new_targets = True
 
@@ -167,17 +169,17 @@ class Robot(RobotParameterWriters):
             self._write_wrenches(self._wrench_bodies)
 
     def _write_wrenches(self, pushed: tuple[int, ...]) -> None:
-        """Turn permanent wrenches from link axes, as the links stand now, to the world's."""
-        if pushed == (0,):  # the root's rotation is in the state itself
+        """Rotate permanent wrenches from the present link axes to world axes, and apply them."""
+        if pushed == (0,):  # the root's rotation is part of the state, and needs no forward kinematics
             turn = self.data.root_rot_w.permute(1, 2, 0)
             self._root_xfrc.copy_((turn * self._root_wrench).sum(dim=2))
             return
-        bodies = list(pushed)  # a tuple would be an index of several dimensions
+        bodies = list(pushed)  # torch treats a tuple as an index of several dimensions
         world = self.data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
         self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
 
     def reset(self, env_ids: EnvIds = None) -> None:
-        """Forget wrenches and reported torques of ``env_ids``; state and targets are left to events and actions."""
+        """Clear wrenches and reported torques of ``env_ids``; events and actions set the state and the targets."""
         ids = self._rows(env_ids)
         if self._wrench_bodies:
             self._wrench.index_fill_(0, ids, 0.0)
@@ -188,7 +190,7 @@ class Robot(RobotParameterWriters):
         self._mark_stale(ids)
 
     def mark_written(self, ids: torch.Tensor) -> None:
-        """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
+        """Mark ``ids`` as written (state or model fields), so that derived quantities are recomputed."""
         self._mark_stale(ids)
         self.data.invalidate()
 
@@ -198,7 +200,7 @@ class Robot(RobotParameterWriters):
 
     @property
     def is_stale(self) -> bool:
-        """Whether state was written that derived quantities do not show yet."""
+        """Whether state was written since derived quantities were last computed."""
         return bool(self._stale)
 
     def take_stale(self) -> torch.Tensor:
@@ -214,7 +216,7 @@ class Robot(RobotParameterWriters):
         return rows
 
     def state_dict(self) -> dict[str, Any]:
-        """Return targets, wrenches and reported quantities that the simulation's state does not hold."""
+        """Return the state that is not in the engine: targets, wrenches, actuators, changed settings."""
         return {
             **self.targets.state_dict(),
             "settings": {n: v for n, v in self._settings().items() if not same(v, self._made[n])},

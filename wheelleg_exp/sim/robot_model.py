@@ -26,7 +26,7 @@ class RobotLayout(Kept):
         options: the ``env.robot`` section.
         spec: the scene's spec, before compilation.
         root_name: the robot's root body.
-        device: where the tensors are.
+        device: device of the tensors.
 
     Raises:
         ConfigError: the section does not fit the robot.
@@ -42,7 +42,7 @@ class RobotLayout(Kept):
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
         self.joint_names = self._order(found)
         self._read_defaults()
-        if not self.floating:  # a fixed base stands where the config says, as a floating one starts there
+        if not self.floating:  # init_state places a fixed base for good, and a floating base at the start
             bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
     def bind(self, model: mujoco.MjModel) -> None:
@@ -58,7 +58,7 @@ class RobotLayout(Kept):
         self.effort_limits = torch.full_like(self.velocity_limits, torch.inf)
 
     def add_drive(self, joint_ids: torch.Tensor, velocity_limit: torch.Tensor, effort_limit: torch.Tensor) -> None:
-        """Take up the joints that an actuator group drives (k,), and their limits (k,), rad/s and N·m."""
+        """Add the joints (k,) of an actuator group with their limits (k,), rad/s and N·m."""
         self.actuated_ids = torch.cat((self.actuated_ids, joint_ids))
         self.velocity_limits[joint_ids] = velocity_limit
         self.effort_limits[joint_ids] = effort_limit
@@ -87,7 +87,7 @@ class RobotLayout(Kept):
         return list(wanted)
 
     def _read_defaults(self) -> None:
-        """Spread the initial state over the joints; a joint that no expression names starts at 0."""
+        """Read the initial state of each joint; a joint that no expression matches starts at 0."""
         init, names = self._options.init_state, self.joint_names
         key = "env.robot.init_state"
         pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
@@ -99,7 +99,7 @@ class RobotLayout(Kept):
         self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
 
     def _read_limits(self, model: mujoco.MjModel) -> None:
-        """Read hard limits from the compiled model, derive soft ones, and hold the defaults against them."""
+        """Read hard limits from the compiled model, check the default positions, and derive soft limits."""
         ranges = []
         for name, value in zip(self.joint_names, self._default_positions, strict=True):
             index = model.joint(name).id
@@ -117,7 +117,7 @@ class RobotLayout(Kept):
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
-    """Return soft limits (..., 2): a share of the range about its middle; an open end stays open."""
+    """Return soft limits (..., 2): ``factor`` times the range about its middle; an infinite range stays infinite."""
     middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
@@ -157,14 +157,16 @@ class JointTargets(Kept):
             value.copy_(saved[f"joint_{name}_target"])
 
 
-_ROBOT_GROUP = 1  # of geoms that came without one; drawn like the ground's
+_ROBOT_GROUP = 1  # geom group for the robot's geoms that are in the ground's group; also drawn by default
 
 
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
-    """Return a robot without controls, keyframes and sensors, which come from the config, and its root body's name.
+    """Return a robot and the name of its root body.
+
+    Actuators, keyframes and sensors of the file are removed: the config defines them.
 
     Raises:
-        AssetError: the file is no MJCF, or holds no robot or several.
+        AssetError: the file is not MJCF, or does not contain exactly one robot.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf))
@@ -176,14 +178,14 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
     roots = [body for body in spec.worldbody.bodies if body.joints or body.bodies]
     if len(roots) != 1:
         raise AssetError(
-            f"the file holds {len(roots)} robots", key=str(mjcf), expected="exactly one tree of moving bodies"
+            f"the file contains {len(roots)} robots", key=str(mjcf), expected="exactly one tree of moving bodies"
         )
-    roots[0].simple = 0  # else no event could move the centre of mass of a robot of one body
+    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore events that move the centre of mass
     return spec, str(roots[0].name)
 
 
 def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
-    """Let the robot's geoms meet each other or the ground alone; excluded pairs of bodies stay excluded."""
+    """Turn collisions between the robot's geoms on or off; excluded pairs of bodies stay excluded."""
     if wanted is None:
         return
     for geom in spec.geoms:
@@ -192,7 +194,7 @@ def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
 
 
 def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
-    """Put the ground's geoms into a group that is theirs alone, so that rays may ask for the ground."""
+    """Reserve one geom group for the ground, so that rays can select the ground by its group."""
     for geom in spec.geoms:
         if is_ground(geom.name):
             geom.group = GROUND_GROUP
@@ -201,10 +203,10 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 
 
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
-    """Give the root link another frame at the same origin; nothing of the robot moves against the rest of it.
+    """Rotate the frame of the root link about its origin; the robot's shape and mass stay where they are.
 
     For robots whose file does not have x forwards and z upwards. Every term reads velocities, gravity and commands in
-    this frame. Where a floating robot begins is said of the new frame as well (``env.robot.init_state.rot``).
+    the new frame. ``env.robot.init_state.rot`` is the orientation of the new frame, too.
 
     Args:
         spec: the robot, before compilation.
@@ -225,7 +227,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
 
 
 def _turn_inertia(root: mujoco.MjsBody, back: np.ndarray) -> None:
-    """Turn the mass that stands in the file; what MuJoCo works out of the shapes turns with them."""
+    """Rotate the inertia that the file states; an inertia that MuJoCo derives from shapes rotates with them."""
     root.ipos = _rotated(root.ipos, back)
     if not np.isnan(root.fullinertia[0]):
         matrix = np.empty(9)

@@ -19,7 +19,7 @@ from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout, soft_limits
 from wheelleg_exp.state import Kept
 
-_PHYSX = "there is no PhysX; data has what is read, write_..._to_sim writes, env.scene.sim is the engine"
+_PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
@@ -31,9 +31,9 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
     | {f"write_{kind}_tendon_properties_to_sim": _TENDONS for kind in ("fixed", "spatial")}
 )
 class RobotWriters(Kept):
-    """What terms find, write and set; indices are tensors, lists, slices, or None for all.
+    """Find joints and bodies, write the state, and set targets; indices are tensors, lists, slices, or None for all.
 
-    Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity, in the world.
+    Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity, in world axes.
     """
 
     layout: RobotLayout
@@ -51,7 +51,7 @@ class RobotWriters(Kept):
     _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
-        """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
+        """Mark ``ids`` as written (state or model fields), so that derived quantities are recomputed."""
         raise NotImplementedError
 
     # --- names ---
@@ -83,17 +83,17 @@ class RobotWriters(Kept):
 
     @property
     def is_fixed_base(self) -> bool:
-        """Whether the base stands still."""
+        """Whether the base is fixed."""
         return not self.layout.floating
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors are."""
+        """Device of the tensors."""
         return self._sim.device
 
     @property
     def is_initialized(self) -> bool:
-        """Whether the simulations run."""
+        """Whether the simulations are running."""
         return hasattr(self, "data")
 
     def find_joints(
@@ -108,12 +108,12 @@ class RobotWriters(Kept):
 
         Args:
             name_keys: expressions.
-            joint_subset: names to look among, whose indices are returned; None is all joints.
+            joint_subset: names to search; indices refer to this list. None means all joints.
             preserve_order: order by expression (True) or by the robot (False).
             key: config key of the expressions, for messages.
 
         Raises:
-            ConfigError: an expression matches none.
+            ConfigError: an expression matches no joint.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -192,7 +192,7 @@ class RobotWriters(Kept):
     def write_joint_state_to_sim(
         self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
     ) -> None:
-        """Set joint positions and velocities (n, k), rad and rad/s; the joints' accelerations count from there."""
+        """Set joint positions and velocities (n, k), rad and rad/s; the next accelerations start from them."""
         self.write_joint_position_to_sim(position, joint_ids, env_ids)
         self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
 
@@ -207,7 +207,7 @@ class RobotWriters(Kept):
     def write_joint_velocity_to_sim(
         self, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
     ) -> None:
-        """Set joint velocities (n, k), rad/s; the joints' accelerations count from there."""
+        """Set joint velocities (n, k), rad/s; the next joint accelerations start from them."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joints]] = velocity.to(self._sim.dtype)
         self.data.set_velocity_before(ids, joints, velocity)
@@ -257,15 +257,15 @@ class RobotWriters(Kept):
     ) -> None:
         """Set forces (n, k, 3) in N and torques (n, k, 3) in N·m on bodies, until the next reset of ``env_ids``.
 
-        They act at the centres of mass in the links' axes, and turn with the links.
+        Forces act at the centres of mass. Forces and torques are in link axes and rotate with the links.
 
         Args:
             forces: forces.
             torques: torques.
-            positions: where the forces act in the link's frame (the world, with ``is_global``), m, (n, k, 3).
+            positions: points of application in the link's frame (in the world, with ``is_global``), m, (n, k, 3).
             body_ids: bodies (k,).
             env_ids: environments (n,).
-            is_global: forces and torques are in world axes as the links stand now.
+            is_global: whether forces and torques are in world axes now; afterwards they rotate with the links.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -292,19 +292,19 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def add_wrench(self, body_ids: list[int], wrench: torch.Tensor) -> None:
-        """Add to what acts on bodies: forces and torques as the two columns of (N, k, 3, 2), link axes, at the CoM."""
+        """Add forces and torques on bodies: the two columns of (N, k, 3, 2), link axes, at the CoM."""
         self._wrench[:, body_ids] += wrench
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        if not set(body_ids) <= set(self._wrench_bodies):  # a recorded step looks at what is there by identity first
+        if not set(body_ids) <= set(self._wrench_bodies):  # keep the same tuple: a captured step compares its identity
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
 
-    # --- the rest ---
+    # --- other members ---
 
     def update(self, dt: float) -> None:
-        """Do nothing: ``data`` is always fresh."""
+        """Do nothing: ``data`` is always current."""
         del dt
 
     def _rows(self, env_ids: EnvIds) -> torch.Tensor:
@@ -313,19 +313,19 @@ class RobotWriters(Kept):
     def _require_floating(self) -> None:
         if self.is_fixed_base:
             raise ConfigError(
-                "the robot's base is fixed, its root cannot be moved",
-                expected="terms that leave the root alone, or env.robot.base=floating",
+                "the robot's base is fixed, so its root cannot be moved",
+                expected="terms that do not move the root, or env.robot.base=floating",
             )
 
 
-_STRONGEST = 1e10  # N·m: MuJoCo's largest number stands for a drive without a limit
+_STRONGEST = 1e10  # N·m: MuJoCo's largest number represents a drive without a limit
 Values = torch.Tensor | float
 
 
 class RobotParameterWriters(RobotWriters):
-    """Isaac Lab's writers of joint parameters; values are (n, k) for environments and joints, or one number.
+    """Isaac Lab's methods that write joint parameters; values are (n, k) for environments and joints, or one number.
 
-    Gains and limits are those of the joints' actuators, whatever their model; joints without one keep none.
+    Gains and limits belong to the joints' actuators of any model; a joint without an actuator ignores them.
     """
 
     options: RobotOptions
@@ -356,7 +356,7 @@ class RobotParameterWriters(RobotWriters):
     def write_joint_velocity_limit_to_sim(
         self, limits: Values, joint_ids: Columns = None, env_ids: EnvIds = None
     ) -> None:
-        """Set the largest speeds of the joints' actuators, rad/s: targets are clipped to them."""
+        """Set the largest speeds of the joints' actuators, rad/s, to which velocity targets are clipped."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._assign(self.data.soft_joint_vel_limits, ids, joints, limits)
         self._write_drives("velocity_limit", ids, joints, limits)
@@ -374,7 +374,7 @@ class RobotParameterWriters(RobotWriters):
         joint_ids: Columns = None,
         env_ids: EnvIds = None,
     ) -> None:
-        """Set friction losses, N·m, and passive dampings, N·m·s/rad; MuJoCo has no other friction in motion."""
+        """Set friction losses, N·m, and passive dampings, N·m·s/rad; MuJoCo has no separate dynamic friction."""
         del joint_dynamic_friction_coeff
         self._write_dofs("dof_frictionloss", joint_friction_coeff, joint_ids, env_ids)
         if joint_viscous_friction_coeff is not None:
@@ -393,7 +393,7 @@ class RobotParameterWriters(RobotWriters):
         env_ids: EnvIds = None,
         warn_limit_violation: bool = True,
     ) -> None:
-        """Set joint limits (n, k, 2), rad, which may be infinite; soft limits follow, defaults are clamped to them."""
+        """Set joint limits (n, k, 2), rad, which may be infinite; update soft limits, and clamp default positions."""
         del warn_limit_violation
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         data, sim = self.data, self._sim
@@ -403,14 +403,14 @@ class RobotParameterWriters(RobotWriters):
         data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
         rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
         written = now[:, joints].to(sim.dtype)
-        # MuJoCo has one switch for both ends: the open end of a joint that is limited at the other lies far away.
+        # MuJoCo has one switch for both limits. If only one limit is finite, a very distant number replaces the other.
         far = 2.0 * math.pi * 1e6
         if sim.may_differ("jnt_limited") or not self.layout.all_limited:
             sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
         sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
 
     def write_encoder_bias(self, bias: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
-        """Set by how much the joints' encoders read too much, rad."""
+        """Set the encoders' bias (reading minus position), rad."""
         self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
         self._has_new_targets = True
         self.data.invalidate()
@@ -425,12 +425,12 @@ class RobotParameterWriters(RobotWriters):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Write a number of the actuators.
+        """Write a gain or limit of the actuators by its name.
 
         Returns:
-            Of each group whose drive is in the solver: the place of its controls, values (n, k), and which are written.
+            For each group whose drive is in the solver: slice of its controls, values (n, k), mask (k,) of the joints.
         """
-        self._has_new_targets = True  # what the drives make of the targets is new
+        self._has_new_targets = True  # the drives' controls depend on gains, too
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

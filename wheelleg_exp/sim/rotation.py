@@ -1,7 +1,7 @@
-"""Rotations on whole tensors. Quaternions are (w, x, y, z); angles are radians.
+"""Rotations of whole tensors. Quaternions are (w, x, y, z); angles are radians.
 
-In memory the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that an operation runs over all N
-in one go; vectors (N, 3) and quaternions (N, 4) are rows of their components, as everywhere.
+In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that one operation runs over all
+N matrices. Vectors (N, 3) and quaternions (N, 4) are contiguous as usual.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from functools import cache
 
 import torch
 
-# R_ij as a linear map of the 16 products q_a q_b, (16, 9); rows are a*4+b (unit quaternions).
+# R_ij as a linear map of the 16 products q_a q_b of a unit quaternion, (16, 9); row a*4+b.
 _PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
@@ -24,7 +24,7 @@ for _i in range(3):
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
 
-# Component of the Hamilton product that a_i b_j adds to, and its sign.
+# The Hamilton product as a linear map: the component that a_i b_j adds to, and its sign.
 _PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
@@ -32,7 +32,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
         _PRODUCTS_TO_QUAT[_i, _j, abs(_to)] = -1.0 if _negative else 1.0
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
-# The quaternion of three half angles; an index is 1 for the sine of roll, pitch and yaw in turn.
+# The quaternion of roll, pitch and yaw as a linear map of products of half-angle cosines (index 0) and sines (index 1).
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
@@ -63,7 +63,7 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _matrix_table(q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    if n == 1:  # a single product of vectors adds up in another order
+    if n == 1:  # a matrix-vector product sums in another order, which would change the last bit
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)
 

@@ -27,19 +27,19 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # model fields that contain or count the paths of its files
 
 
 class Scene(Kept):
     """Ground, robot and sensors of N environments.
 
-    Members are found by name, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, a sensor's. Until ``play``
-    the model is a spec that may still be edited.
+    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until
+    ``play`` the model is a spec that can be edited.
 
     Args:
         mjcf: the robot's MJCF file.
         num_envs: number of environments, N.
-        sim: the solver.
+        sim: the engine and the solver.
         scene: the spacing of the environments.
         terrain: the ground.
         robot: the robot's options.
@@ -93,7 +93,7 @@ class Scene(Kept):
         self._stream = stream
 
     def play(self) -> None:
-        """Compile the spec, start the simulations and stand the robot at its default state."""
+        """Compile the spec, start the simulations, and put the robot into its default state."""
         self.model = self.spec.compile()
         self._compiled = _checksums(self.model)
         self.sim = make_engine(self._sim_options, self.model, self.num_envs)
@@ -107,7 +107,7 @@ class Scene(Kept):
         self._place_at_defaults()
 
     def __getitem__(self, name: str) -> Any:
-        if name == "robot":  # most terms ask for it, in every step
+        if name == "robot":  # first, because most terms read it in every step
             return self.robot
         return self.terrain if name == "terrain" else self.sensors[name]
 
@@ -120,17 +120,17 @@ class Scene(Kept):
 
     @property
     def cfg(self) -> SimpleNamespace:
-        """What terms written for Isaac Lab read of the scene's config."""
+        """The part of the scene's config that terms written for Isaac Lab read."""
         return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
     def articulations(self) -> dict[str, Robot]:
-        """The robots by name: one."""
+        """The scene's one robot, by name."""
         return {"robot": self.robot}
 
     @property
     def rigid_objects(self) -> dict[str, Any]:
-        """Free bodies beside the robot: none."""
+        """Free bodies in addition to the robot: always empty."""
         return {}
 
     @property
@@ -139,11 +139,11 @@ class Scene(Kept):
         return self._sim_options.dt
 
     def contact_sensor(self, name: str) -> ContactSensor:
-        """Return a contact sensor by name; ConfigError when the member is none."""
+        """Return a contact sensor by name; ConfigError if no contact sensor has that name."""
         sensor = self.sensors.get(name)
         if not isinstance(sensor, ContactSensor):
             raise ConfigError(
-                f"'{name}' is no contact sensor",
+                f"'{name}' is not a contact sensor",
                 key="sensor_cfg.name",
                 expected="one of " + (", ".join(self.sensors) or "(the scene has none)"),
                 nearest=nearest_name(name, self.sensors),
@@ -151,11 +151,11 @@ class Scene(Kept):
         return sensor
 
     def model_digest(self) -> str:
-        """Return the sha256 of the compiled model, the identity of everything that physics reads."""
+        """Return the sha256 of the compiled model, which identifies everything that physics reads."""
         return model_digest(self.model)
 
     def require_compiled_model(self) -> None:
-        """Raise ConfigError with the fields of ``model`` that a term has changed: engines simulate their own copies."""
+        """Raise ConfigError if a term has written to ``model``, and name the fields: engines simulate a copy of it."""
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(
@@ -171,17 +171,17 @@ class Scene(Kept):
         self.robot.write_data_to_sim()
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations (N,) bool have gone to NaN or huge values by the last physics step."""
+        """Return which simulations, (N,) bool, have NaN or huge values after the last physics step."""
         if self._unstable is None:
             self._unstable = self.sim.unstable()
         return self._unstable
 
     def motion(self) -> dict[str, torch.Tensor]:
-        """Return positions and velocities by what they are, (N, ...)."""
+        """Return the engine's positions and velocities, (N, ...), by a name for reports."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
-        """Return the robot's state, as Isaac Lab lays it out: ``["articulation"]["robot"]`` and these names.
+        """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
         ``root_pose`` (N, 7), m and (w, x, y, z); ``root_velocity`` (N, 6), of the centre of mass in world axes, m/s and
         rad/s; ``joint_position`` and ``joint_velocity`` (N, J), rad and rad/s.
@@ -200,13 +200,13 @@ class Scene(Kept):
         return {"articulation": {"robot": state}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return what was asked for to be written (see ``Engine.asked``), by what it is, (N, ...)."""
+        """Return the tensors that terms may have written to (see ``Engine.asked``), by a name for reports."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}
 
     def update(self) -> None:
-        """Take up the results of the physics step that has just run."""
+        """Update the robot and the sensors after a physics step."""
         self._unstable = None
         self.robot.data.mark_stepped()
         for sensor in self.sensors.values():
@@ -214,7 +214,7 @@ class Scene(Kept):
                 sensor.update()
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Reset simulations, then assets, then sensors; the state itself is the reset events' job."""
+        """Reset the simulations, then the robot, then the sensors; reset events then set the new state."""
         self.sim.reset(ids)
         self._unstable = self.unstable().index_fill(0, ids, False)
         self.robot.reset(ids)
@@ -223,10 +223,10 @@ class Scene(Kept):
                 sensor.reset(ids)
 
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return what the log says of limits that MuJoCo or a sensor could not keep, over episodes that end now.
+        """Return log entries about limits that MuJoCo or a sensor could not enforce, for episodes that end now.
 
-        ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step, which PhysX
-        would have clamped. ``<sensor>_...``: what each sensor says of itself.
+        ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step; PhysX would have
+        clamped the speed. ``<sensor>_...``: entries of each sensor.
         """
         data = self.robot.data
         speed, limit = data.joint_vel.index_select(0, ids).abs(), data.soft_joint_vel_limits.index_select(0, ids)
@@ -236,12 +236,12 @@ class Scene(Kept):
         return log
 
     def refresh(self) -> None:
-        """Make derived quantities describe the new state, however it was written."""
+        """Recompute derived quantities for the present state, even if it was written past the robot's methods."""
         self.show_written()
         self.robot.data.invalidate()
 
     def show_written(self) -> None:
-        """Make derived quantities describe the new state of the environments whose state the robot has written."""
+        """Recompute derived quantities of the environments whose state the robot's methods have written."""
         if self.robot.is_stale:
             ids = self.robot.take_stale()
             self.sim.forward(ids)
@@ -271,7 +271,10 @@ class Scene(Kept):
         self.terrain.load_state_dict(saved.get("terrain", {}))
 
     def _effective_friction(self, spec: mujoco.MjSpec, source: str) -> None:
-        """Give robot geoms PhysX's average with the ground, which the higher priority makes MuJoCo use."""
+        """Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions.
+
+        MuJoCo takes the friction of the geom with the higher priority, so the robot's geoms get that.
+        """
         ground = self.terrain.friction(source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
@@ -292,17 +295,17 @@ def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> En
     """Return the engine that ``env.sim.engine`` names, with N simulations of the model.
 
     Raises:
-        ConfigError: a package or a device of the engine's is not there, or it does not simulate the model.
+        ConfigError: a package or a device of the engine is missing, or the engine cannot simulate the model.
     """
     if options.engine == "warp":
-        from wheelleg_exp.sim.warp_engine import WarpEngine  # its packages are heavy, and need not be there
+        from wheelleg_exp.sim.warp_engine import WarpEngine  # imports heavy, optional packages
 
         return WarpEngine(model, num_envs, options)
     return BatchEngine(model, num_envs, options.nthread)
 
 
 def model_digest(model: mujoco.MjModel) -> str:
-    """Return the sha256 of all numbers and names of a model, but not of the places of its files."""
+    """Return the sha256 of all numbers and names of a model, without the paths of its files."""
     digest = hashlib.sha256()
     for name, value in _fields(model):
         digest.update(name.removeprefix("opt.").encode() + b"\0" + value.tobytes())
@@ -310,10 +313,10 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 
 def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the numbers and names of a model, but not the paths of its files."""
+    """Yield the numbers and names of a model, without the paths of its files."""
     for prefix, holder in (("", model), ("opt.", model.opt)):
         for name in sorted(dir(holder)):
-            if name.startswith("_") or name in _PLACES or name.endswith("pathadr"):
+            if name.startswith("_") or name in _FILE_PATHS or name.endswith("pathadr"):
                 continue
             value = getattr(holder, name)
             if isinstance(value, (np.ndarray, np.generic, int, float, bytes)):
@@ -321,7 +324,7 @@ def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _checksums(model: mujoco.MjModel) -> dict[str, int]:
-    """Return a checksum of each field of a model by name; every checkpoint compares them."""
+    """Return a checksum of each field of a model by name; each checkpoint compares these checksums."""
     return {name: zlib.crc32(np.ascontiguousarray(value).data) for name, value in _fields(model)}
 
 

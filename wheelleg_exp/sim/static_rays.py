@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # m, by which boxes are taken larger than they are computed
+_MARGIN = 1e-6  # m: boxes are enlarged by this margin against rounding errors
 
 Floats = npt.NDArray[np.float64]
 
 
 class GeomBoxes:
-    """The boxes around geoms that never move, in world axes; a plane's has no end.
+    """The axis-aligned boxes around geoms that never move; the box of a plane is infinite.
 
     Args:
-        model: of the geoms.
+        model: a model that contains only these geoms.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -34,7 +34,7 @@ class GeomBoxes:
         self._all_high = self._high[ends].max(axis=0, initial=-np.inf)
 
     def reached(self, origins: Floats, directions: Floats) -> npt.NDArray[np.bool_]:
-        """Return which geoms (n, G) some ray of each row may meet: all that it meets, and a few more.
+        """Return which geoms (n, G) the rays of each row may hit: a superset of the geoms that they hit.
 
         Args:
             origins: world, m, (n, R, 3).
@@ -43,15 +43,15 @@ class GeomBoxes:
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # much faster than all three at once
+        for axis in range(3):  # much faster than one comparison of three axes
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
 
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Return the corners (n, R, 3) of the box around what of each ray lies in the box around all geoms.
+        """Clip each ray to the box around all geoms; return the lower and upper corner (n, R, 3) of the remaining part.
 
-        By slabs (Kay and Kajiya 1986); a ray that passes it by has corners at infinity, the lower one above.
+        Slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box: lower corner inf, upper -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -64,21 +64,23 @@ class GeomBoxes:
         return low, np.where(meets, np.maximum(start, end) + _MARGIN, -np.inf)
 
 
-_PLACES = ("geom_type", "geom_size", "geom_pos", "geom_quat")
-_ROWS = 32  # a thread: how finely rays are shared out
-_MANY = 8  # geoms from which on rays are shown those alone that they may meet
-_TOGETHER = 48  # rays that are shown the same geoms
-_SHOWN, _HIDDEN = 0, 1  # groups
+_GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
+_ROWS = 32  # simulations per thread, which determines how finely rays are distributed over threads
+_MANY = 8  # number of geoms from which on each block of rays sees only the geoms that it may hit
+_TOGETHER = 48  # rays in a block
+_SHOWN, _HIDDEN = 0, 1  # geom groups
 
 
 class StaticGeoms:
-    """A group of geoms that is the same in all simulations, so that any of them can cast any ray.
+    """A group of geoms that is equal in all simulations, so that any simulation can cast any ray.
+
+    The rays are cast in a model without the robot, because MuJoCo tests each ray against every geom of a model.
 
     Args:
         model: the whole model.
         group: the geoms' group.
-        alone: returns a model of these geoms alone, by the same names; called with the first ray.
-        nthread: threads that cast.
+        alone: returns a model that contains only these geoms, with the same names; called at the first ray.
+        nthread: number of threads.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:
@@ -88,13 +90,13 @@ class StaticGeoms:
         self._is_same: bool | None = None
 
     def are_still(self, expanded: Collection[str]) -> bool:
-        """Return whether the model of them alone shows them: nobody has edited them, in all simulations or in one."""
+        """Return whether the model without the robot is valid: no event has edited these geoms in any simulation."""
         if self._is_same is None:
             alone = self._make()
             self._is_same = self._same(alone)
             if self._is_same:
                 self._prepare(alone)
-        return self._is_same and not any(name in expanded for name in _PLACES)
+        return self._is_same and not any(name in expanded for name in _GEOM_FIELDS)
 
     def _prepare(self, alone: mujoco.MjModel) -> None:
         self._batch = Batch(alone, self._nthread * _ROWS, nthread=self._nthread)
@@ -102,7 +104,7 @@ class StaticGeoms:
             self._reach, self._groups = GeomBoxes(alone), self._batch.expand("geom_group")
 
     def ray(self, origins: Floats, directions: Floats) -> Floats:
-        """Return how far rays (n, R, 3) go, (n, R), as ``Engine.ray`` does."""
+        """Return the distances of the first hits, (n, R), of rays (n, R, 3), as ``Engine.ray`` does."""
         rows, shape = self._nthread * _ROWS, origins.shape[:-1]
         count = int(np.prod(shape))
         together = _TOGETHER if self._reach else max(1, -(-count // rows))
@@ -117,7 +119,7 @@ class StaticGeoms:
         return far.reshape(-1)[:count].reshape(shape)
 
     def _cast(self, origins: Floats, directions: Floats) -> Floats:
-        """Return how far a row of rays in each of the first simulations go."""
+        """Cast one block of rays in each of the first simulations."""
         assert self._batch is not None
         ids, shown = np.arange(len(origins)), None
         if self._reach is not None:
@@ -131,4 +133,6 @@ class StaticGeoms:
         if len(here) != alone.ngeom:
             return False
         there = [alone.geom(self._model.geom(g).name).id for g in here]
-        return all(np.array_equal(getattr(self._model, name)[here], getattr(alone, name)[there]) for name in _PLACES)
+        return all(
+            np.array_equal(getattr(self._model, name)[here], getattr(alone, name)[there]) for name in _GEOM_FIELDS
+        )

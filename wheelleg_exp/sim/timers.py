@@ -1,23 +1,27 @@
-"""Timers that run down, of which the host knows without waiting for a GPU that none can be up yet."""
+"""Countdown timers on a GPU, checked on the host without waiting for the GPU.
+
+A lower bound of the smallest timer is copied to the host asynchronously every few steps. While that bound, less the
+time since, is above zero, no timer can have expired.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # steps between two looks at a GPU
-_SLACK = 1e-3  # s: of single precision
+_EVERY = 16  # steps between two copies from the GPU
+_SLACK = 1e-3  # s: margin for rounding errors of float32
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return whether one of some timers, which have just run down or are about to, may be up.
+    """Return False only if no timer can have expired; on a CPU always True, because reading the timers is cheap there.
 
-    On a CPU one always may: the timers are at hand. Who sets a timer to less than ``least`` calls ``forget``.
+    Code that sets a timer to less than ``least`` must call ``forget``.
 
     Args:
-        timers: (n,), s; asked for at every step.
-        least: what a timer is set to at least, s.
-        dt: by how much they have run down, s.
+        timers: remaining times, s, (n,); call once per step.
+        least: smallest value that a timer is set to, s.
+        dt: time since the last call, s.
     """
     if not timers.is_cuda:
         return True
@@ -27,38 +31,38 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Know nothing of any timers: some were set by others than who looks at them."""
+    """Drop all bounds, because timers were set by other code, such as the restoring of a state."""
     _bounds.clear()
 
 
 class _Bound:
-    """A bound below the least of some timers, from what they were when a GPU was asked last."""
+    """A lower bound of the smallest timer, from the last copy that has arrived on the host."""
 
     def __init__(self) -> None:
         self._bound = float("-inf")
-        self._told: torch.Tensor | None = None
-        self._come: torch.cuda.Event | None = None
+        self._smallest: torch.Tensor | None = None
+        self._arrived: torch.cuda.Event | None = None
         self._age, self._steps = 0.0, 0
 
     def may_be_due(self, timers: torch.Tensor, least: float, dt: float) -> bool:
-        """See the function."""
+        """Return False only if no timer can have expired (see the function)."""
         self._bound -= dt
         self._age += dt
-        if self._come is not None and self._come.query() and self._told is not None:
-            self._bound = min(float(self._told), least) - self._age - dt - _SLACK
-            self._come = None
-        if self._steps % _EVERY == 0 and self._come is None:
-            self._ask(timers)
+        if self._arrived is not None and self._arrived.query() and self._smallest is not None:
+            self._bound = min(float(self._smallest), least) - self._age - dt - _SLACK
+            self._arrived = None
+        if self._steps % _EVERY == 0 and self._arrived is None:
+            self._copy(timers)
         self._steps += 1
         return self._bound <= 0.0
 
-    def _ask(self, timers: torch.Tensor) -> None:
-        if self._told is None:
+    def _copy(self, timers: torch.Tensor) -> None:
+        if self._smallest is None:
             with torch.inference_mode(False):
-                self._told = torch.zeros((), dtype=timers.dtype, device="cpu", pin_memory=True)
-        self._told.copy_(timers.amin(), non_blocking=True)
-        self._come, self._age = torch.cuda.Event(), 0.0
-        self._come.record()
+                self._smallest = torch.zeros((), dtype=timers.dtype, device="cpu", pin_memory=True)
+        self._smallest.copy_(timers.amin(), non_blocking=True)
+        self._arrived, self._age = torch.cuda.Event(), 0.0
+        self._arrived.record()
 
 
 _bounds: WeakTensorKeyDictionary = WeakTensorKeyDictionary()

@@ -16,19 +16,19 @@ from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.warp_fields import DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
-_CONTACTS = 24  # a simulation, on average: a wheel-legged robot that lies on the ground has about twelve
-_ON_RELIEF = 48  # a height field or a mesh meets one geom in several points
+_CONTACTS = 24  # per simulation, on average: a wheel-legged robot that lies on the ground has about twelve
+_ON_RELIEF = 48  # a height field or a mesh touches one geom in several points
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """What a simulation has room for.
+    """Capacity of mujoco-warp's buffers per simulation.
 
     Attributes:
-        contacts: contacts; all simulations share the room of all.
-        rows: constraint rows; each simulation has its own.
+        contacts: contacts; all simulations share one buffer.
+        rows: constraint rows; each simulation has its own buffer.
     """
 
     contacts: int
@@ -36,12 +36,12 @@ class Capacity:
 
 
 def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
-    """Return the room for a model; 0 is worked out of it: contacts of a robot on the ground, and rows for them.
+    """Return the capacity for a model, with estimates in place of 0.
 
     Args:
         model: the compiled scene.
-        nconmax: contacts a simulation, or 0.
-        njmax: constraint rows a simulation, or 0.
+        nconmax: contacts per simulation, or 0.
+        njmax: constraint rows per simulation, or 0.
     """
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -49,7 +49,9 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
     contacts = nconmax or (_ON_RELIEF if relief else _CONTACTS)
     if njmax:
         return Capacity(contacts, njmax)
-    rows_of_contact = 2 * (int(model.geom_condim.max(initial=3)) - 1)  # of a pyramid, the larger of both cones
+    rows_of_contact = 2 * (
+        int(model.geom_condim.max(initial=3)) - 1
+    )  # a pyramidal cone needs more than an elliptic one
     rows = contacts * rows_of_contact + model.neq * _ROWS_OF_EQUALITY
     rows += int((model.jnt_limited != 0).sum()) + int((model.dof_frictionloss != 0).sum())
     rows += int((model.tendon_limited != 0).sum()) + int((model.tendon_frictionloss != 0).sum())
@@ -57,12 +59,12 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
 
 
 class Overflow:
-    """Notices that there were more contacts or constraint rows than there is room for, without waiting for a GPU.
+    """Detects that contacts or constraint rows exceeded the capacity, without waiting for a GPU.
 
     Args:
         kinds: mujoco-warp's enumeration of overflows.
-        flags: its flags of each simulation, (N,) int, a live view; nobody clears them.
-        room: what there is room for.
+        flags: mujoco-warp's overflow flags of each simulation, (N,) int, a live view; they are never cleared.
+        room: the capacity.
     """
 
     def __init__(self, kinds: Any, flags: torch.Tensor, room: Capacity) -> None:
@@ -72,15 +74,15 @@ class Overflow:
         self._seen = torch.zeros((), dtype=flags.dtype, device="cpu", pin_memory=flags.is_cuda)
 
     def look(self) -> None:
-        """Ask for the flags of now; ``require_none`` knows of them as soon as they have come."""
+        """Start copying the present flags to the host; ``require_none`` reads the copy once it has arrived."""
         lost = self._flags & (self._rows | self._contacts)
         self._seen.copy_(lost.amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
-        """Raise SimulationFailure when flags have come that say so.
+        """Raise SimulationFailure if the flags that have arrived on the host show an overflow.
 
         Args:
-            data: mujoco-warp's data, whose counts are told.
+            data: mujoco-warp's data, with the counts for the message.
         """
         if not int(self._seen):
             return
@@ -91,15 +93,15 @@ class Overflow:
         else:
             found = max(int(data.nacon.numpy()[0]), int(data.ncollision.numpy()[0]))
             key, has, needed = "env.sim.nconmax", self._room.contacts, -(-found // int(data.nworld))
-            what = "contacts a simulation on average"
+            what = "contacts per simulation on average"
         raise SimulationFailure(
-            f"there are more than {has} {what}, and those beyond are lost",
+            f"there are more than {has} {what}, and the excess ones were dropped",
             key=key,
             expected=f"{max(needed, 2 * has)} or more",
         )
 
 
-_HUGE = 1e10  # MuJoCo's mjMAXVAL, beyond which it takes a number for wrong
+_HUGE = 1e10  # MuJoCo's mjMAXVAL: larger positions and velocities count as invalid
 _LEAST_MATCHES = 8
 _MOTION = ("qpos", "qvel")
 
@@ -107,8 +109,8 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    One step of one state agrees with MuJoCo's to single precision. On a GPU the order of contacts and of sums differs
-    from run to run, so that two runs from one state drift apart; on the CPU device a run repeats to the bit.
+    One step agrees with MuJoCo's step to single precision. On a GPU the order of contacts and sums differs from run to
+    run, so that two runs from the same state diverge. On the CPU device a run is bit-reproducible.
 
     Args:
         model: the compiled scene.
@@ -116,7 +118,7 @@ class WarpEngine(Engine):
         options: the ``env.sim`` section.
 
     Raises:
-        ConfigError: a package or a device is not there, or the model has what mujoco-warp does not simulate.
+        ConfigError: a package or a device is missing, or mujoco-warp cannot simulate the model.
     """
 
     name = "warp"
@@ -140,7 +142,7 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # told by an error, not by a print of the kernel
+        self._m.opt.warn_overflow = 0  # reported as an error instead of a print in the kernel
         self._m.opt.contact_sensor_maxmatch = _most_matches(model)
         self._data = DataFields(wp, self._d, model)
         self._fields = ModelFields(wp, self._m, model, num_envs)
@@ -158,7 +160,7 @@ class WarpEngine(Engine):
         self._has_sensors = bool((kinds != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
 
     def _first_state(self) -> dict[str, torch.Tensor]:
-        """Return MuJoCo's own first state, (1, ...) by name."""
+        """Return MuJoCo's initial state, (1, ...) by name."""
         data = mujoco.MjData(self.model)
         found = {}
         for name, view in self._state.items():
@@ -167,7 +169,7 @@ class WarpEngine(Engine):
         return found
 
     def _flat_state(self) -> dict[str, tuple[Any, Any, float]]:
-        """Return what a reset works on, for Warp: numbers by name, those at first, and how large they may stay."""
+        """Return Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps."""
         from wheelleg_exp.sim import warp_kernels  # which imports Warp
 
         self._kernels = warp_kernels
@@ -183,8 +185,8 @@ class WarpEngine(Engine):
         }
 
     @property
-    def state(self) -> torch.Tensor:  # type: ignore[override]  # nobody writes it
-        """One row of numbers a simulation, from which its next step follows, (N, k); a copy."""
+    def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
+        """The numbers that determine the next step, one row per simulation, (N, k); a copy."""
         return torch.cat([value.reshape(self.num_envs, -1).float() for value in self._state.values()], dim=1)
 
     def view(self, name: str) -> torch.Tensor:
@@ -192,30 +194,30 @@ class WarpEngine(Engine):
         return self._data.view(name)
 
     def derived(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+        """Return a live view (N, ...) of an output that depends on positions and velocities; each step updates it."""
         view = self.view(name)
         if name not in self._current:
             if name not in DERIVED:
-                raise ConfigError(f"the engine 'warp' keeps no current '{name}'", key=ENGINE, expected="mujoco")
+                raise ConfigError(f"the engine 'warp' cannot keep '{name}' current", key=ENGINE, expected="mujoco")
             self._current.add(name)
             self._graphs.forget()
             self.forward()
         return view
 
     def may_differ(self, name: str) -> bool:
-        """Return whether a model field can have one value a simulation."""
+        """Return whether a model field can have one value per simulation."""
         return self._fields.may_differ(name)
 
     def promise(self) -> dict[str, Any]:
-        """Return what a run records of its engine, and what there was room for."""
+        """Return the engine's entry in a run's manifest, with the capacity."""
         found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
         return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a model field one value a simulation; return the live tensor (N, ...).
+        """Give a model field one value per simulation; return the live tensor (N, ...).
 
         Raises:
-            ConfigError: mujoco-warp holds one value of it for all.
+            ConfigError: mujoco-warp has one value of the field for all simulations.
         """
         self.asked.add(name)
         if name not in self.expanded:
@@ -224,7 +226,7 @@ class WarpEngine(Engine):
         return self.expanded[name]
 
     def set_const(self) -> None:
-        """Recompute the constants that are derived from the model fields of each simulation."""
+        """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
         if not self._fields.own.keys() >= {"body_subtreemass"}:
             self._graphs.forget()
             self._fields.expand_constants()
@@ -238,8 +240,8 @@ class WarpEngine(Engine):
         """Advance every simulation by one physics step.
 
         Raises:
-            SimulationFailure: there were more contacts or constraint rows than there is room for; on a GPU it is told
-                a step or two later.
+            SimulationFailure: contacts or constraint rows exceeded the capacity; on a GPU the error comes a step or
+                two later.
         """
         if not self._graphs.is_capturing:
             self.require_room()
@@ -250,11 +252,11 @@ class WarpEngine(Engine):
 
     @property
     def is_captured(self) -> bool:
-        """Whether an environment's step may be captured as a CUDA graph, the engine's steps within it."""
+        """Whether a control step, including the engine's steps, can be captured as a CUDA graph."""
         return self._captures
 
     def require_room(self) -> None:
-        """Raise SimulationFailure when there were more contacts or constraint rows than there is room for."""
+        """Raise SimulationFailure if contacts or constraint rows exceeded the capacity."""
         self._overflow.require_none(self._d)
 
     def _advance(self) -> None:
@@ -263,10 +265,7 @@ class WarpEngine(Engine):
             self._derive()
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Make derived outputs describe the present state of all; others than ``ids`` have the same values as before.
-
-        Fixed shapes cost a GPU less than choosing rows.
-        """
+        """Recompute derived outputs of all simulations: on a GPU a fixed shape is cheaper than selected rows."""
         del ids
         if self._current:
             self._graphs.run("forward", self._derive)
@@ -281,7 +280,7 @@ class WarpEngine(Engine):
             mjw.sensor_vel(m, d)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Zero all of ``ids`` but positions and velocities; of these what is NaN or huge."""
+        """Reset the state of ``ids``, except for positions and velocities that are neither NaN nor huge."""
         with self._graphs.here():
             rows = self._wp.from_torch(ids)
             for values, initial, most in self._rows.values():
@@ -295,7 +294,7 @@ class WarpEngine(Engine):
         self._wp.launch(kernel, dim=dim, inputs=inputs, device=self._graphs.place)
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return 0, or what is no number where positions or velocities of some simulations are not finite."""
+        """Return 0, or NaN if positions or velocities of the simulations ``rows`` are not finite."""
         total = torch.zeros(1, device=self.device)
         ids = rows if isinstance(rows, torch.Tensor) and rows.dtype is torch.int64 else self._all_ids[rows]
         with self._graphs.here():
@@ -305,9 +304,9 @@ class WarpEngine(Engine):
         return total[0]
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
+        """Return which simulations, (N,) bool, have had NaN or huge values since their reset.
 
-        mujoco-warp goes on with such numbers, which never reach another simulation.
+        mujoco-warp continues with such values; they never reach another simulation.
         """
         with self._graphs.here():
             for name in (*_MOTION, "ctrl"):
@@ -323,9 +322,10 @@ class WarpEngine(Engine):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return how far rays go before they meet a geom (see ``Engine.ray``).
+        """Return the distance of each ray's first hit (see ``Engine.ray``).
 
-        Every simulation casts as many; rays of ``ids`` alone are spread over all and taken from them.
+        mujoco-warp casts the same number of rays in every simulation. With ``ids``, the other simulations cast dummy
+        rays, whose results are dropped.
         """
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
         if ids is not None:
@@ -362,14 +362,14 @@ class WarpEngine(Engine):
         return vec6(*[float(group in geom_groups) for group in range(mujoco.mjNGROUP)])
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Say that a group's geoms never move: their places need not be computed before a ray is cast."""
+        """Declare that the geoms of a group never move, so that rays need no kinematics beforehand."""
         del alone
         with self._graphs.here():
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next step depends on: states and the model fields of each simulation."""
+        """Return everything that determines the next step: states and per-simulation model fields."""
         return {
             "state": {name: value.clone() for name, value in self._state.items()},
             "model_fields": {name: value.clone() for name, value in sorted(self._fields.own.items())},
@@ -391,7 +391,7 @@ class WarpEngine(Engine):
 
 
 def _most_matches(model: mujoco.MjModel) -> int:
-    """Return how many contacts the contact sensors look at: twice as many as they have room for."""
+    """Return the number of contacts that contact sensors search: a power of two, at least twice their slots."""
     of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
     slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
     most = _LEAST_MATCHES

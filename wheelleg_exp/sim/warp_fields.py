@@ -12,7 +12,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.warp_runtime import ENGINE
 
-# The state of a simulation: its next step follows from these and the model. (A model without one has it empty.)
+# The state of a simulation: these fields and the model determine the next step. A field may be empty.
 STATE = (
     "time",
     "qpos",
@@ -29,12 +29,12 @@ STATE = (
     "mocap_quat",
     "userdata",
 )
-# Outputs that kinematics, centres of mass and velocities leave behind.
+# Outputs of mujoco-warp's kinematics, com_pos and com_vel.
 DERIVED = frozenset(
     """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
     cdof_dot sensordata""".split()  # noqa: SIM905
 )
-# What set_const derives, so that it has one value a simulation where what it follows from has.
+# Outputs of set_const. They need one value per simulation as soon as a field that they depend on has.
 CONSTANTS = (
     "body_subtreemass",
     "body_invweight0",
@@ -69,18 +69,18 @@ class DataFields:
         self._views: dict[str, torch.Tensor] = {}
 
     def view(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an MjData field; ConfigError when mujoco-warp has it not."""
+        """Return a live view (N, ...) of an MjData field; ConfigError if mujoco-warp does not have the field."""
         if name not in self._views:
             array, like = getattr(self._data, name, None), getattr(self._like, name, None)
             if like is None or not isinstance(array, self._wp.array):
-                raise ConfigError(f"mujoco-warp keeps no '{name}'", key=ENGINE, expected="mujoco, which does")
+                raise ConfigError(f"mujoco-warp has no field '{name}'", key=ENGINE, expected="mujoco")
             shape = (int(self._data.nworld), *np.shape(like))
             tensor = self._wp.to_torch(array) if array.size else self._empty(array, shape)
             self._views[name] = tensor.view(shape)
         return self._views[name]
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return live views of what a simulation's next step follows from, by name."""
+        """Return live views of the fields that determine the next step, by name."""
         names = [name for name in STATE if hasattr(self._like, name) and hasattr(self._data, name)]
         return {name: self.view(name) for name in names if self.view(name).numel()}
 
@@ -90,7 +90,7 @@ class DataFields:
 
 
 class ModelFields:
-    """Fields of mujoco-warp's model, which hold one value for all simulations, or one for each.
+    """Fields of mujoco-warp's model, with one value for all simulations, or one for each.
 
     Args:
         wp: Warp.
@@ -105,19 +105,19 @@ class ModelFields:
         self._first: dict[str, torch.Tensor] = {}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a field one value a simulation; return the live tensor (N, ...) in MuJoCo's shape.
+        """Give a field one value per simulation; return the live tensor (N, ...) in MuJoCo's shape.
 
         Raises:
-            ConfigError: mujoco-warp holds one value of it for all.
+            ConfigError: mujoco-warp has one value of the field for all simulations.
         """
         if name not in self.own:
             owner, last = self._place(name)
             array, like = getattr(owner, last, None), self._like(name)
             if not self.may_differ(name):
                 raise ConfigError(
-                    f"mujoco-warp holds one '{name}' for all simulations",
+                    f"mujoco-warp has one '{name}' for all simulations",
                     key=ENGINE,
-                    expected="mujoco, or no event that gives each environment its own",
+                    expected="mujoco, or no event that gives each environment its own value",
                 )
             self._give_each(owner, last, array)
             self.own[name] = self._wp.to_torch(getattr(owner, last)).view(self._num_envs, *np.shape(like))
@@ -125,14 +125,14 @@ class ModelFields:
         return self.own[name]
 
     def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Write values (N, ...) by name; fields that are not named get the model's."""
+        """Write values (N, ...) by name; all other expanded fields get the model's values."""
         for name in saved:
             self.expand(name)
         for name, values in self.own.items():
             values.copy_(saved.get(name, self._first[name]).expand_as(values))
 
     def expand_constants(self) -> None:
-        """Give what ``set_const`` derives one value a simulation."""
+        """Give the outputs of ``set_const`` one value per simulation."""
         for name in CONSTANTS:
             array = getattr(self._on_device, name, None)
             if array is not None and array.size:
@@ -145,7 +145,7 @@ class ModelFields:
         return found
 
     def may_differ(self, name: str) -> bool:
-        """Return whether a field is kept with a leading dimension for simulations."""
+        """Return whether mujoco-warp's field has a leading dimension for simulations."""
         owner, last = self._place(name)
         array, like = getattr(owner, last, None), self._like(name)
         if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):

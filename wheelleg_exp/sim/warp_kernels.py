@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """Set numbers of some simulations to what they were at first, where they are as large as ``huge``, or none."""
+    """Set values of the simulations ``ids`` to their initial values where their size is ``huge`` or more, or NaN."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:
@@ -23,7 +23,7 @@ def restore(
 
 @wp.kernel
 def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.array(dtype=wp.bool)) -> None:
-    """Note simulations one of whose numbers is as large as ``huge``, or none."""
+    """Mark the simulations that have a value whose size is ``huge`` or more, or a NaN."""
     world = wp.tid()
     for column in range(values.shape[1]):
         if not wp.abs(values[world, column]) < huge:
@@ -34,12 +34,12 @@ def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.
 def spoil(
     values: wp.array2d(dtype=wp.float32), ids: wp.array(dtype=wp.int64), total: wp.array(dtype=wp.float32)
 ) -> None:
-    """Make a total no number where one of some simulations' numbers is not finite."""
+    """Set ``total`` to NaN if the simulations ``ids`` have a value that is NaN or inf."""
     row, column = wp.tid()
     if not wp.isfinite(values[int(ids[row]), column]):
         total[0] = wp.nan
 
 
 def flat(values: Any) -> Any:
-    """Return a live two-dimensional array for Warp of a float32 tensor (N, ...)."""
+    """Return a float32 tensor (N, ...) as a live two-dimensional array of Warp."""
     return wp.from_torch(values.view(len(values), -1), dtype=wp.float32)

@@ -21,25 +21,25 @@ DEVICE = "env.sim.device"
 
 
 def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
-    """Return Warp and mujoco-warp, ready for a device; kernels are kept below the program's own cache folder.
+    """Return Warp and mujoco-warp, ready for a device; compiled kernels are cached in the program's cache folder.
 
     Args:
-        device: where the simulations run.
+        device: device of the simulations.
 
     Raises:
-        ConfigError: a package is not installed, or there is no such device.
+        ConfigError: a package is not installed, or the device does not exist.
     """
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # the first to use it says how
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # configure only before the first use in a process
             wp.config.log_level = wp.LOG_WARNING
-            wp.config.enable_backward = False  # nobody asks for gradients, which take half of the time of compiling
+            wp.config.enable_backward = False  # gradients are not needed, and halve the speed of compilation
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # for tests, which wait longer for a compiler than for a step
-                _keep_quiet_of_cuda(wp)
+                wp.config.optimization_level = 0  # for tests, where compilation takes longer than the steps
+                _init_without_cuda_warning(wp)
             wp.init()
         import mujoco_warp as mjw
     except ImportError as error:
@@ -52,35 +52,36 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
     return wp, mjw
 
 
-def _keep_quiet_of_cuda(wp: Any) -> None:
-    """Start Warp without its word that there is no CUDA driver, which it writes past Python, and nobody asked for."""
+def _init_without_cuda_warning(wp: Any) -> None:
+    """Start Warp without its warning about a missing CUDA driver, which its C++ code writes to file descriptor 2."""
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
         wp.init()
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved, 2)
+        os.close(saved)
         os.close(nowhere)
 
 
 def require_device(device: torch.device) -> None:
-    """Raise ConfigError where there is no such device here."""
+    """Raise ConfigError if a device does not exist on this machine."""
     if device.type == "cpu":
         return
     count = torch.cuda.device_count()
     known = ["cpu", *(f"cuda:{index}" for index in range(count))]
     if device.type != "cuda" or (device.index or 0) >= count:
-        why = ": this torch is for CPUs alone" if torch.version.cuda is None else ""
-        raise ConfigError(f"there is no device '{device}' here{why}", key=DEVICE, expected="one of " + ", ".join(known))
+        why = ": the installed torch supports only CPUs" if torch.version.cuda is None else ""
+        message = f"the device '{device}' does not exist on this machine{why}"
+        raise ConfigError(message, key=DEVICE, expected="one of " + ", ".join(known))
 
 
 def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
     """Return mujoco-warp's model.
 
     Raises:
-        ConfigError: the model has what mujoco-warp does not simulate.
+        ConfigError: mujoco-warp cannot simulate the model.
     """
     try:
         with warnings.catch_warnings():
@@ -88,21 +89,21 @@ def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
             return mjw.put_model(model)
     except (NotImplementedError, ValueError) as error:
         raise ConfigError(
-            f"mujoco-warp does not simulate this model: {str(error).rstrip('.')}",
+            f"mujoco-warp cannot simulate this model: {str(error).rstrip('.')}",
             key=ENGINE,
-            expected="mujoco, or a robot, ground and solver without it",
+            expected="mujoco, or a robot, ground and solver that mujoco-warp supports",
         ) from error
 
 
 class Graphs:
-    """Runs work on Warp's device in the order of torch's stream, and on a GPU as graphs.
+    """Launches functions on Warp's device in the order of torch's stream, on a GPU as CUDA graphs.
 
-    Work runs by itself the first time, which compiles its kernels, is captured the second time, and is one launch from
-    then on. Within a capture of torch's own it becomes a part of that.
+    The first call of a function runs it directly, which compiles its kernels. The second call captures it. Later calls
+    launch the captured graph. While torch captures a graph of its own, the function becomes part of that graph.
 
     Args:
         wp: Warp.
-        device: where the work runs.
+        device: device of the kernels.
         wanted: whether to capture; a CPU has no graphs.
     """
 
@@ -114,18 +115,18 @@ class Graphs:
 
     @property
     def is_capturing(self) -> bool:
-        """Whether torch captures what is launched now."""
+        """Whether torch is capturing a CUDA graph now."""
         return self._device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     def forget(self) -> None:
-        """Forget what was captured: the arrays that it works on are others now."""
+        """Drop all captured graphs, because arrays that they work on were replaced."""
         self._captured.clear()
 
     @contextmanager
     def here(self) -> Iterator[None]:
-        """Launch what is inside on the device, behind what torch has launched."""
+        """Launch the kernels inside the block on the device, after torch's earlier launches."""
         wp, stream = self._wp, self._stream()
-        if stream is None:  # Warp's own stream keeps step with torch's default one
+        if stream is None:  # Warp's own stream is synchronised with torch's default stream
             with wp.ScopedDevice(self.place):
                 yield
         elif torch.cuda.is_current_stream_capturing():
@@ -136,10 +137,10 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run work that always launches the same kernels on the same arrays.
+        """Run a function that always launches the same kernels on the same arrays.
 
         Args:
-            name: what it is known by.
+            name: key of the captured graph.
             work: launches the kernels.
         """
         if not self._wanted or self.is_capturing:
@@ -161,7 +162,7 @@ class Graphs:
         return capture.graph
 
     def _stream(self) -> Any:
-        """Return torch's present stream for Warp, None when it is the default one."""
+        """Return torch's current stream for Warp; None for the default stream."""
         if self._device.type != "cuda":
             return None
         stream = torch.cuda.current_stream(self._device)

@@ -164,8 +164,8 @@ def test_a_networks_numbers_stand_in_no_state(made):
     [
         (torques.WritesAFile(), "aten::from_file"),
         (torques.RunsAtLoading(), "__setstate__"),
-        (torques.perceptron(inputs=5), "does not take its inputs"),
-        (torques.perceptron(outputs=2), "2 numbers a joint"),
+        (torques.perceptron(inputs=5), "rejects its inputs"),
+        (torques.perceptron(outputs=2), "2 numbers for one joint"),
     ],
 )
 def test_a_file_that_is_no_such_network_is_refused_before_it_runs(made, module, words, tmp_path, monkeypatch):
@@ -187,7 +187,7 @@ def test_a_file_that_is_no_torchscript_is_refused(made, tmp_path, content):
     (tmp_path / "networks" / "nets" / "hip.pt").write_bytes(content)
     config = env_config()
     config["robot"]["actuators"]["hips"] = MLP
-    with pytest.raises(ConfigError, match="no TorchScript network") as caught:
+    with pytest.raises(ConfigError, match="not a TorchScript network") as caught:
         ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
     assert "\n" not in caught.value.message
 

@@ -90,7 +90,7 @@ def test_history_and_times_are_clean_after_a_reset(env):
 def test_the_largest_norm_looks_over_the_history(env):
     sensor = env.scene["contact"]
     sensor.data.net_forces_w_history[:] = 0.0
-    sensor._forget_norms()
+    sensor._clear_norms()
     sensor.data.net_forces_w_history[0, 2, 0] = torch.tensor([3.0, 0.0, 4.0])
     sensor.data.net_forces_w_history[0, 1, 0] = torch.tensor([0.0, 0.0, 2.0])
     assert sensor.max_force_norm()[:, 0].tolist() == [5.0, 0.0, 0.0, 0.0]

@@ -83,10 +83,10 @@ def test_flat_places_are_found_on_a_file_too(ground):
 @pytest.mark.parametrize(
     ("kind", "file", "content", "words"),
     [
-        ("HeightField", "a.npz", b"", r"'a.npz' is no such ground.*ends in .npy or .png.*'.npy'"),
-        ("HeightField", "a.npy", b"no", r"file: 'a.npy' is no array"),
-        ("HeightField", "a.png", b"no", r"file: 'a.png' is no picture"),
-        ("Mesh", "a.obj", b"v 0 0 0", r"file: 'a.obj' is no mesh"),
+        ("HeightField", "a.npz", b"", r"'a.npz' is not a file of a ground.*ends in .npy or .png.*'.npy'"),
+        ("HeightField", "a.npy", b"no", r"file: 'a.npy' is not an array"),
+        ("HeightField", "a.png", b"no", r"file: 'a.png' is not an image"),
+        ("Mesh", "a.obj", b"v 0 0 0", r"file: 'a.obj' is not a mesh"),
     ],
 )
 def test_what_is_no_ground_is_told(ground, kind, file, content, words):
@@ -101,7 +101,7 @@ def test_what_is_no_ground_is_told(ground, kind, file, content, words):
 )
 def test_values_that_are_no_heights_are_told(ground, values):
     np.save(ground.folder / "a.npy", values)
-    with pytest.raises(ConfigError, match=r"file: 'a.npy' holds .*rows and columns of finite numbers"):
+    with pytest.raises(ConfigError, match=r"file: 'a.npy' contains .*rows and columns of finite numbers"):
         ground("HeightField", file="a.npy", size=[1.0, 1.0], height_range=None)
 
 

@@ -246,7 +246,7 @@ def test_flat_places_are_flat_and_where_they_may_be():
 def test_a_tile_that_is_nowhere_flat_is_told():
     rough = noise(flat_patches={"goal": FlatPatches(num_patches=1, patch_radius=0.2, max_height_diff=0.001)})
     with pytest.raises(
-        ConfigError, match=r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat places .*smaller patch_radius"
+        ConfigError, match=r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat patches .*smaller patch_radius"
     ):
         placed({"n": rough}, difficulty_range=[1, 1])
 
@@ -319,7 +319,7 @@ NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_ran
         ({"size": [1.0]}, r"size.*2 finite numbers"),
         ({"num_rows": 0}, r"num_rows.*at least 1"),
         ({"difficulty_range": [0.0, 2.0]}, r"difficulty_range.*at most 1"),
-        ({"sub_terrains": {"n": {**NOISE, "proportion": 0.0}}}, r"sub_terrains.*no sub-terrain has a share"),
+        ({"sub_terrains": {"n": {**NOISE, "proportion": 0.0}}}, r"sub_terrains.*no sub-terrain has a proportion"),
         ({"sub_terrains": {"n": {**NOISE, "amplitud": 1}}}, r"sub_terrains\.n\.amplitud"),
         ({"sub_terrains": {"n": {**NOISE, "border_width": 1.0}}}, r"n\.border_width.*less than half a tile's edge, 1"),
         ({"sub_terrains": {"n": {**NOISE, "border_width": -1.0}}}, r"n\.border_width.*at least 0"),

@@ -136,9 +136,9 @@ def test_fields_of_the_model_act_on_their_own_simulation_as_mujocos_do(device):
 
 
 def test_a_field_that_all_simulations_share_is_refused_by_name(sim):
-    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp holds one 'jnt_limited'"):
+    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp has one 'jnt_limited'"):
         sim.expand("jnt_limited")
-    with pytest.raises(ConfigError, match="keeps no 'qfrc_nobody'"):
+    with pytest.raises(ConfigError, match="has no field 'qfrc_nobody'"):
         sim.view("qfrc_nobody")
 
 
@@ -267,13 +267,15 @@ def test_a_missing_package_is_told_with_what_to_install(monkeypatch):
 
 
 def test_a_device_that_is_not_there_is_told_with_those_that_are():
-    with pytest.raises(ConfigError, match=r"env\.sim\.device: there is no device 'cuda:99' here.*expected one of cpu"):
+    with pytest.raises(
+        ConfigError, match=r"env\.sim\.device: the device 'cuda:99' does not exist.*expected one of cpu"
+    ):
         warp("cuda:99")
 
 
 def test_a_model_that_mujoco_warp_does_not_simulate_is_refused_by_what_it_has(device):
     xml = XML.replace("<option ", "<option solver='PGS' ")
-    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp does not simulate this model: mjSOL_PGS"):
+    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp cannot simulate this model: mjSOL_PGS"):
         warp(device, xml=xml)
 
 

@@ -1,23 +1,18 @@
-"""Actuator models: what turns joint targets into MuJoCo controls, before each physics step.
+"""Actuator models, which compute MuJoCo controls from joint targets before each physics step.
 
-Names and numbers are Isaac Lab's. A model that is not ``ImplicitActuator`` computes its torque from the state before
+Names and parameters are Isaac Lab's. Every model except ``ImplicitActuator`` computes its torque from the state before
 each physics step.
 
 | model | torque |
 |---|---|
-| `ImplicitActuator` | the solver's own PD drive, clipped to the effort limit |
+| `ImplicitActuator` | PD drive inside the solver, clipped to the effort limit |
 | `IdealPDActuator` | PD, clipped to the effort limit |
 | `DCMotor` | PD, clipped to a motor's torque-speed curve |
-| `DelayedPDActuator` | `IdealPDActuator` on targets of some physics steps ago |
-| `RemotizedPDActuator` | the same, clipped to a torque that depends on the joint's position |
-| `ActuatorNetMLP`, `ActuatorNetLSTM` | what a network says, clipped to a motor's torque-speed curve |
+| `DelayedPDActuator` | `IdealPDActuator` on targets that are some physics steps old |
+| `RemotizedPDActuator` | `DelayedPDActuator`, clipped to a torque that depends on the joint's position |
+| `ActuatorNetMLP`, `ActuatorNetLSTM` | output of a network, clipped to a motor's torque-speed curve |
 
-| module | what it holds |
-|---|---|
-| `base` | the numbers of a group of joints, by environment, and the models' face |
-| `delay` | targets of some physics steps ago |
-| `pd`, `motors` | models with gains |
-| `networks`, `network_file` | learned models, and the TorchScript files that they are read from |
+`actuator_base` has the base class, `pd_actuators` the models with gains, `network_actuators` the learned models.
 """
 
 from wheelleg_exp.sim.actuators.actuator_base import (

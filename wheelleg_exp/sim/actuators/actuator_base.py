@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # of every joint of a group
+NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # parameters that every joint of a group needs
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
 LimitPerJoint = Limit | Mapping[str, Limit]
@@ -32,9 +32,9 @@ Stream = Callable[[], torch.Generator]
 
 
 class ActuatorBase(Stateful):
-    """A group of joints driven by one model. What a model remembers are its attributes (``state``).
+    """A group of joints driven by one model. The model's attributes are its saved state (``state``).
 
-    Each number is a scalar or a mapping of joint expressions to values. Once the simulations run, ``stiffness``,
+    Each parameter is a number or a mapping from joint expressions to values. Once the simulations run, ``stiffness``,
     ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the group).
 
     Args:
@@ -44,12 +44,12 @@ class ActuatorBase(Stateful):
         effort_limit: largest torque, N·m.
         velocity_limit: largest joint speed, rad/s. MuJoCo cannot limit a joint's speed: velocity targets are
             clipped to it, and joints beyond it are reported.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        delay: fewest and most physics steps by which the targets come late, one number an environment drawn at each
-            reset; null is none.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's value.
+        delay: shortest and longest delay of the targets in physics steps; each reset draws one delay for each
+            environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # False where controls follow from targets alone
+    reads_state: ClassVar[bool] = True  # False if the controls depend only on the targets
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
 
     def __init__(
@@ -74,16 +74,16 @@ class ActuatorBase(Stateful):
         self.delay: TargetDelay | None = None
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the files that the model is made of; called first.
+        """Read the model's files; called first.
 
         Args:
-            folder: the robot's folder, in which they lie.
+            folder: the robot's folder, which contains the files.
             key: the group's config key.
-            device: where tensors are.
+            device: device of the tensors.
         """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the group's joints among ``joint_names`` and spread each number over them, as tensors on ``device``.
+        """Find the group's joints among ``joint_names``, and make a tensor of each parameter on ``device``.
 
         Raises:
             ConfigError: an expression matches nothing, or a joint has no value.
@@ -106,7 +106,7 @@ class ActuatorBase(Stateful):
         self._per_joint = per_joint
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Write the group's armatures into the spec and add one MuJoCo actuator a joint, named after it."""
+        """Write the group's armatures to the spec, and add one MuJoCo actuator per joint with the joint's name."""
         for index, name in enumerate(self.joint_names):
             armature = self._per_joint["armature"][index]
             if armature is not None:
@@ -118,7 +118,7 @@ class ActuatorBase(Stateful):
         raise NotImplementedError
 
     def start(self, shape: tuple[int, int], dt: float, stream: Stream) -> None:
-        """Give every environment its own numbers and the model its memory; called once, before the first step.
+        """Give every environment its own parameters, and allocate the model's memory; called before the first step.
 
         Args:
             shape: environments and joints of the robot, (N, J).
@@ -132,50 +132,50 @@ class ActuatorBase(Stateful):
         self.connect(shape[0], dt, stream)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate what the model remembers; called once, before the first step.
+        """Allocate the model's memory; called once, before the first step.
 
         Args:
             num_envs: number of environments, N.
             dt: physics step, s.
-            stream: returns the group's random stream; a group that draws nothing does not ask for it.
+            stream: returns the group's random stream; a model without random numbers does not call it.
         """
 
     def begin(self, env_ids: torch.Tensor) -> None:
-        """Begin the episodes of ``env_ids``: forget, and draw how late their targets come."""
+        """Start the episodes of ``env_ids``: draw the delays of their targets, and reset the model."""
         if self.delay is not None:
             self.delay.reset(env_ids)
         self.reset(env_ids)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget what the model remembers of ``env_ids``."""
+        """Clear the model's memory of ``env_ids``."""
 
     @property
     def follows_targets(self) -> bool:
-        """Whether the same targets give the same controls, whatever the state and the time."""
+        """Whether the controls depend only on the present targets, not on the state or on past targets."""
         return not self.reads_state and self.delay is None
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` on targets that are due.
+        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` of the delayed targets.
 
         Args:
             targets: the targets of all joints.
-            data: the robot's state from which the step will start.
+            data: the robot's state at the start of the step.
         """
         return self._of_joints(
             self.control(targets if self.delay is None else self.delay.push(targets), data), "control"
         )
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return ``computed_torque`` for the targets that were due in the last step."""
+        """Return ``computed_torque`` for the delayed targets of the last step."""
         torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
         return self._of_joints(torque, "computed_torque")
 
     def _of_joints(self, value: torch.Tensor, method: str) -> torch.Tensor:
-        """Return a value; ConfigError unless it is a row of the group's joints for each environment."""
+        """Return a value; ConfigError unless it has the shape (N, joints of the group)."""
         shape = self.stiffness.shape
         if getattr(value, "shape", None) != shape:
             message = f"'{dotted_name(self)}.{method}' returns {described(value)}"
-            expected = f"a tensor of shape {tuple(shape)}, for each environment a number for each joint of the group"
+            expected = f"a tensor of shape {tuple(shape)}: environments, joints of the group"
             raise ConfigError(message, where=code_place(getattr(self, method)), expected=expected)
         return value
 
@@ -184,7 +184,7 @@ class ActuatorBase(Stateful):
 
         Args:
             targets: the targets of all joints.
-            data: the robot's state from which the step will start.
+            data: the robot's state at the start of the step.
         """
         raise NotImplementedError("a model needs 'control(targets, data)'")
 

@@ -47,15 +47,18 @@ _RUNS_AT_LOADING = b"__setstate__"
 
 
 class Network(Kept):
-    """A network of a TorchScript file; its numbers do not change.
+    """A network from a TorchScript file, with constant weights.
+
+    TorchScript can read and write files, also while it is loaded. A file is therefore refused unless it consists of
+    the operations that networks need.
 
     Args:
-        file: where it lies.
+        file: the file.
         key: the config key that names it, for messages.
-        device: where it runs.
+        device: device of the network.
 
     Raises:
-        ConfigError: it is no TorchScript file, or does what a network need not do.
+        ConfigError: the file is not TorchScript, or contains an operation that is not on the list.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
@@ -67,12 +70,12 @@ class Network(Kept):
             graph = module.eval().inlined_graph
         except (RuntimeError, AttributeError, ValueError, BadZipFile) as error:
             reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-            raise self._refused(f"'{file.name}' is no TorchScript network: {reason}") from error
+            raise self._refused(f"'{file.name}' is not a TorchScript network: {reason}") from error
         for kind in _kinds(graph):
             space, _, name = kind.partition("::")
             known = {"prim": _LANGUAGE, "aten": _OPERATIONS}.get(space, frozenset())
             if name not in known and name.removesuffix("_") not in known:
-                raise self._refused(f"'{file.name}' runs '{kind}', which is not among what networks are made of")
+                raise self._refused(f"'{file.name}' runs '{kind}', which is not an operation of a network")
         self._module = module
 
     def _refused(self, message: str) -> ConfigError:
@@ -82,30 +85,29 @@ class Network(Kept):
         require_bounded(ZipFile(io.BytesIO(data)))
         reader = torch._C.PyTorchFileReader(io.BytesIO(data))
         if any(_RUNS_AT_LOADING in reader.get_record(name) for name in reader.get_all_records() if "code/" in name):
-            raise self._refused(f"holds a '{_RUNS_AT_LOADING.decode()}', which would run while it is loaded")
+            raise self._refused(f"contains a '{_RUNS_AT_LOADING.decode()}', which would run while the file is loaded")
 
     def weights(self) -> dict[str, torch.Tensor]:
-        """Return its numbers by name."""
+        """Return the weights by name."""
         return dict(self._module.state_dict())
 
     def __call__(self, *inputs: Any) -> Any:
-        """Return what it makes of its inputs: always by the same operations, so that runs repeat to the bit."""
+        """Run the network without optimisation passes, which would change bits between the first calls."""
         with torch.no_grad(), torch.jit.optimized_execution(False):
             return self._module.forward(*inputs)
 
     def tried(self, *inputs: Any, count: int) -> Any:
-        """Return what it makes of its inputs; ConfigError unless it takes them and gives ``count`` torques (first)."""
+        """Run the network once; ConfigError if it rejects the inputs, or does not return ``count`` torques first."""
         try:
             found = self(*inputs)
             torques = found[0] if isinstance(found, tuple) else found
             if torques.numel() == count:
                 return found
-            reason = f"gives {torques.numel() / count:g} numbers a joint"
+            reason = f"returns {torques.numel() / count:g} numbers for one joint"
         except (RuntimeError, AttributeError) as error:
-            reason = "does not take its inputs: " + [line for line in str(error).splitlines() if line.strip()][-1]
-        raise ConfigError(
-            f"the network {reason}", key=self._key, expected="the numbers of one joint in, its torque out"
-        )
+            reason = "rejects its inputs: " + [line for line in str(error).splitlines() if line.strip()][-1]
+        expected = "a network from the values of one joint to its torque"
+        raise ConfigError(f"the network {reason}", key=self._key, expected=expected)
 
 
 def _kinds(block: Any) -> Iterator[str]:
@@ -117,7 +119,11 @@ def _kinds(block: Any) -> Iterator[str]:
 
 
 class ActuatorNet(DCMotor):
-    """A drive whose torque a network gives, within a motor's torque-speed line; it has no gains, they are NaN."""
+    """A drive whose torque comes from a network, limited by a motor's torque-speed line; its gains are NaN.
+
+    Args:
+        network_file: the TorchScript file, below an asset folder.
+    """
 
     network: Network
 
@@ -136,11 +142,11 @@ class ActuatorNet(DCMotor):
         self._file = network_file
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the network; ConfigError when it is none."""
+        """Read the network; ConfigError if the file is not a network."""
         self.network = Network(folder / NETWORKS / self._file, f"{key}.network_file", device)
 
     def _motion(self, targets: JointTargets, data: RobotData) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return how far the joints are from their target positions, rad, and their speeds, rad/s, (N, k)."""
+        """Return the position errors of the group's joints, rad, and their speeds, rad/s, (N, k)."""
         ids = self.joint_ids
         return targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids]
 
@@ -148,22 +154,15 @@ class ActuatorNet(DCMotor):
 class ActuatorNetMLP(ActuatorNet):
     """A perceptron on position errors and speeds of the present and of earlier physics steps (Hwangbo et al., 2019).
 
-    The network gets (rows, 2 len(input_idx)) numbers, a row a joint, and gives one. Before the first step of an episode
-    errors and speeds were 0. Target speeds and feed-forward efforts do not act.
+    The inputs of the network are (rows, 2 len(input_idx)) numbers, one row per joint; its output is one number per row.
+    Errors and speeds before an episode count as 0. Target speeds and feed-forward efforts are ignored.
 
     Args:
-        joint_names_expr: expressions of the joints in the group.
-        network_file: the TorchScript file, below an asset folder.
-        effort_limit: largest torque at any speed, N·m.
-        velocity_limit: speed at which the motor has no torque left, rad/s.
-        saturation_effort: torque at standstill that the motor's line starts from, N·m.
         pos_scale: factor on position errors.
         vel_scale: factor on speeds.
-        torque_scale: factor on what the network gives, N·m.
+        torque_scale: factor on the network's output, N·m.
         input_order: errors before speeds, or speeds before errors.
-        input_idx: which physics steps the network sees; 0 is the present one, 1 the one before.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        delay: fewest and most physics steps by which the targets come late; null is none.
+        input_idx: ages of the network's inputs in physics steps; 0 is the present step, 1 the previous step.
     """
 
     settings = (*ActuatorNet.settings, "_steps")
@@ -190,7 +189,7 @@ class ActuatorNetMLP(ActuatorNet):
         self._input_idx = list(input_idx)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the past, and try the network."""
+        """Allocate the history, and run the network once."""
         super().connect(num_envs, dt, stream)
         device, width = self.joint_ids.device, len(self._input_idx)
         self._steps = torch.tensor(self._input_idx, device=device)
@@ -198,11 +197,11 @@ class ActuatorNetMLP(ActuatorNet):
         self.network.tried(torch.zeros(2, 2 * width, device=device), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the past of ``env_ids``."""
+        """Zero the history of ``env_ids``."""
         fill_rows(self._past, env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return what the network gives, N·m."""
+        """Return the network's torque, N·m."""
         error, speed = self._motion(targets, data)
         now = torch.stack((error, speed), dim=1).unsqueeze(1)
         self._past.copy_(torch.cat((now, self._past[:, :-1]), dim=1))
@@ -213,36 +212,27 @@ class ActuatorNetMLP(ActuatorNet):
 
 
 class ActuatorNetLSTM(ActuatorNet):
-    """An LSTM on position errors and speeds, whose memory stands for what was before (Rudin et al., 2022).
+    """An LSTM on position errors and speeds, whose memory replaces a history (Rudin et al., 2022).
 
-    The network has an LSTM named ``lstm``, batch first; it gets (rows, 1, 2) numbers, a row a joint, and its memory,
-    and gives one number, N·m, and the memory. Memories are 0 at the beginning of an episode. Target speeds and
-    feed-forward efforts do not act.
-
-    Args:
-        joint_names_expr: expressions of the joints in the group.
-        network_file: the TorchScript file, below an asset folder.
-        effort_limit: largest torque at any speed, N·m.
-        velocity_limit: speed at which the motor has no torque left, rad/s.
-        saturation_effort: torque at standstill that the motor's line starts from, N·m.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        delay: fewest and most physics steps by which the targets come late; null is none.
+    The network has an LSTM named ``lstm``, batch first. Its inputs are (rows, 1, 2) numbers, one row per joint, and the
+    memory; its outputs are one torque per row, N·m, and the memory. The memory is 0 at the start of an episode. Target
+    speeds and feed-forward efforts are ignored.
     """
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the network; ConfigError when it is none, or has no LSTM."""
+        """Read the network; ConfigError if it is invalid or has no LSTM."""
         super().read_files(folder, key, device)
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
             raise ConfigError(
-                "the network has no LSTM that is named 'lstm'",
+                "the network has no LSTM named 'lstm'",
                 key=f"{key}.network_file",
-                expected="one, batch first, whose memory goes in and out",
+                expected="a batch-first LSTM whose memory is an input and an output",
             )
         self._layers, self._width = len(layers), int(layers[0].shape[1])
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the memory, and try the network."""
+        """Allocate the memory, and run the network once."""
         super().connect(num_envs, dt, stream)
         device, count = self.joint_ids.device, len(self.joint_names)
         self._rows = (self._layers, num_envs, count, self._width)
@@ -252,12 +242,12 @@ class ActuatorNetLSTM(ActuatorNet):
         self.network.tried(torch.zeros(2, 1, 2, device=device), (few[0], few[1]), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget what was before in ``env_ids``."""
+        """Zero the memory of ``env_ids``."""
         for memory in (self._hidden, self._cell):
             fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return what the network gives, N·m."""
+        """Return the network's torque, N·m."""
         error, speed = self._motion(targets, data)
         inputs = torch.stack((error.flatten(), speed.flatten()), dim=1).unsqueeze(1)
         torque, (hidden, cell) = self.network(inputs, (self._hidden, self._cell))

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 class ImplicitActuator(ActuatorBase):
-    """PD drive inside the solver: implicit in velocity with ``implicitfast``, as PhysX's joint drive.
+    """PD drive inside the solver: implicit in velocity with ``implicitfast``, like PhysX's joint drive.
 
-    One ``general`` actuator a joint: gain 1, affine bias (0, -kp, -kd), ctrl = kp q* + kd qd* + tau_ff.
+    One ``general`` actuator per joint: gain 1, affine bias (0, -kp, -kd), ctrl = kp q* + kd qd* + tau_ff.
     """
 
     reads_state = False
@@ -44,12 +44,12 @@ class ImplicitActuator(ActuatorBase):
         return control.add_(targets.effort[:, ids])
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the drive's torque, which follows from the targets and the state before the step."""
+        """Return the drive's torque for the targets and the state before the step."""
         return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
 
 
 class IdealPDActuator(ActuatorBase):
-    """Explicit PD: the clipped torque of the state before each physics step, applied as an effort."""
+    """Explicit PD: a torque that is computed from the state before each physics step, clipped, and applied."""
 
     def _shape(self, actuator: Any, index: int) -> None:
         del index  # the torque is computed and clipped here, not in the engine
@@ -63,7 +63,7 @@ class IdealPDActuator(ActuatorBase):
         self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the torque that is asked for, clipped."""
+        """Return the clipped torque."""
         self._computed = self._torque(targets, data)
         return self._clipped(self._computed, data)
 
@@ -86,26 +86,21 @@ LookupRow = Annotated[Sequence[float], Length(3)]
 
 
 class DCMotor(IdealPDActuator):
-    """PD whose torque a direct-current motor can give at the joint's present speed.
+    """PD whose torque is limited to the torque of a direct-current motor at the joint's present speed.
 
-    With the stall torque ``saturation_effort`` and the no-load speed ``velocity_limit``, the line from one to the other
-    bounds the torque, and so does ``effort_limit``:
+    The line from the stall torque ``saturation_effort`` to the no-load speed ``velocity_limit`` and the constant
+    ``effort_limit`` bound the torque:
 
         v = clip(qd, ±velocity_limit (1 + effort_limit / saturation_effort))
         tau <= min(saturation_effort (1 - v / velocity_limit), effort_limit)
         tau >= max(saturation_effort (-1 - v / velocity_limit), -effort_limit)
 
-    A joint that is driven beyond the speed at which the line meets ``effort_limit`` is braked with all of it.
+    A joint beyond the speed at which the line reaches ``-effort_limit`` is braked with ``effort_limit``.
 
     Args:
-        joint_names_expr: expressions of the joints in the group.
-        stiffness: kp, N·m/rad.
-        damping: kd, N·m·s/rad.
         effort_limit: largest torque at any speed, N·m.
-        velocity_limit: speed at which the motor has no torque left, rad/s.
-        saturation_effort: torque at standstill that the motor's line starts from, N·m.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        delay: fewest and most physics steps by which the targets come late; null is none.
+        velocity_limit: speed at which the motor has no torque, rad/s.
+        saturation_effort: stall torque of the motor's line, N·m.
     """
 
     def __init__(
@@ -123,7 +118,7 @@ class DCMotor(IdealPDActuator):
         self._saturation = saturation_effort
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
-        """Return the torque within the motor's line and the effort limit."""
+        """Clip the torque to the motor's line and the effort limit."""
         beyond = self.velocity_limit * (1 + self.effort_limit / self._saturation)
         speed = torch.clamp(data.joint_vel[:, self.joint_ids], -beyond, beyond) / self.velocity_limit
         top = torch.minimum(self._saturation * (1 - speed), self.effort_limit)
@@ -139,17 +134,11 @@ def _delays_in_order(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_delays_in_order)
 class DelayedPDActuator(IdealPDActuator):
-    """``IdealPDActuator`` on targets that come some physics steps late; one number an environment, drawn at each reset.
+    """``IdealPDActuator`` on delayed targets; each reset draws one delay for each environment.
 
     Args:
-        joint_names_expr: expressions of the joints in the group.
-        stiffness: kp, N·m/rad.
-        damping: kd, N·m·s/rad.
-        effort_limit: largest torque, N·m.
-        velocity_limit: largest joint speed, rad/s; targets are clipped to it.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        min_delay: fewest physics steps.
-        max_delay: most physics steps.
+        min_delay: shortest delay, physics steps.
+        max_delay: longest delay, physics steps.
     """
 
     def __init__(
@@ -173,26 +162,20 @@ def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
     if len(angles) < 2:
         yield Broken(name, f"has {len(angles)} rows", "at least 2 rows")
     if any(low >= high for low, high in pairwise(angles)):
-        yield Broken(name, f"its angles are {angles}", "rows in the order of their angles, each once")
+        yield Broken(name, f"its angles are {angles}", "rows sorted by angle, without repetition")
     if any(row[2] < 0 for row in given[name]):
         yield Broken(name, "a largest torque is negative", "torques of at least 0")
 
 
 @relation(_angles_rise)
 class RemotizedPDActuator(DelayedPDActuator):
-    """``DelayedPDActuator`` whose largest torque follows from the joint's position, as behind a linkage.
+    """``DelayedPDActuator`` whose largest torque depends on the joint's position, as with a linkage.
 
-    Between the rows of the table it is interpolated linearly; beyond its ends the last value holds.
+    The table is interpolated linearly between its rows, and is constant beyond its first and last row.
 
     Args:
-        joint_names_expr: expressions of the joints in the group.
-        stiffness: kp, N·m/rad.
-        damping: kd, N·m·s/rad.
-        joint_parameter_lookup: rows of joint position, rad; transmission ratio, which does not act; and largest torque,
+        joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,
             N·m.
-        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
-        min_delay: fewest physics steps by which targets come late.
-        max_delay: most physics steps.
     """
 
     settings = (*DelayedPDActuator.settings, "_angles", "_largest")
@@ -217,7 +200,7 @@ class RemotizedPDActuator(DelayedPDActuator):
         self._angles, _, self._largest = torch.tensor(self._table, device=device).T.contiguous()
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
-        """Return the torque within the table's value at the joint's position."""
+        """Clip the torque to the table's value at the joint's position."""
         position = data.joint_pos[:, self.joint_ids]
         above = torch.bucketize(position, self._angles).clamp(1, len(self._angles) - 1)
         low, high = self._angles[above - 1], self._angles[above]

@@ -2,14 +2,14 @@
 
 | name | what it measures |
 |---|---|
-| `SensorBase` | nothing: the base class of all, also of a user's own |
-| `LazySensor` | nothing: the base class of those that measure when they are read |
+| `SensorBase` | base class of all sensors, including user-defined ones |
+| `LazySensor` | base class of sensors that measure when they are read |
 | `ContactSensor` | net normal contact forces on bodies, contact and air times: `ContactSensorData` |
-| `RayCaster` | where rays from a body meet the ground: `RayCasterData` |
+| `RayCaster` | points where rays from a body hit the ground: `RayCasterData` |
 | `RayCasterCamera` | distances to the ground through a camera's pixels, by rays: `CameraData` |
 | `Imu` | pose, velocities and accelerations, with errors (`ImuNoise`): `ImuData` |
-| `Camera` | colours, distances and segmentation, drawn by MuJoCo: `CameraData` |
-| `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
+| `Camera` | colours, distances and segmentation, rendered by MuJoCo: `CameraData` |
+| `GridPattern` ... | patterns of rays; `PatternBase` is their base class |
 """
 
 from wheelleg_exp.sim.sensors.cameras import Camera, CameraData, RayCasterCamera

@@ -1,4 +1,4 @@
-"""Cameras: drawn by MuJoCo's renderer, or distances by rays; their data, offsets, and depth clipping."""
+"""Cameras: one that MuJoCo's renderer draws, and a depth camera that casts rays."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Convention = Literal["world", "ros", "opengl"]
 CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
 DepthClipping = Literal["max", "zero", "none"]
 DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
-# The axes of each convention seen from the first: (w, x, y, z).
+# Rotation from the axes of ``world`` to those of each convention, (w, x, y, z).
 _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
     "world": (1.0, 0.0, 0.0, 0.0),  # looks along x, up is z
     "ros": (0.5, -0.5, 0.5, -0.5),  # looks along z, up is -y
@@ -48,16 +48,16 @@ _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
 
 
 class CameraData(Kept):
-    """What a camera has measured.
+    """Measurements of a camera.
 
     Attributes:
-        pos_w: the camera's position, m, (N, 3).
-        quat_w_world: its orientation, axes x forward, y left, z up, (w, x, y, z), (N, 4).
-        image_shape: rows and columns of a picture.
-        intrinsic_matrices: px, (N, 3, 3): a point (x right, y down, z forward) is seen at (fx x/z + cx, fy y/z + cy);
-            the first pixel reaches from 0 to 1.
-        output: pictures by data type, (N, height, width, channels).
-        info: what the numbers of a segmentation stand for, ``info[data_type]["idToLabels"]``.
+        pos_w: position of the camera, m, (N, 3).
+        quat_w_world: orientation of the camera, axes x forward, y left, z up, (w, x, y, z), (N, 4).
+        image_shape: rows and columns of an image.
+        intrinsic_matrices: px, (N, 3, 3): a point (x right, y down, z forward) appears at (fx x/z + cx, fy y/z + cy);
+            the first pixel extends from 0 to 1.
+        output: images by data type, (N, height, width, channels).
+        info: labels of the ids in a segmentation, ``info[data_type]["idToLabels"]``.
     """
 
     def __init__(self, num_envs: int, pinhole: PinholePattern, device: torch.device) -> None:
@@ -79,12 +79,12 @@ class CameraData(Kept):
         return convert_convention(self.quat_w_world, "world", "opengl")
 
     def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
-        """Make room for one kind of pictures."""
+        """Allocate the images of one data type."""
         size = (len(self.pos_w), *self.image_shape, channels)
         self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what has been measured."""
+        """Return the measurement."""
         return {
             "pos_w": self.pos_w.clone(),
             "quat_w_world": self.quat_w_world.clone(),
@@ -100,15 +100,15 @@ class CameraData(Kept):
 
 
 def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Hold a camera's ``offset`` against its form."""
+    """Check the ``offset`` of a camera."""
     yield from offset_fits(given)
     convention = (given["offset"] or {}).get("convention", "ros")
     if convention not in _FROM_WORLD:
-        yield Broken("offset.convention", f"{convention!r} is no convention", "one of " + ", ".join(_FROM_WORLD))
+        yield Broken("offset.convention", f"{convention!r} is not a convention", "one of " + ", ".join(_FROM_WORLD))
 
 
 def in_world_convention(offset: CameraOffset | None) -> Offset:
-    """Return an offset whose ``rot`` turns axes x forward, y left, z up; ``ros`` is taken where none is told."""
+    """Return an offset in the convention ``world`` (x forward, y left, z up); the default convention is ``ros``."""
     given: Mapping[Any, Any] = offset or {}
     rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
     convention: Convention = given.get("convention", "ros")
@@ -117,19 +117,19 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
 
 
 def opengl_quat(offset: Offset) -> list[float]:
-    """Return the orientation (w, x, y, z) of a world-convention offset as MuJoCo's cameras have it."""
+    """Return the orientation (w, x, y, z) of an offset in the convention ``opengl``, which MuJoCo's cameras use."""
     quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
     return quat
 
 
 def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:
-    """Return distances, m, with what is farther (or nothing) inf, 0 or the farthest distance, as Isaac Lab's."""
+    """Replace distances beyond ``farthest``, m, by inf, 0, or ``farthest``, as Isaac Lab does."""
     instead = {"none": math.inf, "zero": 0.0, "max": farthest}[behavior]
     return depth.masked_fill(depth > farthest, instead)
 
 
 def convert_convention(quat: torch.Tensor, origin: Convention, target: Convention) -> torch.Tensor:
-    """Return the same orientations (n, 4), (w, x, y, z), by the axes of another convention."""
+    """Convert orientations (n, 4), (w, x, y, z), to the axes of another convention."""
     w, x, y, z = _FROM_WORLD[origin]
     back, there = (
         torch.tensor(axes, dtype=quat.dtype, device=quat.device).expand_as(quat)
@@ -154,7 +154,7 @@ _BACKGROUND = "BACKGROUND"
 
 def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
     if given["fovy"] is not None and given["fovy"] >= math.pi:
-        yield Broken("fovy", f"{given['fovy']!r} is half a turn or more", "an angle in radians below pi")
+        yield Broken("fovy", f"{given['fovy']!r} is pi or more", "an angle in radians below pi")
     if given["clipping_range"][0] == given["clipping_range"][1]:
         yield Broken("clipping_range", "has no depth", "[nearest, farthest] in m")
 
@@ -162,32 +162,31 @@ def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(_range_of_angles)
 @relation(camera_offset_fits)
 class Camera(LazySensor):
-    """A camera on a body, drawn by MuJoCo for one environment after another; as Isaac Lab's, for a few of them.
+    """A camera on a body, rendered by MuJoCo for one environment after another; as Isaac Lab's, for few environments.
 
-    It needs a driver that draws without a display (EGL or OSMesa), from the first reading on. An environment's picture
-    shows its own robot and the ground. Colours come from the compiled model and its lights; with the same driver the
-    same state gives the same picture.
+    The first read needs a graphics driver that renders without a display (EGL or OSMesa). An environment's image shows
+    its own robot and the ground. Colours come from the compiled model and its lights. With the same driver, the same
+    state gives the same image.
 
     Args:
         body_name: expression of the body.
         width: px.
         height: px.
-        data_types: what is drawn: ``rgb`` (uint8, 3 channels), ``rgba``, ``distance_to_image_plane`` or ``depth`` (m,
+        data_types: kinds of images: ``rgb`` (uint8, 3 channels), ``rgba``, ``distance_to_image_plane`` or ``depth`` (m,
             along the axis), ``distance_to_camera`` (m, along the pixel's ray), ``semantic_segmentation`` (ground or
             robot), ``instance_segmentation_fast`` (bodies), ``instance_id_segmentation_fast`` (geoms), int32.
-        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, of axes that ``convention``
-            names: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
-        focal_length: in the unit of the apertures; only their ratio counts.
+        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
+            camera's axes: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+        focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
-        vertical_aperture: its height; null makes pixels square.
-        horizontal_aperture_offset: of the image's centre, to the right, in focal lengths.
-        vertical_aperture_offset: downwards, in focal lengths.
-        fovy: angle of view from the lowest to the highest row, rad, in place of the apertures; pixels are square.
-        clipping_range: nearest and farthest distance along the axis that is seen, m.
-        depth_clipping_behavior: what a distance is where nothing is seen: ``none`` inf, ``zero`` 0, ``max`` the
-            farthest.
-        max_num_envs: most environments that may be drawn: each takes milliseconds a picture.
-        update_period: time between two measurements, s; 0 shows the present state at every reading.
+        vertical_aperture: height of the image plane; null makes pixels square.
+        horizontal_aperture_offset: offset of the image's centre to the right, in focal lengths.
+        vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
+        fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
+        clipping_range: nearest and farthest visible distance along the axis, m.
+        depth_clipping_behavior: distance of a pixel that sees nothing: ``none`` inf, ``zero`` 0, ``max`` the farthest.
+        max_num_envs: maximum number of environments, because each image takes milliseconds.
+        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     def __init__(
@@ -225,7 +224,7 @@ class Camera(LazySensor):
 
     @property
     def image_shape(self) -> tuple[int, int]:
-        """Rows and columns of a picture."""
+        """Rows and columns of an image."""
         return self._pinhole.height, self._pinhole.width
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
@@ -241,7 +240,7 @@ class Camera(LazySensor):
             resolution=[width, height],
             sensor_size=self._aperture,
             focal_length=[self._focal_length] * 2,
-            principal_length=[-self._focal_length * shift for shift in self._shift],  # to the left and up
+            principal_length=[-self._focal_length * shift for shift in self._shift],  # positive is left and up
         )
 
     @property
@@ -252,7 +251,7 @@ class Camera(LazySensor):
         """Attach to the running simulations; called once, after the scene has been compiled.
 
         Raises:
-            ConfigError: there are more environments than the camera may draw.
+            ConfigError: there are more environments than ``max_num_envs``.
         """
         super().connect(sim, stream)
         if mistake := too_many(sim.num_envs, self._max_num_envs, self.key):
@@ -275,11 +274,11 @@ class Camera(LazySensor):
         self._pictures = CameraPictures(sim.model, self._name_in_model, width, height, self._range, layers)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Draw the pictures of some environments.
+        """Render the images of the environments ``ids``.
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message names the sensor and what to install.
-            SimulationFailure: the graphics driver gave up.
+            NoGraphics: this machine cannot render; the message names the sensor and what to install.
+            SimulationFailure: the graphics driver failed.
         """
         data, quat = self._data, self._mount.quat_w[ids]
         turn = self._mount.rot_w[ids]
@@ -304,10 +303,10 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        return self._numbers[kind][seen["geom"].long()]  # the last is nothing's, -1
+        return self._numbers[kind][seen["geom"].long()]  # geom -1, the background, selects the last entry
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what is held until the next measurement."""
+        """Return the stored measurement, if there is an update period."""
         return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -318,7 +317,7 @@ class Camera(LazySensor):
 
 
 def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]]:
-    """Return what each number of a segmentation stands for, and the number of each geom, of none the last."""
+    """Return the labels of a segmentation's ids, and the id of each geom followed by that of the background."""
     if kind == "semantic_segmentation":
         numbers = [1 if is_ground(model.geom(g).name) else 2 for g in range(model.ngeom)]
         return {0: _BACKGROUND, 1: "ground", 2: "robot"}, [*numbers, 0]
@@ -336,21 +335,20 @@ RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 
 @relation(camera_offset_fits)
 class RayCasterCamera(RayCaster):
-    """A depth camera on a body that sees the ground and nothing else, for any number of environments.
+    """A depth camera on a body that casts rays and sees only the ground, for any number of environments.
 
-    As Isaac Lab's; it needs nothing that draws. A pixel's distance is that of the ray through its centre.
+    As Isaac Lab's; it needs no graphics driver. The distance of a pixel is the length of the ray through its centre.
 
     Args:
         body_name: expression of the body.
         pattern: the pixels, a ``PinholePattern``.
         data_types: ``distance_to_image_plane`` or ``depth`` (m, along the axis), ``distance_to_camera`` (m, along the
             pixel's ray).
-        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, of axes that ``convention``
-            names: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
-        max_distance: farthest distance that is seen, m.
-        depth_clipping_behavior: what a distance is where nothing is seen: ``none`` inf, ``zero`` 0, ``max`` the
-            farthest.
-        update_period: time between two measurements, s; 0 shows the present state at every reading.
+        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
+            camera's axes: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+        max_distance: longest ray, m.
+        depth_clipping_behavior: distance of a pixel that sees nothing: ``none`` inf, ``zero`` 0, ``max`` the longest.
+        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     _data: CameraData
@@ -380,7 +378,7 @@ class RayCasterCamera(RayCaster):
 
     @property
     def image_shape(self) -> tuple[int, int]:
-        """Rows and columns of a picture."""
+        """Rows and columns of an image."""
         return self._pinhole.height, self._pinhole.width
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
@@ -393,7 +391,7 @@ class RayCasterCamera(RayCaster):
             self._data.add_output(kind, 1, torch.float32)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Cast the rays of some environments."""
+        """Cast the rays of the environments ``ids``."""
         data, pos, quat = self._data, self._mount.pos_w[ids], self._mount.quat_w[ids]
         offset = self._offset_pos.expand(len(pos), 3)
         data.pos_w[ids] = pos + rotation.rotate(self._mount.rot_w[ids], offset)

@@ -25,33 +25,33 @@ if TYPE_CHECKING:
 
 FIELDS = ("found", "force", "pos", "normal", "tangent")  # in MuJoCo's order; force in the contact's frame, normal first
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
-NORMAL = ("found", "force", "normal")  # what the normal forces alone need
+NORMAL = ("found", "force", "normal")  # the fields that normal forces need
 
 
 def data_flags(fields: tuple[str, ...]) -> int:
-    """Return what a MuJoCo contact sensor is told to report."""
+    """Return the bit mask that selects the fields of a MuJoCo contact sensor."""
     return sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name.upper()}")) for name in fields)
 
 
 def width(fields: tuple[str, ...]) -> int:
-    """Return how many numbers it reports of a contact."""
+    """Return the number of values that a contact sensor reports for one contact."""
     return sum(_SIZES[name] for name in fields)
 
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Return pressures (N, B, 1, S) times normals (N, B, S, 3), added up over contacts, (N, B, 3)."""
-    if pressures.is_cuda:  # thousands of tiny products take a GPU's library ten times as long as their sum
+    """Return the sum over contacts of pressures (N, B, 1, S) times normals (N, B, S, 3), (N, B, 3)."""
+    if pressures.is_cuda:  # a batched product of tiny matrices is ten times slower on a GPU than this sum
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 
 
 class ContactPairs:
-    """Reads the contacts of B sensed bodies with M others. The normal points away from the sensed body.
+    """Reads the contacts of B sensed bodies with M other bodies. The normal points away from the sensed body.
 
     Args:
-        readings: numbers of all contacts, (N, B * M, S, W), which the engine writes.
+        readings: the engine's live values of all contacts, (N, B * M, S, W).
         bodies: the number of sensed bodies, B.
-        fields: what is reported, some of ``FIELDS``.
+        fields: the reported fields, a subset of ``FIELDS``.
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
@@ -60,21 +60,21 @@ class ContactPairs:
         self._bodies = bodies
 
     def normal_forces(self) -> torch.Tensor:
-        """Return the normal force on each body from each other one, N, (N, B, M, 3), world axes."""
+        """Return the normal force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
         pressures = self._parts["force"][..., 0].unsqueeze(2)
         return self._of_pairs(summed(pressures, self._parts["normal"]).neg_())
 
     def friction_forces(self) -> torch.Tensor:
-        """Return the friction on each body from each other one, N, (N, B, M, 3), world axes."""
+        """Return the friction force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
         tangent = self._parts["tangent"]
         across = torch.linalg.cross(self._parts["normal"], tangent)
         _, along, aside = self._parts["force"].split(1, dim=-1)
         return self._of_pairs((along * tangent + aside * across).sum(dim=2).neg_())
 
     def points(self) -> torch.Tensor:
-        """Return the mean place of the contacts, m, (N, B, M, 3), world axes; NaN where there is none."""
+        """Return the mean position of the contacts, m, (N, B, M, 3), world axes; NaN without a contact."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # a place without a contact holds zeros
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # unused slots contain zeros
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -84,7 +84,7 @@ TIMES = ("current_air_time", "last_air_time", "current_contact_time", "last_cont
 
 
 def _time(name: str, doc: str) -> property:
-    """Make a property that is there when the sensor times contact and flight."""
+    """Make a property that raises ConfigError unless the sensor tracks contact and air times."""
 
     def get(self: ContactSensorData) -> torch.Tensor:
         self.require_times()
@@ -94,24 +94,24 @@ def _time(name: str, doc: str) -> property:
 
 
 class ContactSensorData(Kept):
-    """What a contact sensor has measured of N environments and B bodies; ``_w`` is world axes.
+    """Measurements of a contact sensor for N environments and B bodies; ``_w`` is world axes.
 
-    What the sensor is not told to track raises ConfigError when it is asked for.
+    Reading a quantity that the sensor does not track raises ConfigError.
 
     Args:
         key: the sensor's config key.
         num_envs: number of environments, N.
         bodies: number of sensed bodies, B.
-        history_length: physics steps kept, T.
-        track_air_time: whether contact and flight are timed.
-        device: where the tensors are.
+        history_length: physics steps in the history, T.
+        track_air_time: whether contact and air times are tracked.
+        device: device of the tensors.
 
     Attributes:
-        forces: net normal force of each step kept, N, (N, B, 3), newest first.
-        filtered: ``force_matrix_w_history``; None when forces are not told apart.
-        points: ``contact_pos_w``; None when it is not tracked.
-        friction: ``friction_forces_w``; None when it is not tracked.
-        times: the four times by name, s, (N, B); zeros when they are not tracked.
+        forces: net normal force of each step in the history, N, (N, B, 3), newest first.
+        filtered: ``force_matrix_w_history``; None without filtered bodies.
+        points: ``contact_pos_w``; None if not tracked.
+        friction: ``friction_forces_w``; None if not tracked.
+        times: the four times by name, s, (N, B); zeros if not tracked.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # of the same forces, once asked for
+        self._history: torch.Tensor | None = None  # the same forces in one tensor, made at the first read
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -141,12 +141,12 @@ class ContactSensorData(Kept):
         return self._history
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
-        """Let the forces of the steps kept be others, each (N, B, 3), newest first."""
-        self.forces[:] = forces  # the list stays: a recorded part of a step knows it
+        """Replace the forces of the history, each (N, B, 3), newest first."""
+        self.forces[:] = forces  # in place: captured parts of a step refer to this list
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
-        """Take up a sample (N, B, 3), of the environments ``due`` (N,) alone where not of all, and drop the oldest."""
+        """Add a sample (N, B, 3) and drop the oldest, in the environments of the mask ``due`` (N,); None means all."""
         kept = [newest, *self.forces[:-1]]
         if due is not None:
             rows = due.view(-1, 1, 1)
@@ -159,7 +159,7 @@ class ContactSensorData(Kept):
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
     def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
-        """Tell the contacts with ``count`` other bodies apart."""
+        """Allocate the forces from ``count`` filtered bodies."""
         n, bodies, _ = self.net_forces_w.shape
         self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
         self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
@@ -172,7 +172,7 @@ class ContactSensorData(Kept):
         friction: torch.Tensor | None,
         due: torch.Tensor | None,
     ) -> None:
-        """Take up a sample of what is told apart, each (N, B, M, 3); as ``take_forces``."""
+        """Add a sample for each pair of sensed and filtered body, each (N, B, M, 3), as ``take_forces`` does."""
         before = self.force_matrix_w_history
         taken = {
             "filtered": torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1),
@@ -185,19 +185,19 @@ class ContactSensorData(Kept):
             setattr(self, name, value)
 
     def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return what is told apart, by attribute."""
+        """Return the tracked quantities of pairs of bodies, by attribute."""
         found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
         return {name: value for name, value in found.items() if value is not None}
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
-        """Show the poses of the sensed bodies."""
+        """Make the poses of the sensed bodies available."""
         self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
 
     @property
     def force_matrix_w_history(self) -> torch.Tensor:
         """Normal force from each filtered body, N, (N, T, B, M, 3), newest first."""
         if self.filtered is None:
-            self._refuse("forces are not told apart", "filter_body_names", "the other bodies, or ground")
+            self._refuse("forces are not separated by body", "filter_body_names", "the other bodies, or ground")
         return self.filtered
 
     @property
@@ -207,9 +207,9 @@ class ContactSensorData(Kept):
 
     @property
     def contact_pos_w(self) -> torch.Tensor:
-        """Mean place of the contacts with each filtered body, m, (N, B, M, 3); NaN where there is none."""
+        """Mean position of the contacts with each filtered body, m, (N, B, M, 3); NaN without a contact."""
         if self.points is None:
-            self._refuse("places of contacts are not tracked", "track_contact_points", "true, and filter_body_names")
+            self._refuse("contact points are not tracked", "track_contact_points", "true, and filter_body_names")
         return self.points
 
     @property
@@ -231,24 +231,24 @@ class ContactSensorData(Kept):
 
     def _posed(self) -> Robot:
         if self._robot is None:
-            self._refuse("poses are not tracked", "track_pose", "true, for a term that asks for poses")
+            self._refuse("poses are not tracked", "track_pose", "true, for a term that reads poses")
         return self._robot
 
     def _refuse(self, message: str, name: str, expected: str) -> NoReturn:
         raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
 
     def require_times(self) -> None:
-        """Raise ConfigError when contact and flight are not timed."""
+        """Raise ConfigError if contact and air times are not tracked."""
         if not self._track_air_time:
-            expected = "true, for a term that asks for times or first contacts"
-            self._refuse("contact and flight are not timed", "track_air_time", expected)
+            expected = "true, for a term that reads times or first contacts"
+            self._refuse("contact and air times are not tracked", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Forget forces and times of ``ids``."""
+        """Zero forces and times of ``ids``."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
         for name, value in self.of_pairs().items():
             setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
-        if self._track_air_time:  # else they are 0
+        if self._track_air_time:
             for value in self.times.values():
                 value.index_fill_(0, ids, 0.0)
 
@@ -261,23 +261,23 @@ class ContactSensor(SensorBase):
 
     Args:
         body_names: expressions of the sensed bodies.
-        history_length: physics steps kept, newest first.
-        track_air_time: whether to time contact and flight.
+        history_length: physics steps in the history, newest first.
+        track_air_time: whether to track contact and air times.
         force_threshold: force above which a body is in contact, N.
-        max_contacts: most contacts of one body that are summed.
+        max_contacts: maximum number of contacts of one body that are summed.
         update_period: time between two measurements, s; 0 measures after every physics step.
-        filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart; null is
+        filter_body_names: expressions of bodies, or ``ground``, whose forces are also reported separately; null means
             none.
         track_pose: whether the data has the bodies' poses.
-        track_contact_points: whether the data has the mean place of the contacts with each filtered body.
+        track_contact_points: whether the data has the mean position of the contacts with each filtered body.
         track_friction_forces: whether the data has the friction from each filtered body.
 
     Attributes:
-        data: what was measured, from ``connect`` on.
+        data: the measurement, available after ``connect``.
     """
 
     data: ContactSensorData
-    _norms: list[torch.Tensor | None]  # of each step kept, once asked for
+    _norms: list[torch.Tensor | None]  # norm of each step in the history, computed at the first read
     _largest_norm: torch.Tensor | None
 
     def __init__(
@@ -305,7 +305,7 @@ class ContactSensor(SensorBase):
         self._slots = max_contacts
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Find the sensed bodies and add one MuJoCo contact sensor a body."""
+        """Find the sensed bodies and add one MuJoCo contact sensor for each."""
         super().add_to(spec, name, robot)
         _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
         numbers = len(self.body_names) * self._slots * _WIDTH
@@ -330,7 +330,7 @@ class ContactSensor(SensorBase):
         for name, is_tracked in self._tracked.items():
             if is_tracked and not self._filters:
                 raise ConfigError(
-                    "needs the bodies whose contacts are told apart",
+                    "needs the bodies whose contacts are reported separately",
                     key=f"{self.key}.{name}",
                     expected=f"false, or bodies or ground in {self.key}.filter_body_names",
                 )
@@ -366,10 +366,10 @@ class ContactSensor(SensorBase):
         self._norms, self._largest_norm = [None] * self._history_length, None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
-    def _connect_pairs(self, behind: torch.Tensor) -> None:
+    def _connect_pairs(self, readings: torch.Tensor) -> None:
         fields, bodies, others = self._fields_of_pairs, len(self.body_names), len(self.filter_names)
-        form = len(behind), bodies * others, self._slots, width(fields)
-        self._pairs = ContactPairs(behind[:, : form[1] * form[2] * form[3]].view(form), bodies, fields)
+        form = len(readings), bodies * others, self._slots, width(fields)
+        self._pairs = ContactPairs(readings[:, : form[1] * form[2] * form[3]].view(form), bodies, fields)
         self.data.add_filters(others, **self._tracked)
 
     def max_force_norm(self) -> torch.Tensor:
@@ -378,7 +378,7 @@ class ContactSensor(SensorBase):
             self._largest_norm = functools.reduce(torch.maximum, map(self._norm, range(self._history_length)))
         return self._largest_norm
 
-    def _forget_norms(self) -> None:
+    def _clear_norms(self) -> None:
         self._norms[:] = [None] * self._history_length
         self._largest_norm = None
 
@@ -401,7 +401,7 @@ class ContactSensor(SensorBase):
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Sample the forces of the physics step that has just run."""
+        """Sample the forces of the last physics step."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
@@ -409,7 +409,7 @@ class ContactSensor(SensorBase):
             self._norms[:] = [None, *self._norms[:-1]]
             self._largest_norm = None
         else:
-            self._forget_norms()
+            self._clear_norms()
         if self.filter_names:
             self._measure_pairs(due)
         if self.track_air_time:
@@ -425,7 +425,7 @@ class ContactSensor(SensorBase):
         )
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Forget forces and times of ``ids``."""
+        """Zero forces and times of ``ids``."""
         super().reset(ids)
         self.data.reset(ids)
         self._found.index_fill_(0, ids, 0.0)
@@ -459,7 +459,7 @@ class ContactSensor(SensorBase):
             value.copy_(saved[name])
         for name in self.data.of_pairs():
             setattr(self.data, name, saved[name].clone())
-        self._forget_norms()
+        self._clear_norms()
 
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
@@ -475,7 +475,7 @@ class ContactSensor(SensorBase):
         elapsed: float | torch.Tensor,
         due: torch.Tensor | None,
     ) -> None:
-        """Count the time in a mode; where it has just ended, keep its duration."""
+        """Add up the time in contact or in the air; when a phase has just ended, store its duration."""
         ended = ~active & (current > 0.0)
         lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
         if due is not None:

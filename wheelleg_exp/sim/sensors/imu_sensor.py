@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 class ImuNoise(Kept):
-    """Errors of an accelerometer or a gyroscope, of each axis by itself; in its unit (m/s^2 or rad/s).
+    """Errors of an accelerometer (m/s^2) or a gyroscope (rad/s), independent for each axis.
 
     Args:
         std: standard deviation of the white noise of each measurement.
-        bias_range: range of a constant error, drawn at each reset.
-        bias_walk: how fast the constant error wanders: its standard deviation after 1 s.
+        bias_range: range of the bias, drawn at each reset.
+        bias_walk: random walk of the bias: its standard deviation after 1 s.
     """
 
     def __init__(self, std: NonNegative = 0.0, bias_range: Interval = (0.0, 0.0), bias_walk: NonNegative = 0.0) -> None:
@@ -34,7 +34,7 @@ class ImuNoise(Kept):
 
 
 class ImuData(Kept):
-    """What an IMU has measured, under Isaac Lab's names; ``_b`` is the IMU's own axes.
+    """Measurements of an IMU under Isaac Lab's names; ``_b`` is the IMU's own axes.
 
     Attributes:
         pos_w: position, m, (N, 3).
@@ -60,19 +60,19 @@ class ImuData(Kept):
 class Imu(SensorBase):
     """Pose, velocities and accelerations of a frame on a body, as Isaac Lab's ``Imu``.
 
-    Accelerations are the change of velocity over the last physics step, divided by its length. Velocities that
-    events write do not show in them, and right after a reset they are 0.
+    Accelerations are finite differences of velocity over the last physics step. Velocities that events write do not
+    appear as accelerations. After a reset accelerations are 0.
 
     Args:
         body_name: expression of the body.
         offset: the IMU's pose in the body's frame: ``pos``, m, and ``rot``, (w, x, y, z).
-        gravity_bias: added to the acceleration, world axes, m/s^2: against gravity, an IMU at rest reads it upwards.
-        accelerometer: errors of ``lin_acc_b``; null is none.
-        gyroscope: errors of ``ang_vel_b``; null is none.
+        gravity_bias: added to the acceleration, world axes, m/s^2; by default minus gravity, as an IMU at rest reads.
+        accelerometer: errors of ``lin_acc_b``; null means none.
+        gyroscope: errors of ``ang_vel_b``; null means none.
         update_period: time between two measurements, s; 0 measures after every physics step.
 
     Attributes:
-        data: what was measured, from ``connect`` on.
+        data: the measurement, available after ``connect``.
     """
 
     data: ImuData
@@ -89,7 +89,7 @@ class Imu(SensorBase):
         super().__init__(update_period)
         for name, errors in (("accelerometer", accelerometer), ("gyroscope", gyroscope)):
             if not isinstance(errors, ImuNoise | None):
-                raise ConfigError("is no ImuNoise", key=name, expected="a _target_ of ImuNoise")
+                raise ConfigError("is not an ImuNoise", key=name, expected="a _target_ of ImuNoise")
         self._body, self._offset, self._bias = body_name, offset, gravity_bias
         self._errors = (accelerometer or ImuNoise(), gyroscope or ImuNoise())
 
@@ -109,7 +109,7 @@ class Imu(SensorBase):
         self._gravity = torch.nn.functional.normalize(gravity, dim=0)
         self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
         self.data = ImuData(n, device)
-        self._before = torch.zeros(n, 6, device=device)  # velocities from which the last physics step started
+        self._before = torch.zeros(n, 6, device=device)  # velocities at the start of the last physics step
         self._acc = torch.zeros(n, 6, device=device)
         self._is_new = torch.ones(n, dtype=torch.bool, device=device)
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
@@ -119,18 +119,18 @@ class Imu(SensorBase):
 
     @property
     def offset_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Its place (3,), m, and orientation (w, x, y, z), (4,), in the body's frame."""
+        """Position (3,), m, and orientation (w, x, y, z), (4,), of the IMU in the body's frame."""
         return self._offset_pos, self._offset_quat
 
     def update(self) -> None:
-        """Take up the physics step that has just run, and measure the environments whose time it is."""
+        """Compute accelerations after a physics step, and measure the environments whose update period is over."""
         now = self._velocities()
         self._acc = (now - self._before) / self._dt
         self._before = now
         super().update()
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Draw errors, and show what is measured now."""
+        """Draw errors and measure."""
         if self._stream is not None:
             white, step = torch.randn(2, *self._bias_b.shape, generator=self._stream, device=self._sim.device).unbind()
             since = torch.as_tensor(elapsed, device=self._sim.device).reshape(-1, 1)
@@ -140,7 +140,7 @@ class Imu(SensorBase):
         self._show(due)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Draw the constant errors of the new episodes."""
+        """Draw the biases of the new episodes."""
         fill_rows(self._elapsed, env_ids, 0.0)
         fill_rows(self._is_new, env_ids, True)
         if self._stream is not None:
@@ -149,7 +149,7 @@ class Imu(SensorBase):
             self._noise_b[env_ids] = self._std * torch.randn(count, 6, generator=self._stream, device=device)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Take up velocities that were written, from which the next acceleration counts."""
+        """Start the next acceleration from the velocities that were written."""
         written = torch.zeros_like(self._is_new).index_fill(0, env_ids, True)
         self._before = torch.where(written.unsqueeze(1), self._velocities(), self._before)
         self._acc = torch.where((written & self._is_new).unsqueeze(1), 0.0, self._acc)
@@ -163,7 +163,7 @@ class Imu(SensorBase):
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
-        """Write into ``data`` what the IMU measures now, of the environments that are due (None: all)."""
+        """Write the present measurement of the environments of the mask ``due`` (None means all) to ``data``."""
         body = self._mount.rot_w
         rot = body @ self._turn
         vectors = torch.stack(
@@ -188,11 +188,11 @@ class Imu(SensorBase):
             "ang_acc_b": ang_acc,
         }
         for name, value in seen.items():
-            held = getattr(self.data, name)
-            held.copy_(value if due is None else torch.where(due.unsqueeze(1), value, held))
+            last = getattr(self.data, name)
+            last.copy_(value if due is None else torch.where(due.unsqueeze(1), value, last))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what was measured, the errors, and what the next acceleration counts from."""
+        """Return the measurement, the errors, and the velocities that the next acceleration starts from."""
         kept = {name: value.clone() for name, value in vars(self.data).items()}
         own = {"before": self._before, "acc": self._acc, "bias": self._bias_b, "noise": self._noise_b}
         return {**super().state_dict(), **kept, **{name: value.clone() for name, value in own.items()}}

@@ -1,4 +1,4 @@
-"""Rays from a body to the ground: height scanners and lidars."""
+"""Ray casters: height scanners and lidars, whose rays start at a body and hit the ground."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _Axis = Literal["x", "y", "z"]
 
 
 class RayCasterData(Kept):
-    """What a ray caster has measured, under Isaac Lab's names.
+    """Measurements of a ray caster under Isaac Lab's names.
 
     Attributes:
         pos_w: position of the body with the drift of this episode, without the offset, m, (N, 3).
         quat_w: orientation of the body (w, x, y, z), (N, 4).
-        ray_hits_w: where the rays meet the ground, m, (N, R, 3); a miss is inf.
+        ray_hits_w: points where the rays hit the ground, m, (N, R, 3); inf for a miss.
     """
 
     def __init__(self, num_envs: int, rays: int, device: torch.device) -> None:
@@ -38,7 +38,7 @@ class RayCasterData(Kept):
         self.ray_hits_w = torch.zeros(num_envs, rays, 3, device=device)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what has been measured."""
+        """Return the measurement."""
         return {name: value.clone() for name, value in vars(self).items()}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
@@ -49,20 +49,20 @@ class RayCasterData(Kept):
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
-    """Casts rays from a body onto the ground, and on nothing else; as Isaac Lab's, read lazily.
+    """Casts rays from a body to the ground; other geoms do not stop a ray. As Isaac Lab's, it measures on reading.
 
     Args:
         body_name: expression of the body.
         pattern: the rays.
-        offset: ``pos``, m, (x, y, z), by which the rays' starts are moved, and ``rot``, (w, x, y, z), by which their
-            directions are turned, in the frame that the alignment says.
-        ray_alignment: ``base`` turns starts and directions with the body; ``yaw`` turns starts by the body's yaw and
-            leaves directions as they are; ``world`` turns nothing.
+        offset: ``pos``, m, (x, y, z), shifts the rays' origins, and ``rot``, (w, x, y, z), rotates their directions, in
+            the frame of ``ray_alignment``.
+        ray_alignment: ``base`` rotates origins and directions with the body; ``yaw`` rotates origins by the body's yaw
+            and keeps the directions; ``world`` rotates nothing.
         max_distance: longest ray, m.
-        drift_range: range of an error of the position along each world axis, drawn at each reset, m.
-        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` move the rays' starts in the
-            aligned frame, ``z`` moves hits up.
-        update_period: time between two measurements, s; 0 shows the present state at every reading.
+        drift_range: range of a position error along each world axis, drawn at each reset, m.
+        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the rays' origins in the
+            aligned frame, ``z`` shifts hits up.
+        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class RayCaster(LazySensor):
     ) -> None:
         super().__init__(update_period)
         if not isinstance(pattern, PatternBase):
-            raise ConfigError("is no pattern", key="pattern", expected="a _target_ of PatternBase")
+            raise ConfigError("is not a pattern", key="pattern", expected="a _target_ of PatternBase")
         self._body, self._pattern, self._offset = body_name, pattern, offset
         self._alignment, self._max_distance = ray_alignment, max_distance
         cast = ray_cast_drift_range or {}
@@ -110,12 +110,12 @@ class RayCaster(LazySensor):
 
     @property
     def device(self) -> torch.device:
-        """Where its tensors are."""
+        """Device of the tensors."""
         return self._sim.device
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Starts, m, one of all or (R, 3), and unit directions (R, 3), in the frame that the alignment says."""
+        """Origins, m, (R, 3) or (1, 3) if all are equal, and unit directions (R, 3), in the aligned frame."""
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -125,7 +125,7 @@ class RayCaster(LazySensor):
             self.drift[env_ids] = rotation.uniform(self._low, self._high, len(env_ids), self._stream)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Cast the rays of some environments."""
+        """Cast the rays of the environments ``ids``."""
         drift = self.drift[ids]
         pos = self._mount.pos_w[ids] + drift[:, :3]
         self._data.pos_w[ids] = pos
@@ -139,12 +139,12 @@ class RayCaster(LazySensor):
     def _cast(
         self, ids: torch.Tensor | slice, pos: torch.Tensor, drift: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the rays' starts, m, their directions (n, R, 3), and how far they go, m, (n, R); negative is a miss.
+        """Return the rays' origins, m, their directions (n, R, 3), and their lengths, m, (n, R); negative is a miss.
 
         Args:
             ids: the environments.
-            pos: of the body, m, (n, 3).
-            drift: the errors of their episodes, m, (n, 6).
+            pos: position of the body, m, (n, 3).
+            drift: the errors drawn for these episodes, m, (n, 6).
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])
@@ -157,14 +157,14 @@ class RayCaster(LazySensor):
         return starts, directions, self._distances(ids, starts, directions)
 
     def _distances(self, ids: torch.Tensor | slice, starts: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-        """Return how far rays (n, R, 3) go to the ground, m, (n, R); negative is a miss."""
+        """Return the lengths of rays (n, R, 3) to the ground, m, (n, R); negative is a miss."""
         if self._looks_down and self.terrain.has_formula:
             return starts[..., 2] - self.terrain.height_at(starts[..., :2])
         only = None if isinstance(ids, slice) else ids
         return self._sim.ray(starts, directions, (GROUND_GROUP,), only).float()
 
     def _turn(self, ids: torch.Tensor | slice) -> torch.Tensor:
-        """Return the matrices (n, 3, 3) that turn the pattern into the world."""
+        """Return the matrices (n, 3, 3) that rotate the pattern into world axes."""
         matrix = self._mount.rot_w[ids]
         if self._alignment == "base":
             return matrix
@@ -177,7 +177,7 @@ class RayCaster(LazySensor):
         return turn
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the drift, and what is held until the next measurement."""
+        """Return the drift, and with an update period the stored measurement."""
         held = {} if self.update_period == 0.0 else self._data.state_dict()
         return {**super().state_dict(), "drift": self.drift.clone(), **held}
 

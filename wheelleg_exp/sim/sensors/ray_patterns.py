@@ -19,16 +19,16 @@ _TURN = 2 * math.pi
 
 
 class PatternBase(Kept):
-    """A pattern of rays; one YAML node in a ray caster, from this package or a user's own."""
+    """A pattern of rays: one YAML node in a ray caster, from this package or user-defined."""
 
     def rays(self, device: torch.device) -> Rays:
-        """Return where the rays start, m, (R, 3), and their directions (R, 3), of any length but 0."""
+        """Return the origins, m, (R, 3), and the directions (R, 3) of the rays; no direction may have length 0."""
         raise NotImplementedError("a pattern needs 'rays(device)'")
 
     def checked_rays(self, device: torch.device) -> Rays:
-        """Return the rays; ConfigError, with a key below the sensor's, unless they are what ``rays`` promises."""
+        """Return the rays; ConfigError, with a key below the sensor's, if ``rays`` returns anything invalid."""
         if type(self).__module__ == __name__:
-            count = len(self.rays(torch.device("meta"))[0])  # the device gives shapes and takes no memory
+            count = len(self.rays(torch.device("meta"))[0])  # the meta device gives shapes without allocating memory
             require_memory(24 * count, "pattern", f"{count:,} rays")
         with blamed("pattern", self):
             given = self.rays(device)
@@ -42,19 +42,19 @@ class PatternBase(Kept):
             found = "a direction of length 0, or numbers that are not finite"
         else:
             return given
-        expected = "a tuple of starts and directions, tensors of shape (R, 3) each, no direction of length 0"
+        expected = "a tuple of origins and directions, tensors of shape (R, 3) each, no direction of length 0"
         message = f"'{dotted_name(self)}.rays' returns {found}"
         raise ConfigError(message, key="pattern", where=code_place(self.rays), expected=expected)
 
 
 class GridPattern(PatternBase):
-    """Parallel rays from a grid about the sensor, both ends included.
+    """Parallel rays from a grid centred on the sensor, with rays at both ends of each axis.
 
     Args:
-        resolution: distance between neighbours, m.
+        resolution: distance between neighbouring rays, m.
         size: length along x and width along y, m.
-        direction: of all rays.
-        ordering: ``xy`` runs through x first, ``yx`` through y.
+        direction: direction of all rays.
+        ordering: index order of the rays: x varies fastest (``xy``), or y (``yx``).
     """
 
     def __init__(
@@ -77,18 +77,18 @@ class GridPattern(PatternBase):
 def _angles_in_radians(given: Mapping[str, Any]) -> Iterator[Broken]:
     for name in ("vertical_fov_range", "horizontal_fov_range"):
         if max(map(abs, given[name])) > _TURN + 1e-6:
-            yield Broken(name, f"{list(given[name])!r} is more than a turn", "[low, high] in radians")
+            yield Broken(name, f"{list(given[name])!r} is more than a full turn", "[low, high] in radians")
 
 
 @relation(_angles_in_radians)
 class LidarPattern(PatternBase):
-    """Rays from one point: beams above one another that turn about z.
+    """Rays of a rotating lidar: beams at several elevations that rotate about z, all from one point.
 
     Args:
         channels: number of beams.
-        vertical_fov_range: lowest and highest beam above the xy plane, rad.
-        horizontal_fov_range: first and last angle from x towards y, rad; of a whole turn the last is left out.
-        horizontal_res: largest angle between neighbours, rad.
+        vertical_fov_range: elevation of the lowest and the highest beam, rad.
+        horizontal_fov_range: first and last azimuth from x towards y, rad; a full turn leaves out the last one.
+        horizontal_res: largest angle between neighbouring azimuths, rad.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class LidarPattern(PatternBase):
         self._horizontal, self._resolution = horizontal_fov_range, horizontal_res
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the rays beam by beam, from the lowest, (R, 3) each."""
+        """Return the rays beam by beam, from the lowest beam, (R, 3) each."""
         low, high = self._horizontal
         steps = math.ceil((high - low) / self._resolution - 1e-9)
         azimuth = torch.linspace(low, high, steps + 1, device=device)
@@ -113,12 +113,12 @@ class LidarPattern(PatternBase):
 
 
 class BpearlPattern(PatternBase):
-    """Rays of a Robosense RS-Bpearl, a hemisphere above the sensor's xy plane.
+    """Rays of a Robosense RS-Bpearl lidar, a hemisphere above the sensor's xy plane.
 
     Args:
-        horizontal_fov: rad, about x.
-        horizontal_res: angle between neighbours, rad.
-        vertical_ray_angles: of each beam above the xy plane, rad; null is the device's own 32.
+        horizontal_fov: range of azimuths, centred on x, rad.
+        horizontal_res: angle between neighbouring azimuths, rad.
+        vertical_ray_angles: elevation of each beam, rad; null means the device's 32 beams.
     """
 
     def __init__(
@@ -141,16 +141,16 @@ class BpearlPattern(PatternBase):
 
 
 class PinholePattern(PatternBase):
-    """Rays through the pixels' centres of a camera that looks along x, row by row from the upper left.
+    """Rays through the centres of the pixels of a camera that looks along x, row by row from the upper left.
 
     Args:
         width: px.
         height: px.
-        focal_length: in the unit of the apertures; only their ratio counts.
+        focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
-        vertical_aperture: its height; null makes pixels square.
-        horizontal_aperture_offset: of the image's centre, to the right, in focal lengths.
-        vertical_aperture_offset: downwards, in focal lengths.
+        vertical_aperture: height of the image plane; null makes pixels square.
+        horizontal_aperture_offset: offset of the image's centre to the right, in focal lengths.
+        vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
 
     Attributes:
         intrinsics: the rows of the intrinsic matrix, px.

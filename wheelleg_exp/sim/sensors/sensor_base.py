@@ -1,4 +1,4 @@
-"""Base classes of sensors: after each physics step, or on the first read; and the mount on a body."""
+"""Base classes of sensors, which measure after each physics step or on the first read, and their mount on a body."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 class SensorBase(Kept):
-    """A sensor of the scene; one YAML node under ``env.scene.sensors``, from this package or a user's own.
+    """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass adds what it needs to the spec, connects to the running simulations, and measures in ``measure``. Its
-    tensors are (N, ...) on the engine's device; what the coming steps depend on goes through ``state_dict``.
+    A subclass adds its elements to the spec, connects to the running simulations, and measures in ``measure``. Its
+    tensors are (N, ...) on the engine's device. ``state_dict`` must contain everything that later steps depend on.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
 
     Attributes:
-        name: the sensor's name in the scene, known from before ``add_to`` on.
-        terrain: the scene's ground, known from before ``add_to`` on.
-        body_names: the bodies that it senses.
-        data: what was measured, under Isaac Lab's names where it has a like sensor.
+        name: the sensor's name in the scene, set before ``add_to``.
+        terrain: the scene's ground, set before ``add_to``.
+        body_names: names of the sensed bodies.
+        data: the measurement, under the names of Isaac Lab's sensor of the same kind.
     """
 
     name: str
@@ -52,19 +52,19 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """The sensor itself, whose settings are its attributes, as terms written for Isaac Lab read them."""
+        """The sensor itself: its settings are attributes, which terms written for Isaac Lab read from ``cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Take a name, and add to the spec what the sensor needs, before the scene is compiled.
+        """Add the sensor's elements to the spec, before the scene is compiled.
 
         Args:
             spec: the scene's spec.
             name: the sensor's name.
-            robot: the robot, whose names are known and which does not run yet.
+            robot: the robot, before compilation.
 
         Raises:
-            ConfigError: an expression of the sensor's matches nothing.
+            ConfigError: an expression of the sensor matches nothing.
         """
         del spec, robot
         self.name, self.body_names = name, []
@@ -74,7 +74,7 @@ class SensorBase(Kept):
 
         Args:
             sim: the simulations.
-            stream: returns the sensor's random stream; one that draws nothing does not ask for it.
+            stream: returns the sensor's random stream; a sensor without random numbers does not call it.
         """
         del stream
         self._sim = sim
@@ -82,9 +82,9 @@ class SensorBase(Kept):
         self._elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
 
     def update(self) -> None:
-        """Take up the physics step that has just run, and measure the environments whose time it is.
+        """Measure, after a physics step, the environments whose update period is over.
 
-        As in Isaac Lab the time runs in each environment by itself: an episode's first step is measured.
+        As in Isaac Lab, each environment has its own timer, and the first step of an episode is measured.
         """
         if self.update_period == 0.0:
             self.measure(None, self._dt)
@@ -98,37 +98,37 @@ class SensorBase(Kept):
         """Measure.
 
         Args:
-            due: the environments (N,) bool, None for all; what was measured of others stays.
-            elapsed: time since the last measurement, s, (N,) or one for all.
+            due: mask (N,) of the environments to measure; None means all. The others keep their measurement.
+            elapsed: time since the last measurement, s, (N,) or one number for all.
         """
         raise NotImplementedError("a sensor needs 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget what was measured of ``env_ids``; their new state is not there yet."""
+        """Clear the measurement of ``env_ids``; reset events write their new state later."""
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
     @property
     def refreshes(self) -> bool:
-        """Whether it has something to do when states were written."""
+        """Whether the sensor overrides ``refresh``."""
         return type(self).refresh is not SensorBase.refresh
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Take up the new state of ``env_ids`` after resets, for what the first observation reads."""
+        """Update the measurement of ``env_ids`` after their state was written, before the first observation."""
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return what the log says of limits that the sensor could not keep, by name, over episodes that end now."""
+        """Return log entries, by name, about limits that the sensor could not keep in episodes that end now."""
         del env_ids
         return {}
 
     def find_bodies(
         self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the sensed bodies that match; ConfigError when an expression matches none."""
+        """Return indices and names of the sensed bodies that match; ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what the coming measurements depend on."""
+        """Return everything that later measurements depend on."""
         return {} if self.update_period == 0.0 else {"elapsed": self._elapsed.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -138,22 +138,22 @@ class SensorBase(Kept):
 
 
 def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
-    """Raise ConfigError when a sensor's own method has not called the base class's, which sets an attribute."""
+    """Raise ConfigError if an overriding method has not called the base class's method, which sets ``attribute``."""
     if not hasattr(sensor, attribute):
         method = call.partition("(")[0]
-        message = f"'{dotted_name(sensor)}.{method}' does not call the base class's"
+        message = f"'{dotted_name(sensor)}.{method}' does not call the base class's method"
         place = code_place(getattr(sensor, method))
         raise ConfigError(message, key=sensor.key, where=place, expected=f"super().{call} in it")
 
 
 class LazySensor(SensorBase):
-    """Measures when ``data`` is read, at most once of each state; a subclass measures in ``sense`` into ``_data``.
+    """Measures when ``data`` is read, at most once for each state; a subclass writes to ``_data`` in ``sense``.
 
-    With an update period it holds what it has measured: each environment is measured at its reset, and at the first
-    physics step at which the period is over, whether it is read or not; so reading never changes anything.
+    With an update period the sensor stores its measurement. Each environment is then measured at its reset and at the
+    first physics step after the period, whether or not ``data`` is read. So reading never changes a result.
 
     Args:
-        update_period: time between two measurements, s; 0 shows the present state at every reading.
+        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     def __init__(self, update_period: NonNegative = 0.0) -> None:
@@ -161,26 +161,26 @@ class LazySensor(SensorBase):
         self._data: Any = None
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Measure some environments: their ids, or a slice of all."""
+        """Measure the environments ``ids``; a slice means all."""
         raise NotImplementedError("a lazy sensor needs 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; a subclass makes its ``_data``."""
+        """Attach to the running simulations; a subclass creates its ``_data``."""
         super().connect(sim, stream)
         self._outdated: torch.Tensor | slice | None = slice(None)
         self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
 
     @property
     def data(self) -> Any:
-        """What was measured; it is not to be written into."""
+        """The measurement, read-only."""
         if self._outdated is not None:
-            with blamed(self.key, self, has_worked=True):  # a term reads, and is not to blame
+            with blamed(self.key, self, has_worked=True):  # an error here is the sensor's, not the reading term's
                 self.sense(self._outdated)
             self._outdated = None
         return self._data
 
     def update(self) -> None:
-        """Take up the physics step that has just run."""
+        """Mark the measurement as outdated after a physics step, or measure when the period is over."""
         if self.update_period == 0.0:
             self._outdated = slice(None)
         else:
@@ -191,12 +191,12 @@ class LazySensor(SensorBase):
         self.sense(slice(None) if due is None else ids_where(due))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Note that ``env_ids`` are to be measured once their new state is there."""
+        """Mark ``env_ids`` for a measurement once reset events have written their new state."""
         fill_rows(self._elapsed, env_ids, 0.0)
         fill_rows(self._is_new, env_ids, True)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Take up the state of ``env_ids`` that has been written; what is held is measured of new episodes alone."""
+        """Mark the written ``env_ids`` as outdated; with an update period, measure those that start an episode."""
         if self.update_period == 0.0:
             if not isinstance(self._outdated, slice):
                 seen = env_ids if self._outdated is None else torch.cat((self._outdated, env_ids)).unique()
@@ -207,7 +207,7 @@ class LazySensor(SensorBase):
         fill_rows(self._is_new, env_ids, False)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; what is not held is measured anew."""
+        """Restore what ``state_dict`` returned; without an update period the next read measures again."""
         super().load_state_dict(saved)
         self._outdated = slice(None) if self.update_period == 0.0 else None
         self._is_new.fill_(False)
@@ -217,18 +217,18 @@ Offset = Mapping[Literal["pos", "rot"], Sequence[float]]
 
 
 def offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Hold an ``offset`` against its form: ``pos`` (x, y, z), m, and ``rot`` (w, x, y, z)."""
+    """Check an ``offset``: ``pos`` (x, y, z), m, and ``rot`` (w, x, y, z)."""
     offset = given["offset"] or {}
     if len(offset.get("pos", (0, 0, 0))) != 3:
-        yield Broken("offset.pos", f"{offset['pos']!r} is no position", "3 finite numbers")
+        yield Broken("offset.pos", f"{offset['pos']!r} is not a position", "3 finite numbers")
     if len(offset.get("rot", (1, 0, 0, 0))) != 4 or not any(offset.get("rot", (1, 0, 0, 0))):
         yield Broken(
-            "offset.rot", f"{offset['rot']!r} is no orientation", "4 finite numbers (w, x, y, z), not all zero"
+            "offset.rot", f"{offset['rot']!r} is not an orientation", "4 finite numbers (w, x, y, z), not all zero"
         )
 
 
 def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return an offset's position (3,), m, and unit quaternion (4,)."""
+    """Return the position (3,), m, and the unit quaternion (4,) of an offset."""
     given = offset or {}
     pos = torch.tensor(given.get("pos", (0.0, 0.0, 0.0)), device=device)
     rot = torch.tensor(given.get("rot", (1.0, 0.0, 0.0, 0.0)), device=device)
@@ -236,15 +236,15 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 class Mount(Kept):
-    """The body of the robot that a sensor sits on.
+    """The body of the robot that a sensor is mounted on.
 
     Args:
-        expression: names the body.
-        robot: the robot, whose names are known.
+        expression: expression of the body.
+        robot: the robot, before compilation.
         key: the config key of the expression.
 
     Raises:
-        ConfigError: it matches no body, or several.
+        ConfigError: the expression matches no body, or several bodies.
     """
 
     def __init__(self, expression: str, robot: Robot, key: str) -> None:
@@ -256,7 +256,7 @@ class Mount(Kept):
     @property
     def pos_w(self) -> torch.Tensor:
         """Position of the body's frame, m, (N, 3)."""
-        # A free root's pose is state; that of any other link makes MuJoCo compute it behind each step.
+        # The root's pose is part of the state. The pose of any other link makes the engine compute it after each step.
         data = self._robot.data
         return data.root_pos_w if self.index == 0 else data.body_pos_w[:, self.index]
 

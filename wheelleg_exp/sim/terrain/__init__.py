@@ -2,14 +2,14 @@
 
 | name | what it is |
 |---|---|
-| `TerrainBase` | the base class of every ground, also of a user's own |
+| `TerrainBase` | the base class of every ground, including user-defined ones |
 | `Plane` | an infinite plane |
 | `TerrainGenerator` | tiles, generated, harder from row to row |
-| `HeightField`, `Mesh` | a user's own file |
-| `SubTerrain`, `Grid` | a kind of tile, also a user's own, and where it is asked for its heights |
+| `HeightField`, `Mesh` | a user's file |
+| `SubTerrain`, `Grid` | the base class of kinds of tiles, and the points of their heights |
 | `Flat`, `RandomUniform`, `UniformNoise`, `PyramidSlope`, `Waves` | level, rough and sloped tiles |
-| `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box` | with steps |
-| `FlatPatches` | level places to begin or to end on |
+| `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box` | tiles with steps |
+| `FlatPatches` | level patches on which an episode can start, or to which a command can lead |
 """
 
 from wheelleg_exp.sim.terrain.generator import TerrainGenerator

@@ -1,4 +1,4 @@
-"""Grounds that were made before, by the content of all that they are made of."""
+"""The cache of generated grounds; the key is a hash of the layout and of the code that generates grounds."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ _PATCHES = "patches/"
 
 
 def cached_relief(layout: Layout) -> Relief:
-    """Return a ground, from the cache when nothing that goes into it has changed.
+    """Return a ground from the cache, or generate it and store it.
 
     Raises:
-        ConfigError: the ground cannot be made.
+        ConfigError: the ground cannot be generated.
     """
     entry = cache_dir() / "terrains" / f"{relief_key(layout)}.npz"
     with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
         return _read(entry.read_bytes())
     relief = make_relief(layout)
-    with suppress(WheellegError):  # it is only made again then
+    with suppress(WheellegError):  # without a cache entry the ground is generated again next time
         write_bytes(entry, _packed(relief))
     return relief
 
 
 def relief_key(layout: Layout) -> str:
-    """Return the sha256 of all numbers of a layout, and of the code that makes a ground of them."""
+    """Return the sha256 of a layout and of the code that generates a ground."""
     own = [_digest(Path(__file__).with_name(f"{name}.py")) for name in ("relief", "height_map")]
     parts = {"layout": _plain(layout), "code": own, "numpy": np.__version__}
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it; of an object its values, its class, and the code of that and those above it."""
+    """Return a value as JSON; an object becomes its values, its class, and the hashes of its classes' source files."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""A ground of tiles that are generated: one kind a column, harder from row to row."""
+"""A ground of generated tiles: one kind of tile per column, and harder tiles in higher rows."""
 
 from __future__ import annotations
 
@@ -33,39 +33,36 @@ from wheelleg_exp.sim.terrain.sub_terrains import SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, TerrainBase
 
 ORIGIN_WINDOW = 0.25  # share of a tile's edge
-_BYTES = 40  # a cell, in numpy, torch and MuJoCo
+_BYTES = 40  # memory per cell in numpy, torch and MuJoCo
 
 
 def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
     parts = [node for node in given["sub_terrains"].values() if node is not None]
     if not any((node["proportion"] if isinstance(node, Mapping) else node.proportion) for node in parts):
-        yield Broken("sub_terrains", "no sub-terrain has a share of the tiles", "one with a proportion above 0")
+        yield Broken("sub_terrains", "no sub-terrain has a proportion above 0", "one with a proportion above 0")
 
 
 @relation(_some_share)
 class TerrainGenerator(TerrainBase):
-    """Tiles in rows along x and columns along y, around the world's origin.
+    """Tiles in rows along x and columns along y, centred on the world's origin.
 
-    With ``curriculum`` a column is of one kind, by the kinds' proportions, and the difficulty of row i is
-    ``low + (high - low) (i + U(0, 1)) / rows``. Else kind and difficulty of each tile are drawn.
+    With ``curriculum``, all tiles of a column have one kind, chosen by the kinds' proportions, and the difficulty of
+    row i is ``low + (high - low) (i + U(0, 1)) / rows``. Otherwise the kind and difficulty of each tile are random.
 
     Args:
         size: edges of a tile along x and y, m.
-        num_rows: tiles along x: the levels of a curriculum.
-        num_cols: tiles along y.
-        border_width: of the level ground around all tiles, at height 0, m.
-        horizontal_scale: edge of a cell, m; it is fitted to the tile.
-        vertical_scale: heights are whole multiples of it, m.
+        num_rows: number of tiles along x: the levels of a curriculum.
+        num_cols: number of tiles along y.
+        border_width: width of the level ground at height 0 around all tiles, m.
+        horizontal_scale: edge of a cell, m, adjusted to divide the tile.
+        vertical_scale: resolution of heights, m.
         curriculum: whether rows are levels.
-        difficulty_range: the easiest and the hardest, of 0 to 1.
-        sub_terrains: kinds of tiles by name; null takes one away.
-        static_friction: the ground's coefficient at rest.
-        dynamic_friction: the ground's coefficient in motion.
-        restitution: the ground's coefficient of restitution.
-        seed: of all chance in the ground; null takes the run's.
-        max_init_terrain_level: highest row in which an environment begins; null is the last.
-        origin_window: edge of the window in a tile's middle whose highest point is the origin's height, as a share
-            of the tile's edge.
+        difficulty_range: the lowest and the highest difficulty, from 0 to 1.
+        sub_terrains: kinds of tiles by name; null removes a kind.
+        seed: seed of the ground's random generator; null means the run's seed.
+        max_init_terrain_level: highest row in which an environment starts; null means the last row.
+        origin_window: edge of a window in the tile's centre, as a share of the tile's edge; its highest point is the
+            height of the tile's origin.
     """
 
     def __init__(
@@ -105,7 +102,7 @@ class TerrainGenerator(TerrainBase):
         )
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Make the ground, or take it from the cache, and find where the environments begin."""
+        """Make the ground or read it from the cache, and compute the origins of the environments."""
         key = f"{TERRAIN_KEY}.horizontal_scale"
         require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
         seed = stream().initial_seed() if self._seed is None else self._seed
@@ -136,5 +133,5 @@ class TerrainGenerator(TerrainBase):
             add_box(spec, name, self.dynamic_friction, (x0, y0, -depth), (x1, y1, 0.0))
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 beside the tiles."""
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 outside of the tiles."""
         return self._map.height_at(xy)

@@ -1,4 +1,4 @@
-"""Tiles as geoms of MuJoCo: height fields, and boxes where edges are upright."""
+"""Geoms of a ground: height fields, and boxes for tiles with vertical edges."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike,
 def add_tile(
     spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
 ) -> None:
-    """Add a tile: a height field, or boxes; the ground goes on below it by a tenth of its edge.
+    """Add a tile as a height field or boxes, which extend below the lowest height by a tenth of the tile's edge.
 
     Args:
         spec: the scene's spec.
-        name: of the geom, or what the names of the boxes begin with.
-        friction: its coefficient.
+        name: name of the geom, or prefix of the boxes' names.
+        friction: friction coefficient.
         tile: the heights.
-        centre: of the tile, m.
+        centre: centre of the tile, m.
         size: edges of the tile, m.
     """
     heights = tile.heights.astype(float)
@@ -61,7 +61,7 @@ def add_field(
     size: tuple[float, float],
     depth: float,
 ) -> None:
-    """Add a height field that is not level; MuJoCo's rows go along y, and its data from 0 to 1."""
+    """Add a height field that is not level; MuJoCo's rows are along y, and its data is scaled to [0, 1]."""
     lowest, span = heights.min(), np.ptp(heights)
     columns, rows = heights.shape
     spec.add_hfield(
@@ -75,9 +75,10 @@ def add_field(
 
 
 def _boxes(heights: npt.NDArray[np.float64]) -> list[tuple[int, int, int, int, float]]:
-    """Return boxes ``(i0, i1, j0, j1, top)`` of cells whose upper side the heights are; as few as two ways give.
+    """Return boxes ``(i0, i1, j0, j1, top)`` of cells whose tops are the heights: the smaller of two decompositions.
 
-    Either those of a height make boxes, or those of a height and above, where the boxes stand in each other.
+    One makes boxes of the cells of each height. The other makes boxes of the cells of each height or above, so that
+    boxes overlap.
     """
     levels = np.unique(heights)
     apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
@@ -86,13 +87,13 @@ def _boxes(heights: npt.NDArray[np.float64]) -> list[tuple[int, int, int, int, f
 
 
 def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield rectangles of cells that together are the mask: runs along y, as long along x as they stay the same."""
+    """Yield rectangles of cells that cover the mask: runs along y, extended along x while the run is the same."""
     padded = np.pad(mask, ((0, 1), (1, 1))).astype(np.int8)
     steps = np.diff(padded, axis=1)
-    begun: dict[tuple[int, int], int] = {}
+    started: dict[tuple[int, int], int] = {}
     for i, row in enumerate(steps):
         runs = set(zip(np.flatnonzero(row == 1).tolist(), np.flatnonzero(row == -1).tolist(), strict=True))
-        for run in [run for run in begun if run not in runs]:
-            yield begun.pop(run), i, *run
-        for run in sorted(runs - begun.keys()):
-            begun[run] = i
+        for run in [run for run in started if run not in runs]:
+            yield started.pop(run), i, *run
+        for run in sorted(runs - started.keys()):
+            started[run] = i

@@ -1,4 +1,4 @@
-"""The heights of all tiles in one tensor, and the height of the ground at a point."""
+"""The height map: the heights of all tiles in one tensor, and interpolation at a point."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import torch
 
 @dataclass(frozen=True)
 class Tile:
-    """Heights of one tile; x goes with the first index, y with the second.
+    """Heights of one tile; the first index is along x, the second along y.
 
     Attributes:
-        heights: m: of the corners of cells (nx + 1, ny + 1), or of the cells (nx, ny).
-        boxes: whether they are those of the cells, with upright edges.
+        heights: heights of the corners of cells (nx + 1, ny + 1), or of the cells (nx, ny), m.
+        boxes: whether heights belong to cells, with vertical edges.
     """
 
     heights: npt.NDArray[np.float32]
@@ -30,16 +30,16 @@ class Tile:
 
 
 class HeightMap:
-    """Tiles in rows along x and columns along y around the world's origin.
+    """Tiles in rows along x and columns along y, centred on the world's origin.
 
-    Between corners the surface is that of MuJoCo's height fields: two triangles a cell, which meet on the diagonal
-    from its lowest to its highest x and y.
+    Between corners the surface is that of MuJoCo's height fields: two triangles per cell, which meet on the diagonal
+    from the cell's lowest to its highest x and y.
 
     Args:
-        tiles: row by row.
+        tiles: the tiles row by row.
         rows: number of rows.
         size: edges of a tile, m.
-        device: where the tensors are.
+        device: device of the tensors.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
@@ -53,7 +53,7 @@ class HeightMap:
         self._size = torch.tensor(list(size), device=device)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the heights (...) at points (..., 2), m; 0 beside the tiles."""
+        """Return the heights (...) at points (..., 2), m; 0 outside of the tiles."""
         place = xy / self._size.to(xy) + self._counts / 2
         tile = place.floor()
         inside = ((place >= 0) & (place <= self._counts)).all(dim=-1)
@@ -64,7 +64,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # what stands between neighbours along x
+        along_x = cells[..., 1] + slanted  # stride between neighbours along x
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]

@@ -1,4 +1,4 @@
-"""What a generated ground looks like: the kind and the difficulty of each tile, its origin and its flat places."""
+"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
 from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 
-_MARGIN = 0.001  # by which a share has to reach beyond a column, as in Isaac Lab
+_MARGIN = 0.001  # margin in the assignment of kinds to columns, as in Isaac Lab
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How a ground is made of tiles (the arguments of ``TerrainGenerator``)."""
+    """Arguments of a generated ground (see ``TerrainGenerator``)."""
 
     size: tuple[float, float]
     num_rows: int
@@ -36,14 +36,14 @@ class Layout:
 
 @dataclass(frozen=True)
 class Relief:
-    """A ground that has been made.
+    """A generated ground. Coordinates are relative to its centre.
 
     Attributes:
-        tiles: row by row.
-        kinds: number of each tile's sub-terrain, (rows, cols).
-        difficulties: of each tile, (rows, cols).
-        origins: where one begins on each tile, seen from the ground's middle, m, (rows, cols, 3).
-        patches: flat places by name, seen from the ground's middle, m, (rows, cols, P, 3).
+        tiles: the tiles row by row.
+        kinds: index of each tile's sub-terrain, (rows, cols).
+        difficulties: difficulty of each tile, (rows, cols).
+        origins: origin of each tile, m, (rows, cols, 3).
+        patches: flat patches by name, m, (rows, cols, P, 3).
     """
 
     tiles: Sequence[Tile]
@@ -54,10 +54,10 @@ class Relief:
 
 
 def make_relief(layout: Layout) -> Relief:
-    """Return the ground; equal for equal arguments.
+    """Generate the ground; equal arguments give equal grounds.
 
     Raises:
-        ConfigError: a tile has not enough flat places, or its border covers it.
+        ConfigError: a tile does not have enough flat patches, or its border covers the tile.
     """
     rng = np.random.default_rng(layout.seed)
     shape = (layout.num_rows, layout.num_cols)
@@ -77,21 +77,21 @@ def make_relief(layout: Layout) -> Relief:
         for name in patches:
             patches[name][row, col] = origins[row, col]
         for name, wanted in part.flat_patches.items():
-            found = wanted.find(_asking(alone), origin, layout.size, rng, f"{key}.flat_patches.{name}")
+            found = wanted.find(_height_function(alone), origin, layout.size, rng, f"{key}.flat_patches.{name}")
             patches[name][row, col] += found
     ordered = [tiles[index] for index in np.ndindex(shape)]
     return Relief(ordered, kinds, difficulties, origins, patches)
 
 
 def _order(layout: Layout) -> list[tuple[int, int]]:
-    """Return the tiles in the order in which they are made: a curriculum goes column by column."""
+    """Return the tiles in the order of generation, which is column by column with a curriculum."""
     if layout.curriculum:
         return [(row, col) for col in range(layout.num_cols) for row in range(layout.num_rows)]
     return [(row, col) for row in range(layout.num_rows) for col in range(layout.num_cols)]
 
 
 def _chosen(layout: Layout, row: int, col: int, rng: np.random.Generator) -> tuple[int, float]:
-    """Return kind and difficulty of a tile: by column and row in a curriculum, else drawn."""
+    """Return kind and difficulty of a tile: by column and row with a curriculum, otherwise random."""
     shares = np.array([part.proportion for part in layout.sub_terrains.values()])
     shares = shares / shares.sum()
     low, high = layout.difficulty_range
@@ -108,7 +108,7 @@ def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Ge
     half = (size[0] / 2 - part.border_width, size[1] / 2 - part.border_width)
     if min(half) <= 0:
         expected = f"less than half a tile's edge, {min(size) / 2:g}"
-        raise ConfigError("nothing is left between the borders", key=f"{key}.border_width", expected=expected)
+        raise ConfigError("the borders cover the whole tile", key=f"{key}.border_width", expected=expected)
     x, y = (
         (np.arange(count) + 0.5) * edge / count - edge / 2
         if part.boxes
@@ -122,7 +122,7 @@ def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Ge
 
 
 def _highest(tile: Tile, share: float) -> float:
-    """Return the greatest height in a window around the middle whose edges are a share of the tile's."""
+    """Return the largest height in a central window whose edges are a share of the tile's edges."""
     windows = []
     for count in tile.heights.shape:
         reach = max(0.5, share * count / 2)
@@ -137,18 +137,18 @@ def _centres(layout: Layout) -> Array:
 
 
 def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
-    """Return room for the flat places of each name; a tile that has none of a name will show its origin."""
+    """Allocate the flat patches of each name; tiles without patches of a name will contain their origin."""
     counts: dict[str, int] = {}
     for name, part in layout.sub_terrains.items():
         for patch, wanted in part.flat_patches.items():
             if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
                 raise ConfigError(
-                    f"'{patch}' has {counts[patch]} places on another sub-terrain and {wanted.num_patches} here",
+                    f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here",
                     key=f"{TERRAIN_KEY}.sub_terrains.{name}.flat_patches.{patch}.num_patches",
-                    expected="one number for all that share a name",
+                    expected="the same number on all sub-terrains",
                 )
     return {name: np.zeros((*origins.shape[:2], count, 3)) for name, count in counts.items()}
 
 
-def _asking(height_map: HeightMap) -> Callable[[Array], Array]:
+def _height_function(height_map: HeightMap) -> Callable[[Array], Array]:
     return lambda points: height_map.height_at(torch.from_numpy(points)).numpy()

@@ -1,7 +1,5 @@
 """Kinds of terrain tiles: level, rough, sloped, and stepped; and the flat places on them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -22,23 +20,26 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-_POINTS = 10  # on each ring around a place, as in Isaac Lab
+# No `from __future__ import annotations`: user-defined dataclasses in other modules inherit these annotations, which
+# must therefore be types, not strings.
+_POINTS = 10  # points on each ring around a patch, as in Isaac Lab
 _ROUNDS = 1000
 
 
 @dataclass(kw_only=True)
 class FlatPatches(Kept):
-    """Which places of a tile are taken: those around which the ground is level, drawn until there are enough.
+    """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
-    The height of a place is that of its middle. The ranges are seen from the tile's origin, and cut to the tile.
+    The height of a patch is the height of its centre. The ranges are relative to the tile's origin, and are clipped to
+    the tile.
 
     Args:
-        num_patches: how many a tile, P.
-        patch_radius: radius of the ring, m, or of several, on which the ground is looked at.
-        max_height_diff: greatest difference of heights on a place, m.
+        num_patches: number of patches per tile, P.
+        patch_radius: radius of the ring, m, or of several rings, on which the heights are compared.
+        max_height_diff: largest difference of heights on a patch, m.
         x_range: m.
         y_range: m.
-        z_range: lowest and highest point of a place, m.
+        z_range: lowest and highest point of a patch, m.
     """
 
     num_patches: Count
@@ -56,17 +57,17 @@ class FlatPatches(Kept):
         rng: np.random.Generator,
         key: str,
     ) -> Array:
-        """Return places (P, 3) as seen from the tile's origin, m.
+        """Return patches (P, 3) relative to the tile's origin, m.
 
         Args:
-            height_at: heights (...) at points (..., 2) of the tile, whose centre is 0.
+            height_at: returns heights (...) at points (..., 2) relative to the tile's centre.
             origin: the tile's origin (3,).
             size: edges of the tile.
-            rng: the ground's source of chance.
-            key: the config key of this, for the message.
+            rng: the ground's random generator.
+            key: the config key of the patches, for the message.
 
         Raises:
-            ConfigError: the tile is nowhere flat enough.
+            ConfigError: the tile does not have enough flat patches.
         """
         low, high = np.transpose([self._bounds(axis, origin, size) for axis in range(2)])
         radii = np.atleast_1d(np.asarray(self.patch_radius, dtype=float))
@@ -83,7 +84,7 @@ class FlatPatches(Kept):
             if len(found) >= self.num_patches:
                 return found[: self.num_patches]
         raise ConfigError(
-            f"{len(found)} of {self.num_patches} flat places were found in {_ROUNDS * self.num_patches:,} tries",
+            f"{len(found)} of {self.num_patches} flat patches were found in {_ROUNDS * self.num_patches:,} tries",
             key=key,
             expected="a smaller patch_radius, a larger max_height_diff or wider ranges",
         )
@@ -94,20 +95,17 @@ class FlatPatches(Kept):
         return max(low + origin[axis], -half), max(min(high + origin[axis], half), max(low + origin[axis], -half))
 
 
-# The annotations here are values and no text, because dataclasses in other modules inherit the fields.
-
-
-EDGE = 1e-9  # m: a point on an edge counts as inside, also after rounding
+EDGE = 1e-9  # m: tolerance with which a point on an edge counts as inside
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the heights of a tile are wanted, as seen from its centre.
+    """The points of a tile's heights, relative to its centre.
 
     Attributes:
-        x: m, (nx, 1), rising.
-        y: m, (1, ny), rising.
-        half: half edges of what is to be filled, m; the tile's own flat rim lies outside.
+        x: m, (nx, 1), ascending.
+        y: m, (1, ny), ascending.
+        half: half edges of the area inside the tile's flat rim, m.
     """
 
     x: Array
@@ -116,7 +114,7 @@ class Grid:
 
     @property
     def to_edge(self) -> Array:
-        """How far a point lies inside the nearest edge, m, (nx, ny)."""
+        """Distance of each point from the nearest edge, positive inside, m, (nx, ny)."""
         return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
     @property
@@ -125,24 +123,23 @@ class Grid:
         return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE
 
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
-        """Return which points lie on a square of that width in the middle, (nx, ny)."""
+        """Return which points lie in the central square of a width, (nx, ny)."""
         return self.from_centre <= width / 2
 
 
 @dataclass(kw_only=True)
 class SubTerrain(Kept):
-    """A kind of tile: one YAML node under ``sub_terrains``, this package's or a user's own.
+    """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. ``boxes`` says what becomes of them: boxes with upright edges, of which every single
-    one costs all environments a little; or a height field, which costs those alone that stand on it, and whose edges
-    are slopes one cell wide.
+    A subclass returns heights. They become boxes with vertical edges, or a height field whose edges are slopes one cell
+    wide. Each box slows down all environments a little; a height field slows down only the robots on it.
 
     Args:
-        proportion: share of the tiles, in proportion to the others'.
-        border_width: flat rim at height 0 inside the tile, m.
-        horizontal_scale: edge of a cell, m; null is the generator's.
-        flat_patches: places to be found on each tile, by name.
-        boxes: whether the heights are those of cells and become boxes, or of corners and become a height field.
+        proportion: relative share of the tiles.
+        border_width: width of the flat rim at height 0 inside the tile, m.
+        horizontal_scale: edge of a cell, m; null means the generator's.
+        flat_patches: the flat patches to find on each tile, by name.
+        boxes: whether heights belong to cells and become boxes, or belong to corners and become a height field.
     """
 
     proportion: NonNegative
@@ -152,12 +149,12 @@ class SubTerrain(Kept):
     boxes: bool = False
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the heights over a grid, m, (nx, ny); the same for the same arguments.
+        """Return the heights over a grid, m, (nx, ny); equal arguments must give equal heights.
 
         Args:
             difficulty: 0 is the easiest, 1 the hardest.
-            grid: where.
-            rng: the ground's only source of chance.
+            grid: the points.
+            rng: the ground's random generator.
         """
         raise NotImplementedError
 
@@ -170,12 +167,12 @@ def at(difficulty: float, interval: Any) -> float:
 
 @dataclass(kw_only=True)
 class RandomUniform(SubTerrain):
-    """Heights drawn from equal steps within a range, linear between the points; difficulty changes nothing.
+    """Random heights in equal steps within a range, interpolated linearly; the difficulty has no effect.
 
     Args:
-        noise_range: lowest and highest, m.
-        noise_step: between two heights, m.
-        downsampled_scale: distance between the drawn points, m; null is the edge of a cell.
+        noise_range: lowest and highest height, m.
+        noise_step: step between two heights, m.
+        downsampled_scale: distance between the drawn points, m; null means the edge of a cell.
     """
 
     noise_range: Interval
@@ -196,12 +193,12 @@ class RandomUniform(SubTerrain):
 
 @dataclass(kw_only=True)
 class UniformNoise(SubTerrain):
-    """Heights drawn from U(-a, a), linear between the points; the amplitude a grows with the difficulty.
+    """Random heights from U(-a, a), interpolated linearly; the amplitude a grows with the difficulty.
 
     Args:
-        amplitude_range: a of the easiest and of the hardest, m.
-        downsampled_scale: distance between the drawn points, m; null is the edge of a cell.
-        platform_width: edge of the level square in the middle, m.
+        amplitude_range: a of the easiest and the hardest tile, m.
+        downsampled_scale: distance between the drawn points, m; null means the edge of a cell.
+        platform_width: edge of the level square in the centre, m.
     """
 
     amplitude_range: NonNegativeInterval
@@ -217,14 +214,14 @@ class UniformNoise(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidSlope(SubTerrain):
-    """A pyramid with a level top: every face rises towards the middle by the same angle.
+    """A pyramid with a level top, whose faces all have the same angle.
 
-    Isaac Lab's faces have this slope along the middle of each side alone and less towards the corners.
+    Isaac Lab's faces have this angle only along the centre line of each side, and a smaller one towards the corners.
 
     Args:
-        slope_range: angle of the easiest and of the hardest, rad.
+        slope_range: angle of the easiest and the hardest tile, rad.
         platform_width: edge of the top, m.
-        inverted: whether it goes down towards the middle.
+        inverted: whether the faces go down towards the centre.
     """
 
     slope_range: NonNegativeInterval
@@ -243,8 +240,8 @@ class Waves(SubTerrain):
     """``h = A / 2 (cos(k y) + sin(k x))`` from the tile's corner, with ``k = 2 pi num_waves / (edge along y)``.
 
     Args:
-        amplitude_range: A of the easiest and of the hardest, m; heights lie within -A and A.
-        num_waves: whole waves along y.
+        amplitude_range: A of the easiest and the hardest tile, m; heights are between -A and A.
+        num_waves: number of waves along y.
     """
 
     amplitude_range: NonNegativeInterval
@@ -259,7 +256,7 @@ class Waves(SubTerrain):
 
 
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
-    """Return heights that are drawn on a lattice and linear between its points, first along x, then along y.
+    """Draw heights on a lattice, and interpolate them linearly, first along x, then along y.
 
     The lattice starts at the tile's first own point inside the rim. If it started at the edge of the rim, then with a
     rim of half a cell every height would be the mean of four draws, which has half of their standard deviation.
@@ -285,12 +282,12 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # of the way from platform to edge: where the second of two steps is, as in Isaac Lab
+_SECOND = 0.6  # position of the second step as a share of the way from platform to edge, as in Isaac Lab
 
 
 @dataclass(kw_only=True)
 class Flat(SubTerrain):
-    """Level ground at height 0, whatever the difficulty: one box."""
+    """Level ground at height 0 at any difficulty: one box."""
 
     boxes: bool = True
 
@@ -302,13 +299,13 @@ class Flat(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidStairs(SubTerrain):
-    """Stairs that rise towards a level top, all around.
+    """Stairs that rise on all four sides towards a level top.
 
     Args:
-        step_height_range: of the easiest and of the hardest, m.
+        step_height_range: step height of the easiest and the hardest tile, m.
         step_width: m.
-        platform_width: greatest edge of the top, m.
-        inverted: whether they go down towards the middle.
+        platform_width: largest edge of the top, m.
+        inverted: whether the stairs go down towards the centre.
     """
 
     step_height_range: NonNegativeInterval
@@ -327,12 +324,12 @@ class PyramidStairs(SubTerrain):
 
 @dataclass(kw_only=True)
 class RandomGrid(SubTerrain):
-    """Square tiles next to each other, with heights drawn from U(-a, a).
+    """A grid of squares with random heights from U(-a, a).
 
     Args:
         grid_width: edge of a square, m.
-        grid_height_range: a of the easiest and of the hardest, m.
-        platform_width: edge of the level square in the middle, m.
+        grid_height_range: a of the easiest and the hardest tile, m.
+        platform_width: edge of the level square in the centre, m.
     """
 
     grid_width: Positive
@@ -340,7 +337,7 @@ class RandomGrid(SubTerrain):
     platform_width: NonNegative
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the squares; what is left of the tile is level."""
+        """Return the squares; the tile is level outside of the grid."""
         a = at(difficulty, self.grid_height_range)
         counts = [max(1, int(2 * half / self.grid_width + 1e-9)) for half in grid.half]
         drawn = rng.uniform(-a, a, counts)
@@ -354,14 +351,14 @@ class RandomGrid(SubTerrain):
 
 @dataclass(kw_only=True)
 class DiscreteObstacles(SubTerrain):
-    """Level ground with blocks and pits at drawn places; a later one takes the place of an earlier one.
+    """Level ground with blocks and pits at random positions; a later obstacle overwrites an earlier one.
 
     Args:
-        obstacle_height_mode: ``fixed`` is one height, ``choice`` one of that height, its half, and both downwards.
+        obstacle_height_mode: ``fixed`` is one height; ``choice`` draws that height, half of it, or the negative of one.
         obstacle_width_range: shortest and longest edge, m.
-        obstacle_height_range: of the easiest and of the hardest, m.
-        num_obstacles: how many.
-        platform_width: edge of the level square in the middle, m.
+        obstacle_height_range: height of the easiest and the hardest tile, m.
+        num_obstacles: number of obstacles.
+        platform_width: edge of the level square in the centre, m.
     """
 
     obstacle_width_range: PositiveInterval
@@ -386,13 +383,13 @@ class DiscreteObstacles(SubTerrain):
 
 @dataclass(kw_only=True)
 class SteppingStones(SubTerrain):
-    """Stones in rows along x, with holes between them; narrower and further apart with the difficulty.
+    """Stones in rows along x with holes between them; harder tiles have narrower stones that are further apart.
 
     Args:
-        stone_height_max: stones are drawn from U(-this, this), m.
-        stone_width_range: of the hardest and of the easiest, m.
-        stone_distance_range: of the easiest and of the hardest, m.
-        platform_width: edge of the level square in the middle, m.
+        stone_height_max: largest size of a stone's height, drawn from U(-max, max), m.
+        stone_width_range: width of the stones on the hardest and the easiest tile, m.
+        stone_distance_range: distance between stones on the easiest and the hardest tile, m.
+        platform_width: edge of the level square in the centre, m.
         holes_depth: height of the bottom of the holes, m.
     """
 
@@ -423,7 +420,7 @@ class Gap(SubTerrain):
     """A level square with a gap around it.
 
     Args:
-        gap_width_range: of the easiest and of the hardest, m.
+        gap_width_range: width of the gap on the easiest and the hardest tile, m.
         gap_depth: m.
         platform_width: edge of the square, m.
     """
@@ -442,12 +439,12 @@ class Gap(SubTerrain):
 
 @dataclass(kw_only=True)
 class Rails(SubTerrain):
-    """Two square rails around the middle.
+    """Two square rails around the centre.
 
     Args:
-        rail_thickness_range: of the inner and of the outer rail, m.
-        rail_height_range: of the easiest and of the hardest, m.
-        platform_width: edge of the square within the inner rail, m.
+        rail_thickness_range: thickness of the inner and the outer rail, m.
+        rail_height_range: height of the rails on the easiest and the hardest tile, m.
+        platform_width: edge of the square inside the inner rail, m.
     """
 
     rail_thickness_range: PositiveInterval
@@ -467,13 +464,13 @@ class Rails(SubTerrain):
 
 @dataclass(kw_only=True)
 class Box(SubTerrain):
-    """A square in the middle, raised by one step or two.
+    """A raised square in the centre, with one or two steps.
 
     Args:
-        box_height_range: of a step, of the easiest and of the hardest, m.
+        box_height_range: height of a step on the easiest and the hardest tile, m.
         platform_width: edge of the square, m.
-        double_box: whether there is a wider square around it, and so two steps.
-        inverted: whether they go down, to a pit.
+        double_box: whether a wider square makes a second step.
+        inverted: whether the steps go down into a pit.
     """
 
     box_height_range: NonNegativeInterval

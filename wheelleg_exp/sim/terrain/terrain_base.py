@@ -1,4 +1,4 @@
-"""The base class of grounds: geoms in the scene, material, origins of the environments, heights; and the plane."""
+"""The ground: the base class with its geoms, material, environment origins and heights, and the plane."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
-_FAR = 1e3  # m above the world's origin: where rays begin
+_FAR = 1e3  # m: height at which the rays of a probe start
 
 
 class Probe:
-    """A model of the ground alone, made when it is first asked.
+    """Measures heights of the ground by rays, in a model without the robot that is compiled on first use.
 
     Args:
         add_to: adds the ground to a spec.
@@ -35,33 +35,33 @@ class Probe:
         self._engine: Engine | None = None
 
     def model(self) -> mujoco.MjModel:
-        """Return the model of the ground alone."""
+        """Return a model that contains only the ground."""
         if self._model is None:
             spec = mujoco.MjSpec()
             self._add_to(spec)
             self._model = spec.compile()
         return self._model
 
-    def height_at(self, xy: torch.Tensor, beside: float = 0.0) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2), m, (...); ``beside`` where there is none."""
+    def height_at(self, xy: torch.Tensor, outside: float = 0.0) -> torch.Tensor:
+        """Return the height of the ground at points (..., 2), m, (...); ``outside`` for points without ground."""
         if self._engine is None:
             self._engine = BatchEngine(self.model(), 1, 1)
         far = torch.full_like(xy[..., :1], _FAR)
         origins = torch.cat((xy, far), dim=-1).reshape(1, -1, 3)
         down = torch.tensor([0.0, 0.0, -1.0], device=xy.device).expand_as(origins)
         distance = self._engine.ray(origins, down).reshape(xy.shape[:-1])
-        return torch.where(distance < 0, beside, _FAR - distance).to(xy)
+        return torch.where(distance < 0, outside, _FAR - distance).to(xy)
 
 
 GROUND = "ground"
 TERRAIN_KEY = "env.scene.terrain"
-GROUND_GROUP = 0  # MuJoCo's geom group that holds the ground and nothing else
+GROUND_GROUP = 0  # the geom group that is reserved for the ground
 
 
 class TerrainBase(Kept):
-    """The ground (``env.scene.terrain``); one YAML node, from this package or a user's own.
+    """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
-    Restitution has no counterpart in MuJoCo, and one of the two frictions is used (``env.robot.friction_source``).
+    MuJoCo has no restitution, and one friction coefficient: ``env.robot.friction_source`` selects one of the two.
 
     Args:
         static_friction: the ground's coefficient at rest.
@@ -69,14 +69,14 @@ class TerrainBase(Kept):
         restitution: the ground's coefficient of restitution.
 
     Attributes:
-        env_origins: where the environments begin, m, (N, 3).
-        terrain_origins: where those on each tile begin, m, (rows, cols, 3); None on a ground without tiles.
-        terrain_levels: the row of each environment's tile, the harder the higher, (N,) long; 0 without tiles.
-        terrain_types: the column of each environment's tile, (N,) long; 0 without tiles.
+        env_origins: origins of the environments, m, (N, 3).
+        terrain_origins: origins of the tiles, m, (rows, cols, 3); None on a ground without tiles.
+        terrain_levels: row of each environment's tile, (N,) long; higher rows are harder; 0 without tiles.
+        terrain_types: column of each environment's tile, (N,) long; 0 without tiles.
         max_terrain_level: number of rows.
         size: edges of a tile along x and y, m; infinite without tiles.
-        border_width: of the ground around the tiles, m.
-        flat_patches: places that are flat enough, by name, m, (rows, cols, P, 3).
+        border_width: width of the ground around the tiles, m.
+        flat_patches: flat patches by name, m, (rows, cols, P, 3).
     """
 
     env_origins: torch.Tensor
@@ -96,7 +96,7 @@ class TerrainBase(Kept):
 
     @property
     def cfg(self) -> SimpleNamespace:
-        """What terms written for Isaac Lab read: ``terrain_type`` and the ``terrain_generator``'s tiles, or None."""
+        """The part of the config that terms written for Isaac Lab read: ``terrain_type`` and ``terrain_generator``."""
         if self.terrain_origins is None:
             return SimpleNamespace(terrain_type="plane", terrain_generator=None)
         rows, cols = self.terrain_origins.shape[:2]
@@ -112,27 +112,27 @@ class TerrainBase(Kept):
         return self.static_friction if source == "static" else self.dynamic_friction
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return where the environments begin, m, (N, 3): a square grid, unless the ground has its own places."""
+        """Return the origins of the environments, m, (N, 3): a square grid, unless a subclass overrides this."""
         return grid_origins(num_envs, spacing, device)
 
     def read_files(self, folder: Path) -> None:
-        """Read the files that the ground is made of; called first.
+        """Read the ground's files; called first.
 
         Args:
-            folder: the robot's folder, in which they lie.
+            folder: the robot's folder, which contains the files.
         """
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Find where the environments begin; called once, before ``add_to``.
+        """Compute the origins of the environments; called once, before ``add_to``.
 
-        On tiles an environment's column is ``floor(i / (N / cols))`` and its row is drawn from the rows up to
+        On tiles, the column of environment i is ``floor(i / (N / cols))``, and its row is drawn from the rows up to
         ``max_init_terrain_level``, as in Isaac Lab.
 
         Args:
             num_envs: number of environments, N.
-            spacing: between neighbours on a grid, m.
-            device: where the tensors are.
-            stream: returns the ground's random stream; a ground that draws nothing does not ask for it.
+            spacing: distance between neighbours on a grid, m.
+            device: device of the tensors.
+            stream: returns the ground's random stream; a ground without random numbers does not call it.
         """
         self._probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
@@ -155,10 +155,10 @@ class TerrainBase(Kept):
             raise ConfigError(message, key=TERRAIN_KEY, where=where, expected=f"a tensor of shape {shape}")
 
     def lay(self, spec: mujoco.MjSpec) -> None:
-        """Add the ground to the scene's spec: ``add_to``, held against what the scene needs of it.
+        """Add the ground to the scene's spec with ``add_to``, and check the result.
 
         Raises:
-            ConfigError: no geom is added, or one that is not named as the ground's; or heights have a wrong shape.
+            ConfigError: ``add_to`` adds no geom or a geom with another name, or heights have a wrong shape.
         """
         before = Counter(geom.name for geom in spec.geoms)
         self.add_to(spec)
@@ -166,7 +166,7 @@ class TerrainBase(Kept):
         wrong = [name for name in added if not is_ground(name)]
         if wrong or not added:
             found = f"a geom named '{wrong[0]}'" if wrong else "no geom"
-            expected = f"geoms named '{GROUND}' or '{GROUND}/...', by which the scene knows the ground"
+            expected = f"geoms named '{GROUND}' or '{GROUND}/...', by which the scene recognises the ground"
             message = f"'{dotted_name(self)}.add_to' adds {found}"
             raise ConfigError(message, key=TERRAIN_KEY, where=code_place(self.add_to), expected=expected)
         if self.has_formula:
@@ -174,14 +174,14 @@ class TerrainBase(Kept):
             self._require_shape("height_at", self.height_at(points), tuple(points.shape[:-1]))
 
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
-        """Move environments to a harder or an easier tile of their column; nothing happens without tiles.
+        """Move environments to a harder or an easier tile of their column; a ground without tiles does nothing.
 
-        Who has passed the last row is sent to a random one, and nobody falls below the first, as in Isaac Lab.
+        As in Isaac Lab, an environment that passes the last row moves to a random row, and the first row is the lowest.
 
         Args:
             env_ids: the environments, (n,).
-            move_up: who goes a row up, (n,) bool.
-            move_down: who goes a row down, (n,) bool.
+            move_up: which of them move one row up, (n,) bool.
+            move_down: which of them move one row down, (n,) bool.
         """
         if self.terrain_origins is None:
             return
@@ -193,23 +193,23 @@ class TerrainBase(Kept):
         self.env_origins[env_ids] = self.terrain_origins[levels, self.terrain_types[env_ids]]
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 where there is none.
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 for points without ground.
 
-        A ground that knows no formula is asked by rays from above.
+        A subclass may override this with a formula. Otherwise the height is measured by rays from above.
         """
         return self._probe.height_at(xy)
 
     def model_alone(self) -> mujoco.MjModel:
-        """Return a model of the ground and nothing else."""
+        """Return a model that contains only the ground."""
         return self._probe.model()
 
     @property
     def has_formula(self) -> bool:
-        """Whether ``height_at`` is a formula, and costs less than rays."""
+        """Whether ``height_at`` is a formula, which is cheaper than rays."""
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a curriculum has changed; nothing for a ground that stays as it is."""
+        """Return the levels, which a curriculum changes; empty without tiles."""
         return {} if self.terrain_origins is None else {"terrain_levels": self.terrain_levels.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -227,8 +227,8 @@ def is_ground(name: str) -> bool:
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
     """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
 
-    Layout as in Isaac Lab: ``rows = ceil(N / floor(sqrt(N)))``, x falls with the row, y grows with the column
-    mirrored about the centre.
+    Layout as in Isaac Lab: ``rows = ceil(N / floor(sqrt(N)))``, x decreases with the row, y increases with the column,
+    and the grid is centred.
     """
     rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
     cols = math.ceil(num_envs / rows)

@@ -1,4 +1,4 @@
-"""A ground from a user's file: an image or array of heights, or a mesh."""
+"""Grounds from a user's file: an image or an array of heights, or a mesh."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LARGEST = 1 << 28  # numbers in a file
 
 
 class _FromFile(TerrainBase):
-    """What grounds out of a file have in common."""
+    """Base class of grounds from a file."""
 
     def __init__(
         self,
@@ -44,12 +44,13 @@ class _FromFile(TerrainBase):
         self._wanted = dict(flat_patches or {})
 
     def read_files(self, folder: Path) -> None:
-        """Read the file: the heights of the corners of cells, the middle, and the edges."""
+        """Read the file: heights at the corners of cells, centre, and edges."""
         file = folder / FOLDER / self.file
         kind, known = file.suffix.lower(), self._kinds()
         if kind not in known:
             expected, nearest = "a file that ends in " + " or ".join(known), nearest_name(kind, known)
-            raise ConfigError(f"'{self.file}' is no such ground", key=self._key, expected=expected, nearest=nearest)
+            message = f"'{self.file}' is not a file of a ground"
+            raise ConfigError(message, key=self._key, expected=expected, nearest=nearest)
         heights, self._centre, self._edges = known[kind](file)
         self._tile = Tile(heights.astype(np.float32), boxes=False)
 
@@ -61,7 +62,7 @@ class _FromFile(TerrainBase):
         raise NotImplementedError
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Find where the environments begin, and the flat places."""
+        """Compute the origins of the environments, and find the flat patches."""
         self._map = HeightMap([self._tile], 1, self._edges, device)
         self._middle = torch.tensor(self._centre, device=device)
         super().place(num_envs, spacing, device, stream)
@@ -80,7 +81,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return the places of ``start`` in turn, m, (N, 3); each environment is a simulation of its own."""
+        """Return the positions of ``start`` in turn, m, (N, 3); environments cannot collide with each other."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]
@@ -91,23 +92,23 @@ class _FromFile(TerrainBase):
         add_tile(spec, GROUND, self.dynamic_friction, self._tile, self._centre, self._edges)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 beside it."""
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 outside."""
         return self._map.height_at(xy - self._middle.to(xy))
 
 
 class HeightField(_FromFile):
-    """Heights out of a file, around the world's origin: those of the corners of cells, straight between them.
+    """A height field from a file, centred on the world's origin: heights at the corners of cells, linear between them.
 
     Args:
-        file: a ``.npy``, whose first index goes with x and whose second with y, or a ``.png``, as a map: right is x,
-            up is y; relative to an asset folder.
+        file: a ``.npy`` file, whose first index is along x and whose second is along y, or a ``.png`` file, read as a
+            map (right is x, up is y); relative to an asset folder.
         size: edges along x and y, m.
-        height_range: heights of 0 and of 1 in the file, m (black and white in a picture); null takes its numbers as m.
+        height_range: heights of the values 0 and 1 (black and white in an image), m; null reads the values as metres.
         static_friction: the ground's coefficient at rest.
         dynamic_friction: the ground's coefficient in motion.
         restitution: the ground's coefficient of restitution.
-        start: where environments begin, in turn, (x, y), m.
-        flat_patches: places to be found, by name.
+        start: origins of the environments, in turn, (x, y), m.
+        flat_patches: the flat patches to find, by name.
     """
 
     def __init__(
@@ -132,7 +133,7 @@ class HeightField(_FromFile):
         try:
             mapped = np.load(file, mmap_mode="r", allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
-            raise ConfigError(f"'{self.file}' is no array", key=self._key, expected="a .npy file") from error
+            raise ConfigError(f"'{self.file}' is not an array", key=self._key, expected="a .npy file") from error
         return self._scaled(mapped)
 
     def _png(self, file: Path) -> Read:
@@ -140,8 +141,8 @@ class HeightField(_FromFile):
 
         try:
             picture = imread(file)
-        except Exception as error:  # of many kinds, by what is wrong with it
-            raise ConfigError(f"'{self.file}' is no picture", key=self._key, expected="a .png file") from error
+        except Exception as error:  # matplotlib raises many kinds of errors
+            raise ConfigError(f"'{self.file}' is not an image", key=self._key, expected="a .png file") from error
         grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
         return self._scaled(grey[::-1].T)
 
@@ -149,7 +150,7 @@ class HeightField(_FromFile):
         good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
         if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
             raise ConfigError(
-                f"'{self.file}' holds {' x '.join(map(str, values.shape))} values of type {values.dtype}",
+                f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}",
                 key=self._key,
                 expected="two or more rows and columns of finite numbers",
             )
@@ -160,19 +161,19 @@ class HeightField(_FromFile):
 
 
 class Mesh(_FromFile):
-    """A mesh, at its own place, as it is seen from above: a height field of the points that rays from above meet.
+    """A mesh in world coordinates, converted to a height field by rays from above.
 
-    Where the mesh has a hole, the ground is as deep as its lowest point; what lies below an overhang is not there.
+    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces below an overhang are lost.
 
     Args:
-        file: a ``.obj`` or ``.stl``, in the world's axes; relative to an asset folder.
+        file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.
         horizontal_scale: edge of a cell, m.
         static_friction: the ground's coefficient at rest.
         dynamic_friction: the ground's coefficient in motion.
         restitution: the ground's coefficient of restitution.
-        scale: m of a unit of the file.
-        start: where environments begin, in turn, (x, y), m.
-        flat_patches: places to be found, by name.
+        scale: length of one unit of the file, m.
+        start: origins of the environments, in turn, (x, y), m.
+        flat_patches: the flat patches to find, by name.
     """
 
     def __init__(
@@ -205,7 +206,7 @@ class Mesh(_FromFile):
             model = spec.compile()
         except ValueError as error:
             reason = " ".join(str(error).split())
-            raise ConfigError(f"'{self.file}' is no mesh: {reason}", key=self._key, expected="a mesh") from error
+            raise ConfigError(f"'{self.file}' is not a mesh: {reason}", key=self._key, expected="a mesh") from error
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom_quat[0])
         corners = model.mesh_vert @ turned.reshape(3, 3).T + model.geom_pos[0]
@@ -216,10 +217,11 @@ class Mesh(_FromFile):
         require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
         x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        probe, inset = Probe(add_to), 1e-6 * edges  # a ray along an edge may meet nothing: two, a little beside a point
+        # A ray exactly along an edge of the mesh may miss it: cast two rays, slightly to either side of each point.
+        probe, inset = Probe(add_to), 1e-6 * edges
         near = [
             (points + side * inset * (0.6, 0.4)).clip(low[:2] + inset / 3, high[:2] - inset / 3) for side in (-1, 1)
         ]
-        found = np.max([probe.height_at(torch.from_numpy(p), beside=float(low[2])).numpy() for p in near], axis=0)
+        found = np.max([probe.height_at(torch.from_numpy(p), outside=float(low[2])).numpy() for p in near], axis=0)
         middle = (low + high) / 2
         return found, (float(middle[0]), float(middle[1])), (float(edges[0]), float(edges[1]))
