@@ -236,7 +236,7 @@ def test_travel_is_seen_and_rewarded(make_env):
 def test_a_command_that_sums_up_nothing_is_named(make_env):
     plain = {"_target_": C + "UniformVelocityCommand", "resampling_time_range": [9.0, 9.0], "ranges": {}}
     seen = {"_target_": "wheelleg_exp.mdp.observations.travel_error", "command_name": "c"}
-    with pytest.raises(ConfigError, match="does not sum up its error"):
+    with pytest.raises(ConfigError, match="does not integrate its error"):
         make_env(commands={"c": plain}, observations={"policy": {"terms": {"t": seen}}})
 
 

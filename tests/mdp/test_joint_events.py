@@ -216,7 +216,7 @@ def test_defaults_are_clamped_to_the_limits_and_resets_begin_there(wheel):
     ],
 )
 def test_limits_that_could_pass_each_other_are_refused(make_env, ranges):
-    with pytest.raises(ConfigError, match="could pass an upper one") as caught:
+    with pytest.raises(ConfigError, match="could exceed an upper limit") as caught:
         make_env(events={"l": event("randomize_joint_parameters", **ranges)})
     assert caught.value.key == "env.events.l"
 

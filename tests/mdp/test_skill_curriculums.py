@@ -222,8 +222,8 @@ def test_what_it_was_is_saved_and_goes_on(world):
     ("limits", "std", "said"),
     [
         ({"lin_vel_z": [-1.0, 1.0]}, {}, "has no range 'lin_vel_z'"),
-        ({"lin_vel_x": [-0.1, 0.3]}, {"lin_vel_x": 0.1}, "lies beyond"),
-        ({"lin_vel_x": [-0.3, 0.1]}, {"lin_vel_x": 0.1}, "lies beyond"),
+        ({"lin_vel_x": [-0.1, 0.3]}, {"lin_vel_x": 0.1}, "is beyond"),
+        ({"lin_vel_x": [-0.3, 0.1]}, {"lin_vel_x": 0.1}, "is beyond"),
         ({"lin_vel_x": [-1.0, 1.0]}, {}, "std.lin_vel_x"),
     ],
 )

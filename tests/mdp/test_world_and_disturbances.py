@@ -257,7 +257,7 @@ def test_episodes_begin_over_flat_places_of_their_tile(make_env):
 
 def test_a_ground_without_flat_places_is_refused(make_env):
     node = event("reset_root_state_from_terrain", "reset", pose_range={}, velocity_range={})
-    with pytest.raises(ConfigError, match="no flat places"):
+    with pytest.raises(ConfigError, match="no flat patches"):
         make_env(events={"t": node})
 
 

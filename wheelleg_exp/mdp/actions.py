@@ -17,32 +17,16 @@ from wheelleg_exp.managers import ActionTerm, Env, member
 from wheelleg_exp.sim.ids import narrowed
 from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 
-__all__ = [
-    "AbsBinaryJointPositionAction",
-    "BinaryJointAction",
-    "BinaryJointPositionAction",
-    "BinaryJointVelocityAction",
-    "EMAJointPositionToLimitsAction",
-    "JointAction",
-    "JointEffortAction",
-    "JointPositionAction",
-    "JointPositionToLimitsAction",
-    "JointTerm",
-    "JointVelocityAction",
-    "RelativeJointPositionAction",
-]
-
 
 class JointTerm(ActionTerm):
-    """An action on joints: what all of them have.
+    """Base class of actions on joints.
 
     Args:
-        env: the environment.
         joint_names: expressions of the driven joints.
         clip: bounds of the processed action by joint expression, [low, high].
         preserve_order: order of the expressions (True) or of the robot (False).
         asset_name: the member of the scene that has the joints.
-        width: components of the action; None is one a joint.
+        width: number of components of the action; None means one per joint.
     """
 
     settings: ClassVar[tuple[str, ...]] = ("_ids", "_low", "_high")
@@ -68,7 +52,7 @@ class JointTerm(ActionTerm):
         self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
+        """Zero the raw actions of ``env_ids``; processed actions stay, as in Isaac Lab."""
         self.raw_actions.index_fill_(0, env_ids, 0.0)
 
     def _clip(self) -> None:
@@ -92,13 +76,8 @@ class JointAction(JointTerm):
     """An affine action on joints: ``processed = clip(raw * scale + offset)``.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: factor on the raw action; a number, or one by joint expression.
         offset: added after scaling; a number, or one by joint expression.
-        clip: bounds of the processed action by joint expression, [low, high].
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
     """
 
     settings = (*JointTerm.settings, "_scale", "_offset")
@@ -124,16 +103,16 @@ class JointAction(JointTerm):
         self._clip()
 
     def raw_for(self, processed: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions (N, action_dim) that become these processed ones, before any clip."""
+        """Return the raw actions (N, action_dim) whose processed actions are the given ones, without clipping."""
         return (processed - self._offset) / self._scale
 
 
 class _DefaultOffsetAction(JointAction):
-    """A joint action whose offset may be the joints' default, and whose targets stay until the next action."""
+    """A joint action whose offset can be the joints' default, and whose targets are constant in a control step."""
 
     @property
     def applies_once(self) -> bool:
-        """Whether it is one of this module's: a user's subclass may set others at each physics step."""
+        """Whether targets are set once per control step; a user-defined subclass may set them at each physics step."""
         return type(self).__module__ == __name__
 
     def __init__(
@@ -152,7 +131,7 @@ class _DefaultOffsetAction(JointAction):
             self._offset.copy_(self.default()[:, self._ids])
 
     def default(self) -> torch.Tensor:
-        """Return what ``use_default_offset`` takes, (N, J)."""
+        """Return the offset of ``use_default_offset``, (N, J)."""
         raise NotImplementedError
 
 
@@ -160,14 +139,10 @@ class JointPositionAction(_DefaultOffsetAction):
     """Position targets, rad.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: rad per unit of action.
         offset: rad; ignored with ``use_default_offset``.
         clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        use_default_offset: take the default joint positions as the offset.
-        asset_name: the member of the scene that has the joints.
+        use_default_offset: use the default joint positions as the offset.
     """
 
     drives = "position"
@@ -182,17 +157,13 @@ class JointPositionAction(_DefaultOffsetAction):
 
 
 class RelativeJointPositionAction(JointAction):
-    """Position targets relative to the present joint positions, which are read anew at each physics step.
+    """Position targets relative to the present joint positions, which are read at each physics step.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: rad per unit of action.
         offset: rad; ignored with ``use_zero_offset``.
         clip: bounds of the relative target by joint expression, rad.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        use_zero_offset: take no offset.
-        asset_name: the member of the scene that has the joints.
+        use_zero_offset: use no offset.
     """
 
     drives = "position"
@@ -219,17 +190,13 @@ class RelativeJointPositionAction(JointAction):
 
 
 class JointVelocityAction(_DefaultOffsetAction):
-    """Velocity targets, rad/s; beyond the actuator's velocity limit they are clipped to it.
+    """Velocity targets, rad/s, which are also clipped to the actuator's velocity limit.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: rad/s per unit of action.
         offset: rad/s; ignored with ``use_default_offset``.
         clip: bounds of the target by joint expression, rad/s. It bounds the target, not the raw action.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        use_default_offset: take the default joint velocities as the offset.
-        asset_name: the member of the scene that has the joints.
+        use_default_offset: use the default joint velocities as the offset.
     """
 
     drives = "velocity"
@@ -247,13 +214,9 @@ class JointEffortAction(JointAction):
     """Feed-forward efforts, N·m.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: N·m per unit of action.
         offset: N·m.
         clip: bounds of the effort by joint expression, N·m.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
     """
 
     drives = "effort"
@@ -264,22 +227,17 @@ class JointEffortAction(JointAction):
 
 
 class JointPositionToLimitsAction(JointTerm):
-    """Position targets: ``raw * scale``, clipped, and then [-1, 1] spread over the joints' soft limits.
+    """Position targets: ``raw * scale``, clipped, then mapped from [-1, 1] to the joints' soft limits.
 
-    Unlike Isaac Lab's, a term of all joints keeps the order of its expressions when asked to.
+    Unlike Isaac Lab's term, ``preserve_order`` also works for a term of all joints.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         scale: factor on the raw action; a number, or one by joint expression.
-        clip: bounds of the scaled action by joint expression, before it is spread.
-        rescale_to_limits: spread [-1, 1] over the soft limits, beyond which it is cut; else the scaled action is the
-            target, rad.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
+        clip: bounds of the scaled action by joint expression, before the mapping to limits.
+        rescale_to_limits: clamp to [-1, 1] and map to the soft limits; else the scaled action is the target, rad.
 
     Raises:
-        ConfigError: actions are to be spread over the limits of a joint that has none.
+        ConfigError: ``rescale_to_limits`` is true, and a joint has no limits.
     """
 
     drives = "position"
@@ -302,13 +260,13 @@ class JointPositionToLimitsAction(JointTerm):
             finite = torch.stack(self._limits()).isfinite().reshape(-1, self.action_dim).all(dim=0)
             free = [name for name, limited in zip(self.joint_names, finite.tolist(), strict=True) if not limited]
             raise ConfigError(
-                f"{', '.join(free)} has no limits to spread actions over",
+                f"{', '.join(free)} has no limits to map actions to",
                 key="joint_names",
                 expected="joints with limits, or rescale_to_limits: false",
             )
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, clip and spread raw actions (N, J)."""
+        """Scale, clip and map raw actions (N, J)."""
         self.raw_actions.copy_(actions)
         torch.mul(actions, self._scale, out=self.processed_actions)
         self._clip()
@@ -328,19 +286,12 @@ class JointPositionToLimitsAction(JointTerm):
 
 
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
-    """The same as a moving average: ``target = alpha * now + (1 - alpha) * last target``, within the soft limits.
+    """A moving average of ``JointPositionToLimitsAction``: ``target = alpha * new + (1 - alpha) * last``.
 
-    The last target of a new episode is the joints' position that it begins with.
+    Targets are clamped to the soft limits. The first average of an episode starts from the joints' positions.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
-        alpha: weight of the newest action, or one by joint expression; joints that no expression names have 1.
-        scale: factor on the raw action; a number, or one by joint expression.
-        clip: bounds of the scaled action by joint expression, before it is spread.
-        rescale_to_limits: spread [-1, 1] over the soft limits; else the scaled action is the target, rad.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
+        alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
     """
 
     settings = (*JointPositionToLimitsAction.settings, "_alpha")
@@ -361,29 +312,25 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
         self._last = torch.zeros_like(self.processed_actions)
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, clip, spread and average raw actions (N, J)."""
+        """Scale, clip, map and average raw actions (N, J)."""
         super().process_actions(actions)
         average = torch.lerp(self._last, self.processed_actions, self._alpha)
         torch.clamp(average, *self._limits(), out=self.processed_actions)
         self._last.copy_(self.processed_actions)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Begin the average of ``env_ids`` at their joints' positions."""
+        """Start the average of ``env_ids`` from their joints' positions."""
         super().reset(env_ids)
         self._last[env_ids] = self._robot.data.joint_pos_measured[env_ids][:, self._ids]
 
 
 class BinaryJointAction(JointTerm):
-    """One number for all joints: below 0 they close, else they open.
+    """One number for all joints: below 0 they close, otherwise they open.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         open_command_expr: target of each joint when open, by joint expression.
         close_command_expr: target of each joint when closed, by joint expression.
         clip: bounds of the targets by joint expression.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
 
     Raises:
         ConfigError: a joint lacks one of its two targets.
@@ -406,7 +353,7 @@ class BinaryJointAction(JointTerm):
         self._close = self._command(close_command_expr, "close_command_expr")
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Choose the targets by raw actions (N, 1)."""
+        """Select the targets by raw actions (N, 1)."""
         self.raw_actions.copy_(actions)
         torch.where(self.opens(actions), self._open, self._close, out=self.processed_actions)
         self._clip()
@@ -422,7 +369,7 @@ class BinaryJointAction(JointTerm):
 
 
 class BinaryJointPositionAction(BinaryJointAction):
-    """One of two position targets, rad: below 0 the joints close, else they open."""
+    """One of two position targets, rad: below 0 the joints close, otherwise they open."""
 
     drives = "position"
 
@@ -432,7 +379,7 @@ class BinaryJointPositionAction(BinaryJointAction):
 
 
 class BinaryJointVelocityAction(BinaryJointAction):
-    """One of two velocity targets, rad/s: below 0 the joints close, else they open."""
+    """One of two velocity targets, rad/s: below 0 the joints close, otherwise they open."""
 
     drives = "velocity"
 
@@ -442,18 +389,14 @@ class BinaryJointVelocityAction(BinaryJointAction):
 
 
 class AbsBinaryJointPositionAction(BinaryJointPositionAction):
-    """One of two position targets, rad, by a threshold.
+    """One of two position targets, rad, selected by a threshold.
 
     Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
         open_command_expr: target of each joint when open, rad, by joint expression.
         close_command_expr: target of each joint when closed, rad, by joint expression.
-        threshold: raw action at which the choice changes.
-        positive_threshold: whether it opens above the threshold (True) or below it (False).
+        threshold: raw action at which the selection changes.
+        positive_threshold: whether the joints open above the threshold (True) or below it (False).
         clip: bounds of the targets by joint expression, rad.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        asset_name: the member of the scene that has the joints.
     """
 
     def __init__(

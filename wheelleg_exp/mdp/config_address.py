@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# Of a manager's own settings those that it reads anew each time.
+# The settings of a manager that it reads at each use.
 _READ_ANEW = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -22,13 +22,13 @@ def parse(address: str) -> tuple[Part, ...]:
     """Split an address into names and indices: ``a.b[2].c`` is a, b, 2, c.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the text is not an address.
     """
     parts: list[Part] = []
     for text in address.split("."):
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
         if found is None:
-            raise ConfigError(f"'{address}' is no address", key=_KEY, expected="names and indices, as in a.b[2].c")
+            raise ConfigError(f"'{address}' is not an address", key=_KEY, expected="names and indices, as in a.b[2].c")
         parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
     return tuple(parts)
 
@@ -37,7 +37,7 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
     """Return the value at an address below ``root``.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the address does not exist.
     """
     for part in parts:
         root = _below(root, part)
@@ -45,15 +45,15 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address lies within a bound term, which saves what changes in it."""
+    """Return whether an address leads into a bound term, which saves its own changes."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
-    """Set the value at an address; a tuple around it is made anew, and a term object takes up its new arguments.
+    """Set the value at an address; tuples on the way are replaced, and term objects update their arguments.
 
     Raises:
-        ConfigError: there is none, or nothing that is set there would be read.
+        ConfigError: the address does not exist, or nothing reads a new value there.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -76,7 +76,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError where there is nothing at an address, or nothing that is set there would be read."""
+    """Raise ConfigError if an address does not exist, or if nothing reads a new value there."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -85,7 +85,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Isaac Lab's: there they are apart
+        if part in ("func", "params"):  # levels of an address in Isaac Lab, which terms here do not have
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -94,7 +94,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # the terms are its settings
+        return holder  # Isaac Lab's level ``cfg``: the terms are a manager's settings
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):
@@ -102,11 +102,11 @@ def _below(holder: Any, part: Part) -> Any:
 
 
 def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
-    """Return what holds a part of a bound term: its manager's settings, its parameters, or the term object itself."""
+    """Return the owner of a part of a bound term: its manager's settings, its parameters, or the term object."""
     if part in term.fields:
         if to_write and part not in _READ_ANEW:
             raise ConfigError(
-                f"'{part}' of '{term.name}' is read once, when the environment is made",
+                f"'{part}' of '{term.name}' is read only once, when the environment is created",
                 key=_KEY,
                 expected="a parameter, or one of " + ", ".join(_READ_ANEW),
             )

@@ -16,22 +16,10 @@ from wheelleg_exp.mdp.config_address import Part, look_up, parse, passes_a_term,
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.terms.term_binding import resolve_target
 
-__all__ = [
-    "ang_vel_cmd_levels",
-    "command_levels_by_skill",
-    "command_range_levels",
-    "lin_vel_cmd_levels",
-    "modify_env_param",
-    "modify_reward_weight",
-    "modify_term_cfg",
-    "terrain_levels_by_distance",
-    "terrain_levels_vel",
-]
-
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
-    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); returns the present weight."""
-    del env_ids  # the step counter is everybody's
+    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); return the present weight."""
+    del env_ids  # all environments share the step counter and the weight
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -50,17 +38,16 @@ _MANAGERS = {
 
 
 class modify_env_param(TermBase):
-    """Let a function change whatever stands at an address below the environment; a number is returned, and logged.
+    """Call a function that changes the value at an address below the environment; log the value if it is a number.
 
-    The address is dotted, with ``[i]`` for lists: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``. What
-    it changes is saved and restored with the environment.
+    The address is dotted, with ``[i]`` for lists: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``. The
+    changed value is saved and restored with the environment.
 
     Args:
-        env: the environment.
-        address: where the value stands.
-        modify_fn: dotted name of the function, or a node that builds it. It is called with the environment, the ids of
-            the environments that reset, the present value and ``modify_params``, and returns the value from then on,
-            or ``modify_env_param.NO_CHANGE``. ``wheelleg_exp.mdp.schedules`` has some.
+        address: address of the value.
+        modify_fn: dotted name of the function, or a node that builds it. Its arguments are the environment, the ids of
+            the environments that reset, the present value and ``modify_params``. It returns the new value, or
+            ``modify_env_param.NO_CHANGE``. ``wheelleg_exp.mdp.schedules`` has such functions.
         modify_params: further arguments of the function, by name.
     """
 
@@ -79,7 +66,7 @@ class modify_env_param(TermBase):
         self._params = dict(modify_params or {})
         _require_arguments(self._modify, env, self._params)
         require_writable(env, self._parts)
-        # Within a term it is saved there.
+        # A value inside a term is saved by that term.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -89,18 +76,18 @@ class modify_env_param(TermBase):
         return parse(address)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
-        """Ask the function, and write what it returns."""
+        """Call the function, and write its result."""
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # What belongs to the parameters stays theirs: two owners of one list could not be made again.
+            # Copy a value that may belong to modify_params: a list with two owners could not be restored.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
         return float(present) if isinstance(present, (int, float)) else None
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what has been written where nobody else saves it."""
+        """Return the written value, unless a term saves it."""
         saves = self._has_written and not self._is_saved
         self._value = copy.deepcopy(look_up(self._env, self._parts)) if saves else None
         return super().state_dict()
@@ -113,10 +100,10 @@ class modify_env_param(TermBase):
 
 
 class modify_term_cfg(modify_env_param):
-    """Let a function change a setting of a term; see ``modify_env_param``.
+    """Call a function that changes a setting of a term; see ``modify_env_param``.
 
-    The address begins with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. Parameters may stand below ``params``, as in Isaac Lab.
+    The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
+    ``observations.policy.base_ang_vel.noise.n_max``. It may contain Isaac Lab's level ``params``.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
@@ -124,7 +111,7 @@ class modify_term_cfg(modify_env_param):
         section, *rest = parse(address)
         if section not in _MANAGERS:
             raise ConfigError(
-                f"'{section}' is no section of terms",
+                f"'{section}' is not a section of terms",
                 key="address",
                 expected="one of " + ", ".join(_MANAGERS),
                 nearest=nearest_name(str(section), _MANAGERS),
@@ -153,10 +140,11 @@ _ROBOT = SceneEntityCfg("robot")
 def terrain_levels_vel(
     env: Env, env_ids: torch.Tensor, asset_cfg: SceneEntityCfg = _ROBOT, command_name: str = "base_velocity"
 ) -> torch.Tensor:
-    """Send robots to harder or easier tiles by how far they got in the episode that ends; returns the mean level.
+    """Move robots to harder or easier tiles by their distance in the episode that ends; return the mean level.
 
-    Up goes who is further from the tile's middle than half its edge along x; down who has not come half as far as the
-    last command would have taken it in a longest episode. On ground without tiles nothing moves.
+    A robot moves up if it is further from the tile's centre than half the tile's edge along x. It moves down if it has
+    covered less than half of the distance that its last command demands in a full-length episode. Ground without tiles
+    has no levels.
     """
     terrain = env.scene.terrain
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
@@ -169,20 +157,19 @@ def terrain_levels_vel(
 
 
 class command_range_levels(TermBase):
-    """Widen the ranges of a command each time that it has been followed well; returns the highs.
+    """Widen the ranges of a command each time that robots have followed it well; return the upper bounds.
 
-    Over the episodes that end, the tracking reward's sum is held against what a perfect robot would earn in a longest
-    episode, so that early falls count as well. Not more often than once in a longest episode the mean is looked at:
-    above ``threshold`` every range grows by ``step`` to both sides, up to ``limit_ranges``. Not in Isaac Lab's
-    library; others call it ``lin_vel_cmd_levels`` and ``ang_vel_cmd_levels``.
+    The sums of a tracking reward over finished episodes are compared with the sum of a perfect robot in a full-length
+    episode, so that early falls count. The mean is evaluated at most once per full episode length. If it is above
+    ``threshold``, every range grows by ``step`` on both sides, up to ``limit_ranges``. Not in Isaac Lab's library;
+    other projects call it ``lin_vel_cmd_levels`` and ``ang_vel_cmd_levels``.
 
     Args:
-        env: the environment.
-        reward_term_name: the reward for following, at most 1 before its weight.
-        limit_ranges: [low, high] that each axis grows to; other axes stay as they are.
+        reward_term_name: the tracking reward, at most 1 before its weight.
+        limit_ranges: final [low, high] of each axis; axes that are missing do not change.
         command_name: the command.
-        step: growth to each side, in the axis' unit.
-        threshold: share of the perfect reward.
+        step: growth on each side, in the axis' unit.
+        threshold: share of the perfect robot's reward.
     """
 
     def __init__(
@@ -201,11 +188,11 @@ class command_range_levels(TermBase):
         self._count = 0
         self._looked_at = 0
         env.reward_manager.episode_sums(reward_term_name)
-        for error in self._strangers(env):
+        for error in self._mistakes(env):
             raise error
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
-        """Add the episodes that end, and widen the ranges when it is time."""
+        """Add the episodes that end, and widen the ranges if the evaluation is due and passes."""
         self._sum += env.reward_manager.episode_sums(self._reward)[env_ids].sum()
         self._count += len(env_ids)
         ranges = self._ranges(env)
@@ -223,8 +210,8 @@ class command_range_levels(TermBase):
         ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
         return ranges
 
-    def _strangers(self, env: Env) -> Iterator[ConfigError]:
-        """Yield the axes that the command has no range for, or one that does not lie within the limit."""
+    def _mistakes(self, env: Env) -> Iterator[ConfigError]:
+        """Yield an error for each axis that has no range in the command, or a range beyond its limit."""
         ranges = self._ranges(env)
         for axis, (lowest, highest) in self._limits.items():
             key, pair = f"limit_ranges.{axis}", ranges.get(axis)
@@ -238,9 +225,7 @@ class command_range_levels(TermBase):
                 )
             elif pair[0] < lowest or pair[1] > highest:
                 first = f"{list(pair)} of '{self._command}'"
-                yield ConfigError(
-                    f"{first} lies beyond {[lowest, highest]}", key=key, expected=f"a range around {first}"
-                )
+                yield ConfigError(f"{first} is beyond {[lowest, highest]}", key=key, expected=f"a range around {first}")
 
 
 lin_vel_cmd_levels = command_range_levels
@@ -251,27 +236,26 @@ _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # of a velocity command, in its
 
 
 class command_levels_by_skill(TermBase):
-    """Widen the ranges of a velocity command where it is followed with skill; returns highs and skills.
+    """Widen the ranges of a velocity command on the axes that robots follow with skill; return upper bounds and skills.
 
-    Each axis is judged by itself, over at least ``min_episodes`` episodes that have ended, on the steps alone in which
-    it is told to move: S = (score - still) / (1 - still), with score the mean of exp(-e²/std²) for the error e, and
-    still the same for a robot that never moves, mean of exp(-c²/std²) for the command c. S is 0 for standing still and
-    1 for perfect tracking, whatever the ranges and std are. An episode that ends by a failure counts as long as a
-    longest one, and scores nothing in its rest. After ``passes`` judgements in a row with S >= ``threshold`` the range
-    grows by ``step`` to both sides; episodes that began before count no more. An axis whose range is not at its
-    limit and has not grown in ``patience`` judgements is stuck: ``<axis>_stuck`` is 1, and training warns.
+    Each axis is evaluated separately over at least ``min_episodes`` finished episodes, using only steps with a command
+    on that axis. The skill is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e,
+    and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. S is 0 for standing
+    still and 1 for perfect tracking, for any ranges and std. A failed episode counts as a full-length episode that
+    scores nothing after the failure. After ``passes`` evaluations in a row with S >= ``threshold`` the range grows by
+    ``step`` on both sides, and episodes that started earlier no longer count. If a range below its limit has not grown
+    in ``patience`` evaluations, ``<axis>_stuck`` is 1, and training warns.
 
     Args:
-        env: the environment.
-        limit_ranges: [low, high] that each axis grows to; other axes stay as they are.
-        std: by axis, m/s or rad/s: error that leaves 1/e of the score.
-        step: by axis, growth to each side, m/s or rad/s.
+        limit_ranges: final [low, high] of each axis; axes that are missing do not change.
+        std: by axis, m/s or rad/s: error at which the score is 1/e.
+        step: by axis, growth on each side, m/s or rad/s.
         command_name: the command: v_x, v_y, w_z.
-        threshold: skill from which on a judgement is passed.
-        min_episodes: fewest episodes of a judgement.
-        passes: judgements in a row that must be passed.
-        patience: judgements without growth after which an axis is stuck.
-        command_threshold: m/s or rad/s, up to which an axis is not told to move.
+        threshold: smallest skill that passes an evaluation.
+        min_episodes: smallest number of episodes in an evaluation.
+        passes: number of passed evaluations in a row before a range grows.
+        patience: number of evaluations without growth after which an axis is stuck.
+        command_threshold: m/s or rad/s; smaller commands do not count.
         asset_cfg: the robot.
     """
 
@@ -310,25 +294,25 @@ class command_levels_by_skill(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add this step to the present episodes."""
+        """Add this step to the sums of the present episodes."""
         data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)
         velocity = torch.cat((data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2:]), dim=1)
         for row, (column, variance) in enumerate(zip(self._columns, self._variances, strict=True)):
-            told = command[:, column]
-            moves = (told.abs() > self._moves_from).to(told.dtype)
-            self._sums[0, row] += moves * torch.exp(-(told - velocity[:, column]).square() / variance)
-            self._sums[1, row] += moves * torch.exp(-told.square() / variance)
+            wanted = command[:, column]
+            moves = (wanted.abs() > self._moves_from).to(wanted.dtype)
+            self._sums[0, row] += moves * torch.exp(-(wanted - velocity[:, column]).square() / variance)
+            self._sums[1, row] += moves * torch.exp(-wanted.square() / variance)
             self._sums[2, row] += moves
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
-        """Add the episodes that end, and judge when there are enough."""
+        """Add the episodes that end, and evaluate once there are enough."""
         length = env.episode_length_buf[env_ids]
         failed = env.termination_manager.terminated[env_ids] & (length > 0)
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # a failure scores nothing in what would have been left
+        sums[1:] *= rest  # a failed episode scores nothing in its missing steps
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -345,7 +329,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = self._ranges(env), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # nobody was told to move
+            if steps - still <= 0.0:  # no environment had a command on this axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -366,7 +350,7 @@ class command_levels_by_skill(TermBase):
         return ranges
 
     def _mistakes(self, env: Env, by_axis: Mapping[str, Mapping[str, float]]) -> Iterator[ConfigError]:
-        """Yield axes without a range, a std or a step, and ranges beyond their limits."""
+        """Yield an error for each axis without a range, std or step, and for each range beyond its limit."""
         ranges = self._ranges(env)
         known = [axis for axis in _AXES if axis in ranges]
         for axis, (lowest, highest) in self._limits.items():
@@ -377,7 +361,7 @@ class command_levels_by_skill(TermBase):
                 yield ConfigError(message, key=key, expected=expected, nearest=nearest_name(axis, known))
             elif ranges[axis][0] < lowest or ranges[axis][1] > highest:
                 first = f"{list(ranges[axis])} of '{self._command}'"
-                message = f"{first} lies beyond {[lowest, highest]}"
+                message = f"{first} is beyond {[lowest, highest]}"
                 yield ConfigError(message, key=key, expected=f"a range around {first}")
             for name, values in by_axis.items():
                 if axis not in values:
@@ -385,23 +369,21 @@ class command_levels_by_skill(TermBase):
 
 
 class terrain_levels_by_distance(TermBase):
-    """Send each robot to harder or easier tiles by the way that it came along its commands; returns the levels.
+    """Move each robot to harder or easier tiles by the distance that it covered along its commands; return the levels.
 
-    Of the episode that ends, the way along the commands (the velocity in level axes that turn with the robot, on the
-    command's direction, summed up) is divided by the way that was commanded. An episode that ends by a failure counts
-    as if what was commanded until then had been commanded to the end of a longest one. Up goes who reaches ``up``,
-    down who does not get beyond ``down``; who was not told to go ``min_distance`` stays, but for those that failed,
-    who go down. Whoever passes the hardest row goes on in a random one. On ground without tiles nothing moves.
-    ``stuck`` is 1 when the mean level has not risen for ``patience`` longest episodes and is below the
-    hardest row's half; training warns.
+    The covered distance of an episode is the integral of the velocity (level axes that turn with the robot) projected
+    on the command's direction. It is divided by the commanded distance. If an episode fails, the commanded distance is
+    extrapolated to a full-length episode. A robot moves up if the ratio reaches ``up``, and down if it is at most
+    ``down``. A robot with a commanded distance below ``min_distance`` stays, or moves down if it failed. Above the
+    hardest row a robot continues in a random row. Ground without tiles has no levels. ``stuck`` is 1, and training
+    warns, if the mean level is in the lower half and has not increased for ``patience`` full-length episodes.
 
     Args:
-        env: the environment.
         command_name: the command, whose first two components are a planar velocity, m/s.
-        up: share of the commanded way from which on a robot goes up.
-        down: share up to which it goes down.
-        min_distance: m, fewest that an episode must have commanded.
-        patience: longest episodes without a rise.
+        up: smallest share of the commanded distance with which a robot moves up.
+        down: largest share with which it moves down.
+        min_distance: m, shortest commanded distance of an episode that counts.
+        patience: full-length episodes without an increase of the mean level.
         asset_cfg: the robot.
     """
 
@@ -426,7 +408,7 @@ class terrain_levels_by_distance(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add this step to the present episodes."""
+        """Add this step to the sums of the present episodes."""
         data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)[:, :2]
         speed = torch.linalg.vector_norm(command, dim=1)
@@ -439,16 +421,16 @@ class terrain_levels_by_distance(TermBase):
         self._covered += torch.where(speed > 0.0, along, 0.0) * self._env.step_dt
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float | torch.Tensor]:
-        """Move the robots whose episodes end."""
+        """Move the robots whose episodes end to other tiles."""
         terrain = env.scene.terrain
         length = env.episode_length_buf[env_ids]
         lived = length > 0
         failed = env.termination_manager.terminated[env_ids] & lived
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0)
         commanded, covered = self._commanded[env_ids] * rest, self._covered[env_ids]
-        told = commanded >= self._least
-        up = lived & told & (covered >= self._up * commanded)
-        down = lived & torch.where(told, covered <= self._down * commanded, failed)
+        counts = commanded >= self._least
+        up = lived & counts & (covered >= self._up * commanded)
+        down = lived & torch.where(counts, covered <= self._down * commanded, failed)
         terrain.update_env_origins(env_ids, up, down)
         fill_rows(self._commanded, env_ids, 0.0)
         fill_rows(self._covered, env_ids, 0.0)

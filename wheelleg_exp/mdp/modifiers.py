@@ -13,7 +13,7 @@ from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
-    """A function of the observation, perhaps with a memory: its attributes, which are saved without its help."""
+    """A function of the observation, possibly with a memory; its attributes are saved automatically."""
 
     def start(self, sample: torch.Tensor) -> None:
         """Allocate the memory for observations of the sample's shape."""
@@ -23,7 +23,7 @@ class Modifier(Stateful):
         raise NotImplementedError
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the memory of ``env_ids``."""
+        """Clear the memory of ``env_ids``."""
 
 
 class Scale(Modifier):
@@ -59,7 +59,7 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
-# Isaac Lab's names of the three.
+# Isaac Lab's names for these three modifiers.
 scale, bias, clip = Scale, Bias, Clip
 
 
@@ -78,7 +78,7 @@ class DigitalFilter(Modifier):
         """Allocate past inputs and outputs, newest first."""
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # a tuple: tensors among the attributes are memory
+        self._coefficients = (feedback, forward)  # in a tuple, because tensor attributes are saved as memory
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
@@ -94,7 +94,7 @@ class DigitalFilter(Modifier):
         return filtered
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget past inputs and outputs."""
+        """Zero past inputs and outputs."""
         fill_rows(self._inputs, env_ids, 0.0)
         fill_rows(self._outputs, env_ids, 0.0)
 
@@ -115,7 +115,7 @@ class Integrator(Modifier):
         self._previous = torch.zeros_like(sample)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the integral up to now."""
+        """Return the integral."""
         self._integral += (value + self._previous) / 2 * self._dt
         self._previous.copy_(value)
         return self._integral.clone()

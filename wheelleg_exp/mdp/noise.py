@@ -1,4 +1,4 @@
-"""Noise on observations: constant, uniform and Gaussian, and a bias that is redrawn at each reset."""
+"""Noise on observations: constant, uniform and Gaussian noise, and a bias that is drawn at each reset."""
 
 from __future__ import annotations
 
@@ -77,18 +77,18 @@ def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
     operation = given["bias_noise_cfg"].get("operation", "add")
     if operation != "abs":
         message = f"the bias noise has operation '{operation}'"
-        yield Broken("bias_noise_cfg.operation", message, "abs, or the bias would add up over resets")
+        yield Broken("bias_noise_cfg.operation", message, "abs, because the bias would accumulate over resets")
 
 
 @relation(_bias_does_not_add_up)
 class NoiseModelWithAdditiveBias:
-    """Noise plus a bias that is drawn anew at each reset.
+    """Noise plus a bias that is drawn at each reset.
 
     Args:
         noise_cfg: the noise of every step.
-        bias_noise_cfg: what the bias is drawn from; its operation must be ``abs``, so that biases do not add up
+        bias_noise_cfg: the distribution of the bias; its operation must be ``abs``, so that biases do not accumulate
             over resets.
-        sample_bias_per_component: draw a bias for each component, else one for all components of an environment.
+        sample_bias_per_component: draw one bias for each component, else one for all components of an environment.
     """
 
     def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise, sample_bias_per_component: bool = True) -> None:
@@ -105,7 +105,7 @@ class NoiseModelWithAdditiveBias:
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
         """Draw new biases for ``env_ids``."""
-        if self._bias is not None:  # a new tensor, as this one may belong to inference mode
+        if self._bias is not None:  # assign a new tensor: the old one may have been created in inference mode
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
     def state_dict(self) -> dict[str, Any]:

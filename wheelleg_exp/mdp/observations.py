@@ -15,47 +15,6 @@ from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import picked
 
-__all__ = [
-    "base_ang_vel",
-    "base_height",
-    "base_lin_vel",
-    "base_pos_z",
-    "base_roll_pitch",
-    "body_air_time",
-    "body_contact_forces",
-    "body_contacts",
-    "body_pose_w",
-    "body_projected_gravity_b",
-    "current_time_s",
-    "gait_phase",
-    "generated_commands",
-    "height_scan",
-    "image",
-    "imu_ang_vel",
-    "imu_lin_acc",
-    "imu_orientation",
-    "imu_projected_gravity",
-    "joint_acc",
-    "joint_effort",
-    "joint_effort_commanded",
-    "joint_pos",
-    "joint_pos_limit_normalized",
-    "joint_pos_rel",
-    "joint_pos_sin_cos",
-    "joint_vel",
-    "joint_vel_rel",
-    "last_action",
-    "projected_gravity",
-    "remaining_time_s",
-    "root_ang_vel_w",
-    "root_lin_vel_w",
-    "root_link_lin_vel",
-    "root_pos_w",
-    "root_quat_w",
-    "travel_error",
-]
-
-
 _ROBOT = SceneEntityCfg("robot")
 
 
@@ -118,7 +77,7 @@ def root_ang_vel_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor
 
 
 def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
-    """Joint positions, rad: what the encoders read, or with ``measured: false`` where the joints are."""
+    """Joint positions, rad, as the encoders read them, or the true positions with ``measured: false``."""
     data = env.scene[asset_cfg.name].data
     return picked(data.joint_pos_measured if measured else data.joint_pos, asset_cfg.joint_ids)
 
@@ -133,7 +92,6 @@ class joint_pos_limit_normalized(TermBase):
     """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low).
 
     Args:
-        env: the environment.
         asset_cfg: the robot and its joints, each of them limited.
     """
 
@@ -143,7 +101,7 @@ class joint_pos_limit_normalized(TermBase):
         self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
         if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():
             raise ConfigError(
-                "a joint without limits cannot be normalised",
+                "the position of a joint without limits cannot be normalised",
                 key="asset_cfg.joint_names",
                 expected="limited joints",
             )
@@ -156,7 +114,7 @@ class joint_pos_limit_normalized(TermBase):
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sines, then cosines, of the joint positions: a bounded view of wheel angles."""
+    """Sines, then cosines, of the joint positions, which are bounded also for wheels."""
     angle = joint_pos(env, asset_cfg)
     return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
 
@@ -205,9 +163,9 @@ _CAMERA = SceneEntityCfg("tiled_camera")
 
 
 def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
-    """Height of a ray caster above where its rays hit, less ``offset``, m, (N, rays).
+    """Height of a ray caster above the hits of its rays, minus ``offset``, m, (N, rays).
 
-    A ray that hits nothing gives minus infinity: the observation needs a ``clip``.
+    A ray that misses gives minus infinity, so the observation needs a ``clip``.
     """
     data = env.scene[sensor_cfg.name].data
     return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
@@ -234,7 +192,7 @@ def imu_lin_acc(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
 
 
 def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
-    """Which bodies have exceeded ``threshold`` (N) within the contact sensor's history, 1 or 0; not in Isaac Lab."""
+    """1 for bodies whose contact force exceeded ``threshold`` (N) in the sensor's history, else 0; not in Isaac Lab."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).float()
 
@@ -245,7 +203,7 @@ def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
 
 
 def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """How long each body has been in the air, s, 0 in contact; not in Isaac Lab."""
+    """Time that each body has been in the air, s, 0 in contact; not in Isaac Lab."""
     return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
 
 
@@ -256,20 +214,20 @@ def image(
     convert_perspective_to_orthogonal: bool = False,
     normalize: bool = True,
 ) -> torch.Tensor:
-    """Picture of a camera, (N, height, width, channels).
+    """Image of a camera, (N, height, width, channels).
 
     Args:
         env: the environment.
         sensor_cfg: the camera.
-        data_type: which of its pictures: ``rgb``, ``depth``, ``distance_to_camera``, ...
-        convert_perspective_to_orthogonal: turn ``distance_to_camera`` into distances along the camera's axis.
-        normalize: colours from 0 to 1 less the mean of each channel in the picture; distances (m) that are infinite
-            become 0; normals from 0 to 1.
+        data_type: kind of the image: ``rgb``, ``depth``, ``distance_to_camera``, ...
+        convert_perspective_to_orthogonal: convert ``distance_to_camera`` to distances along the camera's axis.
+        normalize: scale colours to [0, 1] and subtract the mean of each channel; replace infinite distances (m) by 0;
+            scale normals to [0, 1].
     """
     data = env.scene[sensor_cfg.name].data
     if data_type not in data.output:
         raise ConfigError(
-            f"the sensor '{sensor_cfg.name}' takes no pictures of '{data_type}'",
+            f"the sensor '{sensor_cfg.name}' has no images of the type '{data_type}'",
             key="data_type",
             expected="one of " + ", ".join(data.output),
             nearest=nearest_name(data_type, data.output),
@@ -288,7 +246,7 @@ def image(
 
 
 def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
-    """Return the cosine between each pixel's ray and the axis, (N, height, width, 1), by the intrinsic matrices, px."""
+    """Return the cosine of the angle between each pixel's ray and the axis, (N, height, width, 1)."""
     height, width = picture.shape[1:3]
     column = torch.arange(width, device=picture.device).view(1, 1, width, 1)
     row = torch.arange(height, device=picture.device).view(1, height, 1, 1)
@@ -297,7 +255,7 @@ def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
 
 
 def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
-    """Raw action of the whole manager, or of one term; 0 after a reset."""
+    """Last raw action of all terms, or of one term; 0 after a reset."""
     if action_name is None:
         return env.action_manager.action
     return env.action_manager.get_term(action_name).raw_actions
@@ -309,11 +267,11 @@ def generated_commands(env: Env, command_name: str) -> torch.Tensor:
 
 
 def travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """How far the robot is ahead of its velocity command, m, and turned too far, rad. Not in Isaac Lab.
+    """Travelled minus commanded distance, m, and turned minus commanded angle, rad. Not in Isaac Lab.
 
     Args:
         env: the environment.
-        command_name: a command that keeps it, ``UniformVelocityTravelCommand``.
+        command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the errors.
 
     Returns:
         (N, 2).
@@ -322,12 +280,12 @@ def travel_error(env: Env, command_name: str) -> torch.Tensor:
 
 
 def current_time_s(env: Env) -> torch.Tensor:
-    """Time since the episode began, s."""
+    """Time since the start of the episode, s."""
     return env.episode_length_buf.unsqueeze(1) * env.step_dt
 
 
 def remaining_time_s(env: Env) -> torch.Tensor:
-    """Time until the episode's end, s."""
+    """Time until the end of the episode, s."""
     return env.max_episode_length_s - env.episode_length_buf.unsqueeze(1) * env.step_dt
 
 
@@ -336,8 +294,8 @@ def gait_phase(env: Env, period: Positive, offsets: Annotated[Sequence[float], N
 
     Args:
         env: the environment.
-        period: one cycle, s; t is the time since the episode began.
-        offsets: of each leg, say, as a share of the cycle.
+        period: duration of one cycle, s; t is the time since the start of the episode.
+        offsets: offsets as shares of the cycle, for example one for each leg.
 
     Returns:
         (N, 2 k) for k offsets.

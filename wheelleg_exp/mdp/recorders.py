@@ -1,4 +1,4 @@
-"""Recorders: what of each episode goes into the dataset of a run."""
+"""Recorder terms: the values of each episode that a run writes to its dataset."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wheelleg_exp.managers.recorder_manager import Noted
 
 
 class InitialStateRecorder(RecorderTerm):
-    """The state that an episode begins with (``initial_state``), a row; see ``PostStepStatesRecorder``."""
+    """The state at the start of an episode (``initial_state``), one row; see ``PostStepStatesRecorder``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Noted:
         """Return the state of ``env_ids`` after the reset events."""
@@ -36,17 +36,17 @@ class PreStepActionsRecorder(RecorderTerm):
     """The raw action of each control step (``actions``)."""
 
     def record_pre_step(self) -> Noted:
-        """Return the action that begins to act."""
+        """Return the new action."""
         return "actions", self._env.action_manager.action
 
 
 class PostStepProcessedActionsRecorder(RecorderTerm):
-    """The processed action of each control step (``processed_actions``), term after term, such as joint targets."""
+    """The processed action of each control step (``processed_actions``) of all terms in order."""
 
     reads_observations = False
 
     def record_post_step(self) -> Noted:
-        """Return the processed actions of all terms side by side."""
+        """Return the concatenated processed actions of all terms."""
         manager = self._env.action_manager
         return "processed_actions", torch.cat(
             [manager.get_term(name).processed_actions for name in manager.active_terms], dim=-1
@@ -54,10 +54,9 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
 
 
 class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
-    """The observation that led to each action (``obs``), with its noise, as the policy saw it.
+    """The observation that the policy received before each action (``obs``), including its noise.
 
     Args:
-        env: the environment.
         group: the observation group.
     """
 

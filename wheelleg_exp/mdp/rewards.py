@@ -12,58 +12,6 @@ from wheelleg_exp.mdp.ground import height_over_ground
 from wheelleg_exp.sim.ids import fill_rows, picked
 from wheelleg_exp.sim.names import match_names
 
-__all__ = [
-    "action_acceleration_l2",
-    "action_l2",
-    "action_rate_l2",
-    "air_time_variance",
-    "ang_vel_xy_l2",
-    "applied_torque_limits",
-    "base_height_exp",
-    "base_height_l2",
-    "base_height_over_ground_l2",
-    "body_lin_acc_l2",
-    "body_lin_acc_norm_sum",
-    "contact_forces",
-    "desired_contacts",
-    "feet_air_time",
-    "feet_air_time_positive_biped",
-    "feet_clearance_l2",
-    "feet_slide",
-    "feet_stumble",
-    "flat_orientation_exp",
-    "flat_orientation_l2",
-    "is_alive",
-    "is_terminated",
-    "is_terminated_term",
-    "joint_acc_l2",
-    "joint_deviation_l1",
-    "joint_pos_limits",
-    "joint_power",
-    "joint_symmetry_l1",
-    "joint_torques_l2",
-    "joint_vel_l1",
-    "joint_vel_l2",
-    "joint_vel_limits",
-    "joint_vel_rate_l2",
-    "lin_vel_z_l2",
-    "no_contact_count",
-    "no_desired_contact",
-    "pitch_orientation_l2",
-    "stand_still_joint_deviation_l1",
-    "track_ang_vel_z_exp",
-    "track_ang_vel_z_world_exp",
-    "track_base_height_exp",
-    "track_base_tilt_exp",
-    "track_lin_vel_xy_exp",
-    "track_lin_vel_xy_yaw_frame_exp",
-    "travel_error_l2",
-    "undesired_contacts",
-    "upward",
-    "wheel_slip",
-    "wheel_spin_in_air_l1",
-]
-
 
 def is_alive(env: Env) -> torch.Tensor:
     """1 unless the episode failed in this step; a time-out counts as alive."""
@@ -76,11 +24,10 @@ def is_terminated(env: Env) -> torch.Tensor:
 
 
 class is_terminated_term(TermBase):
-    """Number of the matching terminations that fired in this step, 0 on a time-out.
+    """Number of the matching terminations that fired in this step; 0 on a time-out.
 
     Args:
-        env: the environment.
-        term_keys: expressions of termination names; by default all.
+        term_keys: expressions of termination names; all by default.
     """
 
     def __init__(self, env: Env, term_keys: Names = ".*") -> None:
@@ -115,12 +62,12 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    Unlike a square it still tells one degree from two, and costs a robot that falls no more than its weight. As with
-    the square, one that hangs upside down counts as upright.
+    Unlike a squared error, its gradient does not vanish at small tilts, and a fallen robot loses at most the weight. As
+    with the squared error, an upside-down robot counts as upright.
 
     Args:
         env: the environment.
-        std: sine of the tilt that leaves 1/e of the reward.
+        std: sine of the tilt at which 1/e of the reward remains.
         asset_cfg: the robot.
     """
     return torch.exp(-flat_orientation_l2(env, asset_cfg) / std**2)
@@ -144,7 +91,7 @@ def base_height_l2(
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster the target counts from the mean height of its hits, so that one ray that misses makes the value
+    With a ray caster the target is relative to the mean height of its hits. One ray that misses makes the value
     infinite, as in Isaac Lab. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
@@ -162,12 +109,12 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
 def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
 
-    Unlike a square it still tells a millimetre from two.
+    Unlike a squared error, its gradient does not vanish at errors of millimetres.
 
     Args:
         env: the environment.
         target_height: m.
-        std: error that leaves 1/e of the reward, m.
+        std: error at which 1/e of the reward remains, m.
         asset_cfg: the robot.
     """
     height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
@@ -177,7 +124,7 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the norms of the bodies' linear accelerations, not squared, m/s^2.
 
-    Isaac Lab calls it ``body_lin_acc_l2``, which names a square.
+    Isaac Lab's name is ``body_lin_acc_l2``, although nothing is squared.
     """
     acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
@@ -207,7 +154,7 @@ def track_lin_vel_xy_yaw_frame_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
 
-    Unlike ``track_lin_vel_xy_exp`` it does not take a leaning robot's fall for speed.
+    Unlike ``track_lin_vel_xy_exp``, it does not count the vertical velocity of a leaning robot as forward speed.
     """
     data = env.scene[asset_cfg.name].data
     command, velocity, yaw = env.command_manager.get_command(command_name), data.root_lin_vel_w, data.heading_w
@@ -232,7 +179,7 @@ def track_base_height_exp(
 ) -> torch.Tensor:
     """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
 
-    The command's first component is the height, as ``UniformBasePoseCommand`` has it.
+    The command's first component is the height, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
@@ -242,7 +189,7 @@ def track_base_height_exp(
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The command is height, roll and pitch, as ``UniformBasePoseCommand`` has it.
+    The command is height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
     x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
@@ -252,12 +199,12 @@ def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: S
 
 
 def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0.0) -> torch.Tensor:
-    """Squared distance, m^2, from where the velocity command would have brought the robot. Not in Isaac Lab.
+    """Squared difference between travelled and commanded distance, m^2. Not in Isaac Lab.
 
     Args:
         env: the environment.
-        command_name: a command that keeps the error, ``UniformVelocityTravelCommand``.
-        heading_length: m that a radian of heading counts as.
+        command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the error.
+        heading_length: length that one radian of heading error counts as, m.
     """
     travel, heading = kept_travel_error(env, command_name).unbind(dim=1)
     return travel.square() + (heading_length * heading).square()
@@ -271,7 +218,7 @@ def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
     """Sum of |torque * velocity| over joints, W. Not in Isaac Lab.
 
-    With ``positive_only`` braking joints cost nothing: the sum of what the drives put in.
+    With ``positive_only`` only the power that drives put in counts, not the power of braking joints.
     """
     data = env.scene[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
@@ -296,10 +243,9 @@ def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 class joint_vel_rate_l2(TermBase):
     """Sum of squared changes of joint velocity over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab: wheels that turn smoothly. ``joint_acc_l2`` sees the last physics step alone.
+    Not in Isaac Lab. It rewards wheels that turn smoothly. ``joint_acc_l2`` uses only the last physics step.
 
     Args:
-        env: the environment.
         asset_cfg: the joints.
     """
 
@@ -317,7 +263,7 @@ class joint_vel_rate_l2(TermBase):
         return change.square().sum(dim=1)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the velocities of ``env_ids``."""
+        """Clear the last velocities of ``env_ids``."""
         fill_rows(self._has_last, env_ids, 0.0)
 
     def _velocity(self, env: Env) -> torch.Tensor:
@@ -346,7 +292,7 @@ def joint_symmetry_l1(
     """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
 
     The pairs are the joints of the two entities in order; give both the same ``preserve_order``. ``mirrored`` joints
-    turn in opposite senses on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
+    have opposite signs on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
     """
     left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
     right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
@@ -373,7 +319,7 @@ def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg =
 
 
 def applied_torque_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of |applied - computed| torque: what the effort limit cut off, N·m."""
+    """Sum of |applied - computed| torque: the part that the effort limit clipped, N·m."""
     data = env.scene[asset_cfg.name].data
     ids = asset_cfg.joint_ids
     return (picked(data.applied_torque, ids) - picked(data.computed_torque, ids)).abs().sum(dim=1)
@@ -392,10 +338,7 @@ def action_l2(env: Env) -> torch.Tensor:
 class action_acceleration_l2(TermBase):
     """Sum of squared second differences of the raw action, (a - 2 a_1 + a_2)^2. Not in Isaac Lab.
 
-    Before an episode's first action all are 0, as in ``action_rate_l2``.
-
-    Args:
-        env: the environment.
+    Actions before the first one of an episode count as 0, as in ``action_rate_l2``.
     """
 
     def __init__(self, env: Env) -> None:
@@ -409,7 +352,7 @@ class action_acceleration_l2(TermBase):
         return second_difference.square().sum(dim=1)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the actions of ``env_ids``."""
+        """Clear the stored actions of ``env_ids``."""
         fill_rows(self._before_last, env_ids, 0.0)
 
 
@@ -422,16 +365,16 @@ def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntity
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force stayed at or below ``threshold`` (N) within the sensor's history.
 
-    Not in Isaac Lab: the number of wheels in the air.
+    Not in Isaac Lab. It counts wheels in the air.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
 
 
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
-    """1 where none of the bodies exceeded ``threshold`` (N) within the sensor's history.
+    """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    Isaac Lab calls it ``desired_contacts``, which names the opposite.
+    Isaac Lab's name is ``desired_contacts``, which means the opposite.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
@@ -447,22 +390,22 @@ def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg)
 
 
 def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
-    """Raise ConfigError unless two tensors (N, k, ...) speak of as many things.
+    """Raise ConfigError unless two tensors (N, k, ...) have the same k.
 
     Args:
-        first: of the bodies of ``sensor_cfg``.
-        second: of what ``key`` names.
-        key: the key below the term's.
+        first: values of the bodies of ``sensor_cfg``.
+        second: values of the bodies or joints that ``key`` names.
+        key: the key below the term's key.
     """
     if first.shape[1] != second.shape[1]:
         raise ConfigError(
             f"{first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot",
             key=key,
-            expected="as many, in the same order as in sensor_cfg.body_names",
+            expected="the same number, in the order of sensor_cfg.body_names",
         )
 
 
-_WALKING = 0.1  # m/s: below, no step is asked for
+_WALKING = 0.1  # m/s: slower commands count as standing
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
@@ -470,9 +413,9 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
-    """Sum over feet that have just landed of how much longer than ``threshold`` (s) they flew, s.
+    """Sum over feet that have just landed of their air time minus ``threshold``, s.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
     """
     sensor = env.scene.contact_sensor(sensor_cfg.name)
     landed = picked(sensor.compute_first_contact(env.step_dt), sensor_cfg.body_ids)
@@ -483,9 +426,9 @@ def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, thres
 def feet_air_time_positive_biped(
     env: Env, command_name: str, threshold: NonNegative, sensor_cfg: SceneEntityCfg
 ) -> torch.Tensor:
-    """Shortest time, s, that all feet have been as they are, where exactly one stands; at most ``threshold``.
+    """Time since the last touchdown or lift-off of any foot, s, while exactly one foot stands; at most ``threshold``.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
     """
     data = env.scene.contact_sensor(sensor_cfg.name).data
     contact = picked(data.current_contact_time, sensor_cfg.body_ids)
@@ -504,7 +447,7 @@ def feet_slide(
         env: the environment.
         sensor_cfg: the feet of a contact sensor.
         asset_cfg: the same bodies of the robot, in the same order.
-        threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of a robot of 0.5 kg.
+        threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of the weight of a 0.5 kg robot.
     """
     touches = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) > threshold
     velocity = env.scene[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
@@ -513,9 +456,9 @@ def feet_slide(
 
 
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
-    """1 where some foot or wheel is pushed sideways more than ``ratio`` times as hard as upwards, else 0.
+    """1 where the horizontal contact force on some foot or wheel exceeds ``ratio`` times the vertical force, else 0.
 
-    Not in Isaac Lab: it runs into something steep.
+    Not in Isaac Lab. It penalises collisions with steep obstacles.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
@@ -523,7 +466,7 @@ def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) ->
 
 
 def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Sum over feet of (h - clearance)^2 times the horizontal speed, m^3/s: a moving foot is to be lifted.
+    """Sum over feet of (h - clearance)^2 times the horizontal speed, m^3/s: moving feet should be lifted.
 
     Not in Isaac Lab. h is the link's height above the ground straight below, m.
     """
@@ -534,25 +477,25 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 
 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
-    """Variance over feet of their last flights and of their last stances, each at most ``max_time`` (s), s^2.
+    """Variance over feet of the last air times plus that of the last contact times, each at most ``max_time`` (s), s^2.
 
-    Not in Isaac Lab's library: an even gait. The contact sensor has to track air times.
+    Not in Isaac Lab's library. It rewards an even gait. The contact sensor must track air times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
     return flights.clamp(max=max_time).var(dim=1) + stances.clamp(max=max_time).var(dim=1)
 
 
-_SMALLEST = 1e-6  # N: what a force is divided by at least
+_SMALLEST = 1e-6  # N: smallest divisor of a force
 
 
 def wheel_slip(
     env: Env, radius: Positive, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum over wheels on the ground of the speed at which their contact point slips, m/s; 0 for rolling.
+    """Sum over wheels on the ground of the slip speed at the contact point, m/s; 0 for rolling. Not in Isaac Lab.
 
-    With the normal n of the wheel's contact force the point that touches moves at v + w x (-r n), v and w the
-    velocity of the wheel's centre of mass and its angular velocity; what of it lies along the ground is slip.
+    The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
+    wheel's centre of mass, w its angular velocity. The component along the ground is the slip.
 
     Args:
         env: the environment.
@@ -575,13 +518,13 @@ def wheel_slip(
 def wheel_spin_in_air_l1(
     env: Env, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum of the speeds of the wheels that touch nothing, rad/s.
+    """Sum of the speeds of the wheels in the air, rad/s. Not in Isaac Lab.
 
     Args:
         env: the environment.
         sensor_cfg: the wheels of a contact sensor.
-        asset_cfg: their joints, in the same order.
-        threshold: force up to which a wheel touches nothing, N.
+        asset_cfg: the wheels' joints, in the same order.
+        threshold: force up to which a wheel is in the air, N.
     """
     flies = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) <= threshold
     speed = picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()

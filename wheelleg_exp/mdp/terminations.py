@@ -14,7 +14,7 @@ from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
-_ROUNDING = 1e-3  # of the effort limit: the engine computes a stiff drive's torque in its own precision
+_ROUNDING = 1e-3  # share of the effort limit: the engine computes a stiff drive's torque in another precision
 
 
 def time_out(env: Env) -> torch.Tensor:
@@ -31,7 +31,7 @@ def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> t
 def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """The root is tilted by more than ``limit_angle`` (rad) from upright.
 
-    Unlike Isaac Lab's, the argument of acos is clamped, so that upside down always terminates.
+    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always terminates.
     """
     upright = -env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]
     return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle
@@ -69,7 +69,7 @@ def terrain_out_of_bounds(
 def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """The root link is more than ``margin`` (m) beyond an edge of its environment's tile, on ground of another level.
 
-    Never on ground without tiles. Not in Isaac Lab, whose tiles are longer than the way of an episode.
+    Never on ground without tiles. Not in Isaac Lab, where a robot cannot leave its tile within an episode.
     """
     away = (env.scene[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
     size = env.scene.terrain.size
@@ -77,14 +77,13 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 
 
 class stuck(TermBase):
-    """The robot is told to drive, and has stayed within ``distance`` for ``time``. Not in Isaac Lab.
+    """The robot is commanded to drive, but has stayed within ``distance`` for ``time``. Not in Isaac Lab.
 
-    Both begin anew where the commanded planar velocity is not above ``command_threshold``.
+    Position and time start again while the commanded planar velocity is not above ``command_threshold``.
 
     Args:
-        env: the environment.
-        command_name: what tells it to drive.
-        distance: in the plane, m.
+        command_name: the velocity command.
+        distance: distance in the plane, m.
         time: s.
         command_threshold: m/s.
         asset_cfg: the robot.
@@ -110,13 +109,13 @@ class stuck(TermBase):
         position = env.scene[self._asset].data.root_pos_w[:, :2]
         speed = torch.linalg.vector_norm(env.command_manager.get_command(self._command)[:, :2], dim=1)
         left = torch.linalg.vector_norm(position - self._from, dim=1) > self._distance
-        anew = left | (speed <= self._threshold) | (self._stayed < 0)
-        self._stayed.add_(1).masked_fill_(anew, 0)
-        self._from.copy_(torch.where(anew.unsqueeze(1), position, self._from))
+        restarts = left | (speed <= self._threshold) | (self._stayed < 0)
+        self._stayed.add_(1).masked_fill_(restarts, 0)
+        self._from.copy_(torch.where(restarts.unsqueeze(1), position, self._from))
         return self._stayed >= self._steps
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Begin anew with ``env_ids``."""
+        """Restart the count of ``env_ids``."""
         fill_rows(self._stayed, env_ids, -1)
 
 
@@ -147,7 +146,7 @@ def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: S
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint's torque was clipped: by its effort limit, a motor's torque-speed line or a linkage's table."""
+    """Some joint's torque was clipped by its effort limit, a motor's torque-speed line, or a linkage's table."""
     data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
     limits = picked(data.joint_effort_limits, joints)
@@ -156,7 +155,7 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Some listed body's contact force exceeded ``threshold`` (N) within the sensor's history."""
+    """The contact force of some listed body exceeded ``threshold`` (N) within the sensor's history."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).any(dim=1)
 

@@ -1,13 +1,10 @@
-"""Command terms: what the robot is asked to do.
+"""Command terms: targets for the robot, such as velocities and poses.
 
 | module | what it offers |
 |---|---|
-| `velocity` | velocities in the base's axes, uniform or normal |
-| `travel` | velocities, and how far the robot is from where they would have brought it |
-| `pose` | places to go to, and poses of a body |
-| `base_pose` | height and tilt of the base |
-| `null` | no command |
-| `ranges` | ranges that a curriculum may change |
+| `velocity_commands` | velocities in the base's axes, uniform or normal, or with an integrated error |
+| `pose_commands` | positions to drive to, poses of a body, height and tilt of the base |
+| `command_ranges` | ranges that a curriculum can change, and the command without components |
 """
 
 from wheelleg_exp.mdp.commands.command_ranges import NullCommand

@@ -27,10 +27,10 @@ class _Ranges:
 
 @dataclass(frozen=True)
 class CommandSettings:
-    """What terms written for Isaac Lab read of ``command.cfg``.
+    """The part of ``command.cfg`` that terms written for Isaac Lab read.
 
     Attributes:
-        ranges: [low, high] by axis as attributes; one that is set holds from the next draw on.
+        ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
         resampling_time_range: shortest and longest time between two draws, s.
     """
 
@@ -42,35 +42,35 @@ class RangedCommand(CommandTerm):
     """A command that is drawn from a range for each axis.
 
     Attributes:
-        ranges: [low, high] by axis; one that is set anew holds from the next draw on.
+        ranges: [low, high] by axis; a range that is set applies from the next draw.
     """
 
     ranges: dict[str, Any]
 
     @property
     def cfg(self) -> CommandSettings:
-        """The settings by attribute, to read and, the ranges, to change."""
+        """The settings by attribute; ranges can be changed."""
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
-        """Draw from ranges by axis; an axis without one is 0.
+        """Set the ranges by axis; an axis without a range is 0.
 
         Raises:
-            ConfigError: an axis is unknown or a range is not two numbers in order.
+            ConfigError: an axis is unknown, or a range is not two ascending numbers.
         """
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # written to later, whoever makes it
-            self._bounds = self._present()  # a tuple: tensors among the attributes are state
+        with torch.inference_mode(False):  # the tensors are written to later, also outside of inference mode
+            self._bounds = self._present()  # a tuple, because tensor attributes are saved as state
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return lows and highs (k,) of the axes in order."""
+        """Return lower and upper bounds (k,) of the axes in order."""
         self.read_settings()
         return self._bounds
 
     def read_settings(self) -> None:
-        """Take up ranges that a curriculum has set, in the same memory."""
+        """Copy ranges that a curriculum has set to the bounds, in place, because CUDA graphs refer to them."""
         if self.ranges != self._taken:
             for mine, present in zip(self._bounds, self._present(), strict=True):
                 mine.copy_(present)
@@ -84,12 +84,7 @@ class RangedCommand(CommandTerm):
 
 
 class NullCommand(CommandTerm):
-    """Asks for nothing, where a command is expected: its command has no components.
-
-    Args:
-        env: the environment.
-        generator: the term's random stream, of which nothing is drawn.
-    """
+    """A command without components, for places that require a command."""
 
     def __init__(self, env: Env, generator: torch.Generator) -> None:
         super().__init__(env, (1.0, 1.0), (), generator)

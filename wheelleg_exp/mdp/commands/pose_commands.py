@@ -1,4 +1,4 @@
-"""Pose commands: a place to drive to, a pose for one body, and height and tilt of the base."""
+"""Pose commands: a position to drive to, a pose for one body, and height and tilt of the base."""
 
 from __future__ import annotations
 
@@ -24,18 +24,16 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_heading_has_a_range)
 class UniformPose2dCommand(RangedCommand):
-    """A place around the environment's origin and a heading there, in the base's yaw axes: (x, y, z) in m, rad.
+    """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The place is at the height of the robot's default state. The command is turned into the base's axes from the first
-    ``compute`` after a draw on. Its metrics are the last errors: distance in the plane, m, and heading, rad.
+    The position has the height of the robot's default state. The first ``compute`` after a draw converts the command to
+    the base's axes. The metrics are the last errors: distance in the plane, m, and heading, rad.
 
     Args:
-        env: the environment.
         ranges: ``pos_x`` and ``pos_y`` from the environment's origin (m), and ``heading`` in the world (rad).
         resampling_time_range: shortest and longest time between two draws, s.
-        simple_heading: look along the way to the place, forwards or backwards, whichever is nearer to the present
-            heading; else headings are drawn.
-        generator: the term's random stream.
+        simple_heading: use the direction to the position, or its opposite, whichever is closer to the present heading;
+            else headings are drawn.
         asset_name: the member of the scene that is commanded.
     """
 
@@ -61,34 +59,34 @@ class UniformPose2dCommand(RangedCommand):
 
     @property
     def command(self) -> torch.Tensor:
-        """The present command (N, 4): the way to the place in the base's yaw axes, m, and the turn left, rad."""
+        """The present command (N, 4): vector to the position in the base's yaw axes, m, and remaining turn, rad."""
         return self._command
 
     @property
     def pos_command_b(self) -> torch.Tensor:
-        """The way to the place in the base's yaw axes, m, (N, 3)."""
+        """Vector to the position in the base's yaw axes, m, (N, 3)."""
         return self._command[:, :3]
 
     @property
     def heading_command_b(self) -> torch.Tensor:
-        """The turn that is left, rad, (N,)."""
+        """The remaining turn, rad, (N,)."""
         return self._command[:, 3]
 
     def errors(self) -> torch.Tensor:
-        """Return the distance in the plane, m, and the size of the turn that is left, rad, (2, N)."""
+        """Return the distance in the plane, m, and the size of the remaining turn, rad, (2, N)."""
         data = self.robot.data
         distance = torch.linalg.vector_norm(self.pos_command_w[:, :2] - data.root_pos_w[:, :2], dim=1)
         return torch.stack((distance, rotation.wrap_to_pi(self.heading_command_w - data.heading_w).abs()))
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw places and headings."""
+        """Draw positions and headings."""
         drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
         self.pos_command_w[env_ids, 2] += self.robot.data.default_root_state[env_ids, 2]
         self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
 
     def post_process(self) -> None:
-        """Turn the place and the heading into the base's axes."""
+        """Convert the position and the heading to the base's axes."""
         data = self.robot.data
         x, y, z = (self.pos_command_w - data.root_pos_w).unbind(dim=1)
         cos, sin = data.heading_w.cos(), data.heading_w.sin()
@@ -96,13 +94,13 @@ class UniformPose2dCommand(RangedCommand):
         torch.stack((cos * x + sin * y, cos * y - sin * x, z, turn), dim=1, out=self._command)
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
-        """Return places on the ground (n, 3) from drawn offsets (n, 2), m."""
+        """Return positions on the ground (n, 3) from drawn offsets (n, 2), m."""
         places = self._env.scene.env_origins[env_ids]
         places[:, :2] += drawn
         return places
 
     def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """Return the direction to the place, or against it, that is nearer to the heading, rad, (n,)."""
+        """Return the direction to the position or its opposite, whichever is closer to the heading, rad, (n,)."""
         data = self.robot.data
         way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
         forth = torch.atan2(way[:, 1], way[:, 0])
@@ -112,18 +110,13 @@ class UniformPose2dCommand(RangedCommand):
 
 
 class TerrainBasedPose2dCommand(UniformPose2dCommand):
-    """As ``UniformPose2dCommand``, to one of the flat patches ``target`` of the environment's tile.
+    """As ``UniformPose2dCommand``, with one of the flat patches ``target`` of the environment's tile as the position.
 
     Args:
-        env: the environment.
-        resampling_time_range: shortest and longest time between two draws, s.
-        simple_heading: look along the way to the place; else headings are drawn.
-        generator: the term's random stream.
         ranges: ``heading`` in the world (rad).
-        asset_name: the member of the scene that is commanded.
 
     Raises:
-        ConfigError: the ground has no patches ``target``.
+        ConfigError: the ground has no flat patches ``target``.
     """
 
     def __init__(
@@ -157,14 +150,12 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
 class UniformPoseCommand(RangedCommand):
     """A pose of one body in the root link's frame: (x, y, z) in m and (w, x, y, z), uniform in ranges.
 
-    Its metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
+    The metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
 
     Args:
-        env: the environment.
         body_name: expression of the one body.
         ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), R = Rz(yaw) Ry(pitch) Rx(roll).
         resampling_time_range: shortest and longest time between two draws, s.
-        generator: the term's random stream.
         make_quat_unique: choose the quaternion whose w is not negative.
         asset_name: the member of the scene that has the body.
     """
@@ -204,7 +195,8 @@ class UniformPoseCommand(RangedCommand):
         distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
-        # Of the turn between them, cos(angle / 2) is the quaternions' dot product; the sine keeps small angles exact.
+        # cos(angle / 2) of the rotation between two orientations is their dot product. The sine is accurate for small
+        # angles.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
@@ -230,14 +222,11 @@ def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformBasePoseCommand(RangedCommand):
     """Height of the base above the ground, m, and its roll and pitch, rad, uniform in their ranges.
 
-    What legs with wheels can do while they drive; ``errors`` says how the three are measured, so that rewards can
-    track them.
+    ``measured`` returns the present values, which rewards can compare with the command.
 
     Args:
-        env: the environment.
-        ranges: ``height`` of the root link above the ground below it (m), ``roll`` and ``pitch`` (rad, 0 when absent).
+        ranges: ``height`` of the root link above the ground below it (m), ``roll`` and ``pitch`` (rad, 0 if missing).
         resampling_time_range: shortest and longest time between two draws, s.
-        generator: the term's random stream.
         asset_name: the member of the scene that is commanded.
     """
 

@@ -1,4 +1,4 @@
-"""Velocity commands: with or without a heading to turn to, and with an integrated travel error."""
+"""Velocity commands: uniform, normal, with a target heading, and with an integrated travel error."""
 
 from __future__ import annotations
 
@@ -29,18 +29,16 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
-    Standing environments get zero. With ``heading_command`` some environments follow a target heading instead,
-    by ``w_z = clip(k * wrap(target - heading))``. Both act from the first ``compute`` after a draw on, so the
-    observation right after ``reset`` shows the drawn values, as in Isaac Lab.
+    Standing environments get zero. With ``heading_command`` some environments follow a target heading instead:
+    ``w_z = clip(k * wrap(target - heading))``. Both are applied from the first ``compute`` after a draw, so the
+    observation right after ``reset`` contains the drawn values, as in Isaac Lab.
 
     Args:
-        env: the environment.
         ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
         resampling_time_range: shortest and longest time between two draws, s.
-        generator: the term's random stream.
         rel_standing_envs: share of draws that stand still.
         rel_heading_envs: share of draws that follow a heading.
-        heading_command: whether headings are drawn at all.
+        heading_command: whether headings are drawn.
         heading_control_stiffness: k, 1/s.
         asset_name: the member of the scene that is commanded.
     """
@@ -78,12 +76,12 @@ class UniformVelocityCommand(RangedCommand):
 
     @property
     def vel_command_b(self) -> torch.Tensor:
-        """The same, under Isaac Lab's name."""
+        """The present command (N, 3), under Isaac Lab's name."""
         return self._command
 
     @property
     def asked(self) -> torch.Tensor:
-        """What is asked for in the end (N, 3): the command itself, unless a class of this lets it get there slowly."""
+        """The target of the command (N, 3): the command itself, unless a subclass limits its acceleration."""
         return self._command
 
     def errors(self) -> torch.Tensor:
@@ -94,7 +92,7 @@ class UniformVelocityCommand(RangedCommand):
         return torch.stack((xy, yaw))
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw velocities, headings and who stands."""
+        """Draw velocities, headings and standing environments."""
         u = torch.rand(env_ids.shape[0], 6, generator=self._generator, device=self._command.device)
         low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
@@ -105,7 +103,7 @@ class UniformVelocityCommand(RangedCommand):
         self.is_standing_env.index_copy_(0, env_ids, u[:, 5] <= self._rel_standing)
 
     def post_process(self) -> None:
-        """Steer towards headings, then stop those that stand."""
+        """Steer towards headings, then zero the commands of standing environments."""
         if self._has_heading:
             error = wrap_to_pi(self.heading_target - self.robot.data.heading_w)
             low, high = self.bounds()
@@ -124,24 +122,19 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
         if name not in ranges:
             yield Broken(f"ranges.{name}", "is missing", "three numbers: v_x, v_y, w_z")
     if any(number < 0.0 for number in ranges.get("std_vel", ())):
-        yield Broken("ranges.std_vel", "a deviation is below 0", "three numbers of at least 0")
+        yield Broken("ranges.std_vel", "a standard deviation is below 0", "three numbers of at least 0")
     if not all(0.0 <= number <= 1.0 for number in ranges.get("zero_prob", ())):
-        yield Broken("ranges.zero_prob", "is no probability", "three numbers from 0 to 1")
+        yield Broken("ranges.zero_prob", "is not a probability", "three numbers from 0 to 1")
 
 
 @relation(_is_a_distribution)
 class NormalVelocityCommand(UniformVelocityCommand):
-    """Planar velocity in the base's axes: each component is +-N(mean, std), both signs alike, or 0 by a chance.
+    """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Zeros act from the first ``compute`` after a draw on. There are no headings.
+    Zeros are applied from the first ``compute`` after a draw. There are no headings.
 
     Args:
-        env: the environment.
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` of v_x, v_y (m/s) and w_z (rad/s).
-        resampling_time_range: shortest and longest time between two draws, s.
-        generator: the term's random stream.
-        rel_standing_envs: share of draws that stand still.
-        asset_name: the member of the scene that is commanded.
     """
 
     def __init__(
@@ -154,12 +147,12 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # A tuple: tensors among the attributes are state.
+        # In a tuple, because tensor attributes are saved as state.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw velocities, which components are zero, and who stands."""
+        """Draw velocities, zero components and standing environments."""
         device, mean, std, zero = self._command.device, *self._moments
         normal = torch.randn(env_ids.shape[0], 3, generator=self._generator, device=device)
         u = torch.rand(env_ids.shape[0], 7, generator=self._generator, device=device)
@@ -168,50 +161,41 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self.is_standing_env[env_ids] = u[:, 6] <= self._rel_standing
 
     def post_process(self) -> None:
-        """Stop those that stand, and the components that are zero."""
+        """Zero the commands of standing environments, and the zero components."""
         super().post_process()
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # part of a wheel's axis along the base's y, from which on it rolls forwards or backwards
+_ROLLS = 0.5  # smallest component of a wheel's axis along the base's y with which the wheel rolls along x
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):
-    """A uniform velocity command that also sums up what the robot has travelled too far or not far enough.
+    """A uniform velocity command that also integrates the robot's velocity error. Not in Isaac Lab.
 
-    A policy that sees velocities alone creeps at zero command, by whatever it misjudges of them; one that sees the
-    sum of its error can hold its place, as an integral controller does. The sum is of what a robot can measure:
-    its wheels' rates, which are its speed where they roll, and the yaw rate of its gyroscope. Not in Isaac Lab.
+    A policy that observes only velocities drifts at zero command because of measurement errors. A policy that observes
+    the integrated error can hold its position, like an integral controller. The error is computed from quantities that
+    a robot can measure: the rates of its wheels, assuming that they roll, and the yaw rate of its gyroscope.
 
-    A robot on two wheels must roll back before it can drive off, and one that is told to be fast at once falls. With
-    ``max_lin_acceleration`` and ``max_ang_acceleration`` the command goes towards what was drawn, from zero at a reset,
-    by no more than that; ``asked`` is where it goes.
+    A robot on two wheels must roll back before it can drive off, and falls if the command jumps to a high speed. With
+    ``max_lin_acceleration`` and ``max_ang_acceleration`` the command approaches the drawn target (``asked``) at a
+    limited rate, from zero at a reset.
 
     Args:
-        env: the environment.
-        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
-        resampling_time_range: shortest and longest time between two draws, s.
-        generator: the term's random stream.
-        wheel_cfg: joints of the wheels. Which way each has to turn to roll forwards follows from its axis in the
-            model, so that the wheels of mirrored halves add up as well.
-        wheel_radius: of the wheels, m.
-        max_travel_error: up to which travel is summed up, m: what is lost beyond it is not made good.
-        max_heading_error: the same for the heading, rad.
-        max_lin_acceleration: by which the commanded speed changes at most, m/s²; null lets it jump.
-        max_ang_acceleration: the same for the yaw rate, rad/s².
-        rel_standing_envs: share of draws that stand still.
-        rel_heading_envs: share of draws that follow a heading.
-        heading_command: whether headings are drawn at all.
-        heading_control_stiffness: k, 1/s.
-        asset_name: the member of the scene that is commanded.
+        wheel_cfg: joints of the wheels. The sign of rolling forwards is derived from each wheel's axis in the model,
+            so that mirrored wheels are averaged correctly.
+        wheel_radius: radius of the wheels, m.
+        max_travel_error: bound of the integrated distance, m; distance beyond it is forgotten.
+        max_heading_error: bound of the integrated angle, rad.
+        max_lin_acceleration: largest change of the commanded speed, m/s²; null means unlimited.
+        max_ang_acceleration: largest change of the commanded yaw rate, rad/s²; null means unlimited.
 
     Attributes:
-        max_acceleration: by which each component changes at most, m/s², m/s², rad/s²; None lets it jump.
-        travel_error: how far the robot has gone too far, m, and turned too far, rad, (N, 2).
-        wheel_signs: of each wheel, 1 where positive speed rolls it forwards, -1 where backwards.
+        max_acceleration: largest change of each component, m/s², m/s², rad/s²; None means unlimited.
+        travel_error: travelled minus commanded distance, m, and turned minus commanded angle, rad, (N, 2).
+        wheel_signs: for each wheel 1 if positive speed rolls forwards, else -1.
 
     Raises:
-        ConfigError: a wheel does not roll along the base's x.
+        ConfigError: a wheel does not roll along the base's x axis.
     """
 
     def __init__(
@@ -252,12 +236,12 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # Tuples: tensors among the attributes are state.
+        # In tuples, because tensor attributes are saved as state.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Add this step's error to the sum, then advance the command."""
+        """Integrate this step's error, then advance the command."""
         (signs,) = self._signs
         rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
         turned = self.robot.data.root_ang_vel_b[:, 2]
@@ -268,17 +252,17 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     @property
     def asked(self) -> torch.Tensor:
-        """Where the command goes (N, 3)."""
+        """The target that the command approaches (N, 3)."""
         return self._asked
 
     def post_process(self) -> None:
-        """Steer and stop as ever, and go towards it."""
+        """Update the target, and approach it with limited acceleration."""
         super().post_process()
         (most,) = self._fastest
         self._command.add_((self._asked - self._command).clamp_(-most, most))
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Begin the sum anew as well, and the command at rest."""
+        """Zero the integrated error, and start the command from zero."""
         fill_rows(self.travel_error, env_ids, 0.0)
         log = super().finish_episode(env_ids)
         (most,) = self._fastest
@@ -287,17 +271,17 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
 
 def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
-    """Return for each of a robot's wheels 1 where positive speed rolls it along the base's x, -1 where against it.
+    """Return for each wheel 1 if positive speed rolls it along the base's x axis, and -1 if against it.
 
-    A wheel that turns about an axis a rolls along a x up, which is forwards for the part of a along the base's y.
+    A wheel that turns about an axis a rolls along a x up. That is forwards for the component of a along the base's y.
 
     Args:
         model: the compiled model.
-        robot: the robot, in whose default pose the axes are looked at.
+        robot: the robot; the axes are evaluated in its default pose.
         joint_ids: the wheels, columns of ``robot.joint_names``.
 
     Raises:
-        ConfigError: a wheel rolls sideways, or is no hinge.
+        ConfigError: a wheel rolls sideways, or is not a hinge.
     """
     data = mujoco.MjData(model)
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
@@ -312,22 +296,22 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
             raise ConfigError(
                 f"joint '{joint.name}' does not roll the robot forwards or backwards",
                 key="wheel_cfg.joint_names",
-                expected="wheels, hinges whose axis lies along the base's y",
+                expected="wheels: hinges whose axis is along the base's y",
             )
         signs.append(math.copysign(1.0, along))
     return signs
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Return the travel error (N, 2), m and rad, of a command that keeps one.
+    """Return the integrated error (N, 2), m and rad, of a travel command.
 
     Raises:
-        ConfigError: the command keeps none.
+        ConfigError: the command does not integrate its error.
     """
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
         raise ConfigError(
-            f"the command '{command_name}' does not sum up its error",
+            f"the command '{command_name}' does not integrate its error",
             key="command_name",
             expected="a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand",
         )

@@ -1,13 +1,10 @@
-"""Event terms. Names and behaviour are Isaac Lab's; where its name misleads, an explicit one stands beside it.
+"""Event terms. Names and behaviour are Isaac Lab's; a term with a misleading name also has an explicit one.
 
 | module | what it changes |
 |---|---|
-| `shapes`, `bodies` | materials; masses, inertias and centres of mass |
-| `joints` | gains, friction, armatures, limits, encoders |
-| `world` | gravity |
+| `randomization` | materials, masses, inertias, centres of mass, joints, gravity |
 | `disturbances` | wrenches and pushes |
-| `resets` | where episodes begin |
-| `draws` | distributions and operations |
+| `resets` | the state at the start of episodes |
 """
 
 from wheelleg_exp.mdp.events.disturbances import (
@@ -43,10 +40,10 @@ from wheelleg_exp.mdp.events.resets import (
 ABSENT = {
     "randomize_rigid_body_scale": "Isaac Lab scales no articulation, and the robot is one",
     "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have no rest and contact offsets; an asset may "
-    "give them a margin and a gap",
+    "define a margin and a gap",
     "randomize_fixed_tendon_parameters": "a robot's tendons are not driven here",
-    "randomize_visual_texture_material": "a training draws no picture",
-    "randomize_visual_color": "a training draws no picture",
+    "randomize_visual_texture_material": "training renders no images",
+    "randomize_visual_color": "training renders no images",
     "reset_nodal_state_uniform": "there are no deformable bodies",
 }
 

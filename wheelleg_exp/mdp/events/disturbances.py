@@ -1,4 +1,4 @@
-"""Wrenches and pushes."""
+"""Event terms that disturb the robot: wrenches and pushes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def set_permanent_body_wrench(
 ) -> None:
     """Draw a force (N) and a torque (N·m) that act at the bodies' CoM in link axes until the next reset.
 
-    The same range holds for each axis. Isaac Lab calls it ``apply_external_force_torque``.
+    The range applies to each axis. Isaac Lab's name is ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
@@ -52,11 +52,9 @@ class push_by_adding_velocity(TermBase):
     """Add U(range) to the root's CoM velocity, in the axes of ``frame``. Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
-        env: the environment.
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        generator: the term's random stream.
         asset_cfg: the robot.
-        frame: ``world``, as Isaac Lab; ``yaw`` are level axes that turn with the robot: x forwards, y to the left.
+        frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
     """
 
     adds = True
@@ -94,24 +92,22 @@ push_by_setting_velocity = push_by_adding_velocity
 
 
 class set_root_velocity(push_by_adding_velocity):
-    """Set the root's CoM velocity to U(range), in the axes of ``frame``, whatever it was."""
+    """Set the root's CoM velocity to U(range), in the axes of ``frame``."""
 
     adds = False
 
 
 class apply_body_impulse(TermBase):
-    """Push bodies now and then with a force (N) and a torque (N·m) that last for some time; for mode ``step``.
+    """Push bodies from time to time with a constant force (N) and torque (N·m); for mode ``step``.
 
-    Force and torque act at the bodies' CoM in link axes, beside what else acts there. The same range holds for each
-    axis, and each body has its own draw. The first push of an episode comes after a pause; none outlasts its episode.
+    Force and torque act at the bodies' CoM in link axes, in addition to other wrenches. The ranges apply to each axis,
+    and each body has its own draw. The first push of an episode follows a pause. A reset ends a push.
 
     Args:
-        env: the environment.
         force_range: [low, high], N.
         torque_range: [low, high], N·m.
-        duration_s: [low, high], how long a push lasts, s.
-        pause_s: [low, high], from the end of one, or from the reset, to the next, s.
-        generator: the term's random stream.
+        duration_s: [low, high], duration of a push, s.
+        pause_s: [low, high], time from the end of a push, or from a reset, to the next push, s.
         asset_cfg: the robot and its bodies.
     """
 
@@ -137,7 +133,7 @@ class apply_body_impulse(TermBase):
         self._time_left = torch.zeros(env.num_envs, device=env.device)
         self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
-        self._robot.add_wrench(self._bodies, self._push)  # bodies that a wrench may act on are known from the start
+        self._robot.add_wrench(self._bodies, self._push)  # register the bodies before the first step is captured
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     def _draw(self, count: int) -> torch.Tensor:
@@ -145,13 +141,13 @@ class apply_body_impulse(TermBase):
         return self._lows + self._spans * u
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Begin the episodes of ``env_ids`` with a pause; the robot has forgotten what acted on it."""
+        """Start the episodes of ``env_ids`` with a pause; the robot's own reset clears its wrenches."""
         fill_rows(self._is_pushed, env_ids, False)
         fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Let a control step pass: end the pushes and pauses whose time is up, and begin what follows."""
+        """Advance one control step: end the pushes and pauses whose time is over, and start the next ones."""
         del env_ids
         self._time_left -= env.step_dt
         due = self._time_left < 1e-6

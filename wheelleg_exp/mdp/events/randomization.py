@@ -34,7 +34,7 @@ Number = float | torch.Tensor
 def draw(
     low: Number, high: Number, shape: Sequence[int], distribution: Distribution, generator: torch.Generator
 ) -> torch.Tensor:
-    """Return draws of ``shape``: uniform or log-uniform on [low, high], or Gaussian with mean low and std high."""
+    """Draw values of ``shape``: uniform or log-uniform on [low, high], or Gaussian with mean low and std high."""
     if distribution == "gaussian":
         return low + high * torch.randn(shape, generator=generator, device=generator.device)
     u = torch.rand(shape, generator=generator, device=generator.device)
@@ -56,13 +56,13 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 
 
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
-    """Return what was expected of a pair that does not fit what it is drawn by, as Isaac Lab validates it.
+    """Return the expectation for a pair that does not fit its distribution, or None; the rules are Isaac Lab's.
 
     Args:
-        pair: [low, high], or of a Gaussian [mean, standard deviation].
+        pair: [low, high], or for a Gaussian [mean, standard deviation].
         operation: ``add``, ``scale`` or ``abs``.
         distribution: the distribution.
-        least: what a scale's lower end must be: ``above 0``, ``at least 0``, or anything.
+        least: requirement for the lower bound of factors: ``above 0``, ``at least 0``, or empty.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -76,12 +76,12 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
 def ranges(
     above_0: Sequence[str] = (), at_least_0: Sequence[str] = (), free: Sequence[str] = ()
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
-    """Return the rule that holds pairs against operation and distribution.
+    """Return a rule that checks pairs against operation and distribution.
 
     Args:
         above_0: names of pairs whose factors must be above 0.
-        at_least_0: names of pairs whose factors must not be below 0.
-        free: names of pairs whose factors may be anything.
+        at_least_0: names of pairs whose factors must be at least 0.
+        free: names of pairs without such a requirement.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 
@@ -100,19 +100,17 @@ _ROBOT = SceneEntityCfg("robot")
 class randomize_rigid_body_material(TermBase):
     """Give each shape of each environment one of ``num_buckets`` materials, drawn once at construction.
 
-    PhysX averages the coefficients of the two touching shapes and MuJoCo takes the larger: the effective value
-    (robot + ground) / 2 is written, which the robot's higher contact priority makes MuJoCo use. MuJoCo has one
-    Coulomb coefficient; ``env.robot.friction_source`` says which of the two it is. Restitution is drawn and kept
-    in ``materials``, but has no counterpart and does not act.
+    PhysX averages the coefficients of the two touching shapes, MuJoCo takes the larger one. Therefore the average
+    (robot + ground) / 2 is written, and the robot's higher contact priority makes MuJoCo use it. MuJoCo has one Coulomb
+    coefficient; ``env.robot.friction_source`` selects one of the two. Restitution is drawn and stored in ``materials``,
+    but MuJoCo has no restitution.
 
     Args:
-        env: the environment.
         static_friction_range: [low, high].
         dynamic_friction_range: [low, high].
         restitution_range: [low, high].
         num_buckets: number of different materials.
-        generator: the term's random stream.
-        make_consistent: whether dynamic friction is cut to static friction.
+        make_consistent: whether dynamic friction is limited to static friction.
         asset_cfg: the bodies whose shapes are written.
     """
 
@@ -152,7 +150,7 @@ class randomize_rigid_body_material(TermBase):
 
 
 def _masses_are_masses(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Hold the range against what it is drawn by; what is drawn below ``min_mass`` is cut to it."""
+    """Check the range against its distribution; masses below ``min_mass`` are clamped later."""
     name = "mass_distribution_params"
     first, second = given[name]
     gaussian = given["distribution"] == "gaussian"
@@ -176,7 +174,7 @@ def randomize_rigid_body_mass(
     recompute_inertia: bool = True,
     min_mass: Positive = 1e-6,
 ) -> None:
-    """Change masses (kg) from their defaults; inertias follow in proportion, centres of mass stay."""
+    """Change masses (kg) relative to their defaults; inertias scale with the masses, centres of mass stay."""
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
     ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
@@ -204,11 +202,11 @@ def randomize_rigid_body_inertia(
     distribution: Distribution = "uniform",
     min_inertia: Positive = 1e-9,
 ) -> None:
-    """Change the principal moments of inertia (kg·m^2) from their defaults, each by itself; masses stay.
+    """Change the principal moments of inertia (kg·m^2) relative to their defaults, each independently; masses stay.
 
-    A moment is at least ``min_inertia``, and at most the sum of the other two: no body has more. Like
-    ``randomize_rigid_body_mass``, which scales them with the mass, it starts from the model's: of both on one body
-    the later counts.
+    A moment is at least ``min_inertia``, and at most the sum of the other two, as for every physical body. This term
+    and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from the model's values: on one
+    body the later term overwrites the earlier one.
     """
     robot, sim = env.scene[asset_cfg.name], env.scene.sim
     ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
@@ -229,7 +227,7 @@ def randomize_rigid_body_com_cumulative(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Add one offset (m, link axes) per environment to the present centres of mass; repeats add up."""
+    """Add one offset (m, link axes) per environment to the present centres of mass; repeated calls accumulate."""
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     bodies = robot.body_ids[asset_cfg.body_ids]
@@ -256,9 +254,9 @@ def randomize_actuator_gains(
     distribution: Distribution = "uniform",
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of actuators from what the config gave, joint by joint.
+    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of actuators relative to the config, for each joint.
 
-    What would fall below 0 becomes 0. Gains of learned drives, which have none, stay NaN.
+    Negative gains become 0. Learned drives have no gains, which stay NaN.
     """
     robot, ids = env.scene[asset_cfg.name], all_ids(env, env_ids)
     data, joints = robot.data, asset_cfg.joint_ids
@@ -279,25 +277,23 @@ def randomize_actuator_gains(
     )
 )
 class randomize_joint_parameters(TermBase):
-    """Change friction, armature and position limits of joints from what the model has, joint by joint.
+    """Change friction, armature and position limits of joints relative to the model, for each joint.
 
-    As in Isaac Lab, the range of friction holds for the joint's friction loss (N·m) and, drawn by itself, for its
-    viscous friction (N·m·s/rad); what would fall below 0 becomes 0, and so does an armature. With the limits go the
-    soft limits, and default positions are clamped to them.
+    As in Isaac Lab, the range of friction applies to the joint's friction loss (N·m) and, with a separate draw, to its
+    viscous friction (N·m·s/rad). Negative frictions and armatures become 0. Soft limits follow the limits, and default
+    positions are clamped to them.
 
     Args:
-        env: the environment.
-        generator: the term's random stream.
-        friction_distribution_params: of friction loss and viscous friction; null leaves both.
-        armature_distribution_params: kg·m^2; null leaves it.
-        lower_limit_distribution_params: rad; null leaves it.
-        upper_limit_distribution_params: rad; null leaves it.
-        operation: what is done with the model's value.
-        distribution: ``gaussian`` takes [mean, standard deviation], the others [low, high].
+        friction_distribution_params: for friction loss and viscous friction; null keeps both.
+        armature_distribution_params: kg·m^2; null keeps the armature.
+        lower_limit_distribution_params: rad; null keeps the limit.
+        upper_limit_distribution_params: rad; null keeps the limit.
+        operation: how the draw changes the model's value.
+        distribution: ``gaussian`` uses [mean, standard deviation], the others [low, high].
         asset_cfg: the joints.
 
     Raises:
-        ConfigError: a lower limit could be drawn above the upper one.
+        ConfigError: a lower limit could be drawn above the upper limit.
     """
 
     def __init__(
@@ -326,8 +322,8 @@ class randomize_joint_parameters(TermBase):
         if (highest > lowest).any():
             first = int((highest > lowest).nonzero()[0])
             raise ConfigError(
-                f"a lower limit of up to {highest[first]:g} rad could pass an upper one of {lowest[first]:g} rad",
-                expected="limits that stay in order, whatever is drawn",
+                f"a lower limit of up to {highest[first]:g} rad could exceed an upper limit of {lowest[first]:g} rad",
+                expected="ranges of limits that do not overlap",
             )
 
     def _ends(self, default: torch.Tensor, params: Pair | None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -363,16 +359,14 @@ class randomize_joint_parameters(TermBase):
 
 
 class randomize_encoder_bias(TermBase):
-    """Draw by how much each joint's encoder reads too much, rad: what is measured is position + bias.
+    """Draw the bias of each joint's encoder, rad: the reading is position + bias.
 
-    The drives hold what they measure at their targets, so that the joint itself ends up short of them by the bias.
-    Observations show what is measured (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), actions that
-    start from the present position begin at the measured one; rewards and terminations see the joint itself.
+    Drives control the reading, so that the joint's true position differs from the target by the bias. Observations
+    contain the reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and actions relative to the
+    present position use the reading. Rewards and terminations use the true position.
 
     Args:
-        env: the environment.
         bias_range: [low, high], rad, drawn for each joint.
-        generator: the term's random stream.
         asset_cfg: the joints.
     """
 
@@ -399,7 +393,7 @@ _PARAMS = "gravity_distribution_params"
 def _components_fit(given: Mapping[str, Any]) -> Iterator[Broken]:
     for pair in zip(*given[_PARAMS], strict=True):
         if expected := pair_error(pair, given["operation"], given["distribution"]):
-            yield Broken(_PARAMS, f"{pair!r} is out of range", f"two lists of x, y, z, of each axis {expected}")
+            yield Broken(_PARAMS, f"{pair!r} is out of range", f"two lists of x, y, z, for each axis {expected}")
             return
 
 
@@ -413,10 +407,10 @@ def randomize_physics_scene_gravity(
     distribution: Distribution = "uniform",
     per_env: bool = False,
 ) -> None:
-    """Change gravity (m/s^2, world axes) from ``env.sim.gravity``, one draw for each axis.
+    """Change gravity (m/s^2, world axes) relative to ``env.sim.gravity``, with one draw for each axis.
 
-    As in Isaac Lab, one value holds for all environments, whichever are reset; with ``per_env`` each of those that
-    the event is for gets its own. ``projected_gravity`` keeps the direction of the config's gravity.
+    As in Isaac Lab, one value applies to all environments, including those that are not reset. With ``per_env`` each
+    environment of the event gets its own value. ``projected_gravity`` keeps the direction of the config's gravity.
     """
     sim = env.scene.sim
     default = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)

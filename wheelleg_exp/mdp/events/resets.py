@@ -1,4 +1,4 @@
-"""Where episodes begin."""
+"""Event terms that set the state at the start of an episode."""
 
 from __future__ import annotations
 
@@ -23,10 +23,8 @@ class reset_root_state_uniform(TermBase):
     ``quat = default * euler_xyz(U)``, in body axes; the velocity is of the CoM in world axes.
 
     Args:
-        env: the environment.
         pose_range: ``x``, ``y``, ``z`` in m; ``roll``, ``pitch``, ``yaw`` in rad.
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        generator: the term's random stream.
         asset_cfg: the robot.
     """
 
@@ -72,20 +70,18 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 
 
 class reset_root_state_from_terrain(TermBase):
-    """Place the root over a random flat place of the environment's tile, turned about by drawn angles.
+    """Place the root over a random flat patch of the environment's tile, with random angles.
 
-    The place is one of ``init_pos`` of the ground's ``flat_patches``; the root's default position is added to it, its
-    default orientation is not. The velocity is of the CoM in world axes.
+    The patch is one of ``init_pos`` in the ground's ``flat_patches``. The root's default position is added to the
+    patch; the default orientation is ignored. The velocity is of the CoM in world axes.
 
     Args:
-        env: the environment.
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        generator: the term's random stream.
         asset_cfg: the robot.
 
     Raises:
-        ConfigError: the ground has no such places.
+        ConfigError: the ground has no flat patches ``init_pos``.
     """
 
     settings = ("_low", "_high")
@@ -105,8 +101,8 @@ class reset_root_state_from_terrain(TermBase):
         self._robot, self._terrain = env.scene[asset_cfg.name], env.scene.terrain
         if "init_pos" not in self._terrain.flat_patches:
             raise ConfigError(
-                "the ground knows no flat places 'init_pos' to begin at",
-                expected="a ground whose env.scene.terrain has flat patches of that name",
+                "the ground has no flat patches 'init_pos' to start from",
+                expected="flat patches of that name in env.scene.terrain",
             )
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
@@ -172,7 +168,7 @@ def _reset_joints(
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
-    """Put the robot back to its default root and joint state; targets only when asked for."""
+    """Reset the robot to its default root and joint state, and with ``reset_joint_targets`` also its targets."""
     ids = all_ids(env, env_ids)
     robot = env.scene.robot
     data = robot.data
