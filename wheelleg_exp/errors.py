@@ -1,4 +1,4 @@
-"""The errors that people see: one message that says what was wrong, where, and what to write instead."""
+"""Errors for users: one message that states what is wrong, where, and what to write instead."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
 
 _ODD = re.compile(r"[^\n\t -~]")
-_SPACES = ("Zs", "Zl", "Zp")  # which are not printable either, and harmless
-_LEAST_PART = 4  # letters of a name that may stand for all of it
+_SPACES = ("Zs", "Zl", "Zp")  # categories that str.isprintable rejects although they are harmless
+_LEAST_PART = 4  # letters of the shortest part of a name that finds the name
 
 
 class WheellegError(Exception):
-    """An error for people.
+    """An error for users, which is printed without a traceback.
 
     Args:
-        message: what was wrong, in one sentence without a full stop.
-        key: the config key or the prim, file or command-line word that the message is about.
-        where: ``file:line`` (or the override) that the value came from.
-        expected: what was expected instead.
+        message: what is wrong, in one sentence without a full stop.
+        key: the config key, prim, file or command-line word that the message is about.
+        where: ``file:line`` (or the override) that the value comes from.
+        expected: what is expected instead.
         nearest: the nearest valid name.
     """
 
@@ -64,24 +64,24 @@ class ConfigError(WheellegError):
 
 
 class MissingValue(ConfigError):
-    """A value that must be there is not."""
+    """A required value is missing."""
 
     def __init__(self, message: str = "this value is missing", **fields: str | None) -> None:
         super().__init__(message, **fields)
 
 
 class UnreadKey(ConfigError):
-    """Nothing reads a key."""
+    """A key is set, but nothing reads it."""
 
     def __init__(self, message: str = "nothing reads this key", **fields: str | None) -> None:
         super().__init__(message, **fields)
 
 
 class AssetError(WheellegError):
-    """A robot file cannot be read, or does not hold what is needed."""
+    """A robot file cannot be read, or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return the error as one of a config key: the place in the file becomes a part of the message."""
+        """Return the error for a config key; the present key and place become a part of the message."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
@@ -89,16 +89,16 @@ class AssetError(WheellegError):
 
 
 class RunDirectoryError(WheellegError):
-    """A run directory, a checkpoint or a recording is not one, or is damaged."""
+    """A run directory, checkpoint or recording is missing, invalid or damaged."""
 
 
 class SimulationFailure(WheellegError):
-    """A run failed while it ran: physics gone to NaN, a full disk.
+    """A run failed while it was running, for example because physics became NaN or the disk is full.
 
     Args:
-        message: see ``WheellegError``, as for ``fields``.
-        evidence: what it failed with, arrays by name.
-        fields: the other parts of the message.
+        message: see ``WheellegError``.
+        evidence: the state that led to the failure, arrays by name.
+        fields: the other arguments of ``WheellegError``.
     """
 
     exit_code = EXIT_FAILED
@@ -109,22 +109,22 @@ class SimulationFailure(WheellegError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Somebody asked the program to stop: Ctrl-C, or a signal that is treated as it."""
+    """The user stopped the program with Ctrl-C, or with a signal that is treated as Ctrl-C."""
 
 
 def printable(text: str) -> str:
-    """Return a text in which what would steer a terminal is spelled out: files may hold any character."""
-    return _ODD.sub(lambda found: _spelled_out(found[0]), text)
+    """Escape control characters, because text from files could otherwise control the terminal."""
+    return _ODD.sub(lambda found: _escaped(found[0]), text)
 
 
-def _spelled_out(letter: str) -> str:
+def _escaped(letter: str) -> str:
     return letter if letter.isprintable() or unicodedata.category(letter) in _SPACES else ascii(letter)[1:-1]
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
-    """Return the name among ``names`` that is most like ``name``, or None when none is near.
+    """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    The same letters in capitals come first, and a name of which only a part was written last.
+    A name that differs only in case is preferred. A name that contains ``name`` is the last choice.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

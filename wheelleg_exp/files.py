@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, cutting growing ones, reading, and digests."""
+"""Files: atomic writes, truncation of growing files, reading, and digests."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-_LARGEST = 1 << 30  # bytes that are read of a file at once
-_LARGEST_JSON, _LARGEST_YAML = 1 << 26, 1 << 22  # and of one that is a single value
+_LARGEST = 1 << 30  # bytes of the largest file that is read at once
+_LARGEST_JSON, _LARGEST_YAML = 1 << 26, 1 << 22  # bytes of the largest JSON and YAML file
 
 
 def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError:
-    """Return the error for people: a full or broken disk fails the run, anything else is wrong input."""
+    """Return the error to raise: a full or broken disk is a failure of the run, other errors are wrong input."""
     reason = os.strerror(error.errno).lower() if error.errno else str(error)
     message = f"cannot {verb} '{path}': {reason}"
     if error.errno in _DEVICE_ERRORS:
         return SimulationFailure(message, expected="room on a working disk")
-    return RunDirectoryError(message, expected=f"a place that this user may {verb}")
+    return RunDirectoryError(message, expected=f"a path that this user can {verb}")
 
 
 @contextlib.contextmanager
 def for_people(path: Path, verb: str = "write") -> Iterator[None]:
-    """Turn an OSError of the body into an error for people that names ``path``."""
+    """Convert an OSError inside the block to an error that names ``path``."""
     try:
         yield
     except OSError as error:
@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Let a place that can no longer be written or read fail the run in the body: it was good when the run began."""
+    """Convert a RunDirectoryError inside the block to a failure of the run, because the path worked at its start."""
     try:
         yield
     except RunDirectoryError as error:
@@ -57,13 +57,13 @@ def while_running() -> Iterator[None]:
 
 
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
-    """Write ``data`` to ``path``, so that a reader sees the old file or the whole new one.
+    """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are made. The data is on the disk (fsync) before the name points to it.
+    Missing folders are created. The data is on the disk (fsync) before the name points to it.
 
     Raises:
         SimulationFailure: the disk is full or broken.
-        RunDirectoryError: the place cannot be written.
+        RunDirectoryError: the path cannot be written.
     """
     temporary = temporary_name(path)
     with for_people(path):
@@ -80,13 +80,13 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
 
 
 def require_new(path: Path) -> None:
-    """Raise RunDirectoryError when there is something at ``path``."""
+    """Raise RunDirectoryError if ``path`` exists."""
     if path.exists() or path.is_symlink():
-        raise RunDirectoryError(f"'{path}' exists and is not overwritten", expected="a path that is not taken")
+        raise RunDirectoryError(f"'{path}' exists and is not overwritten", expected="a path that does not exist")
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Write a file that is not there yet, whole or not at all; its folder is made when missing.
+    """Write a new file atomically; a missing folder is created.
 
     Raises:
         RunDirectoryError: the file exists, or cannot be written.
@@ -96,27 +96,27 @@ def write_new(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all (raises as ``write_bytes``)."""
+    """Write ``text`` as UTF-8 atomically (raises as ``write_bytes``)."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, whole or not at all (raises as ``write_bytes``).
+    """Write ``value`` as indented JSON atomically (raises as ``write_bytes``).
 
-    Key order is kept. Arrays, tensors and numpy scalars become lists and numbers, paths become text, and
-    NaN and infinities, which JSON does not have, become ``"nan"``, ``"inf"`` and ``"-inf"``.
+    Keys keep their order. Arrays, tensors and numpy scalars become lists and numbers, and paths become text. NaN and
+    infinities, which JSON does not have, become ``"nan"``, ``"inf"`` and ``"-inf"``.
 
     Raises:
-        TypeError: a value that is none of these.
+        TypeError: a value of another type.
     """
     write_text(path, dump_json(value))
 
 
 def write_yaml(path: Path, value: Any) -> None:
-    """Write a plain value as YAML that ``yaml.safe_load`` reads back equal, whole or not at all.
+    """Write a plain value atomically as YAML that ``yaml.safe_load`` reads back equal.
 
     Raises:
-        RunDirectoryError: the value holds something that is not plain, and as ``write_bytes``.
+        RunDirectoryError: the value contains a value that is not plain, and as ``write_bytes``.
     """
     write_text(path, dump_yaml(value))
 
@@ -127,7 +127,7 @@ def dump_json(value: Any) -> str:
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         text.encode("utf-8")
-    except UnicodeEncodeError:  # a file name that is no UTF-8 was decoded with surrogates
+    except UnicodeEncodeError:  # a file name that is not UTF-8 was decoded with surrogates
         text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
     return text
 
@@ -153,10 +153,10 @@ def json_plain(value: Any) -> Any:
 
 @contextlib.contextmanager
 def open_file(path: Path) -> Iterator[BufferedReader]:
-    """Open a file to read; a pipe or a device, on which reading might never end, is refused.
+    """Open a regular file for reading; pipes and devices are refused, because reading them might never end.
 
     Raises:
-        RunDirectoryError: it cannot be read, or is no ordinary file.
+        RunDirectoryError: the file cannot be read, or is not a regular file.
     """
     with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -165,15 +165,15 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # not to wait for the other end of a pipe
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # do not wait for the other end of a pipe
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
     """Return the content of a file of at most ``largest`` bytes (raises as ``open_file``)."""
     with open_file(path) as file:
-        size = os.fstat(file.fileno()).st_size  # asked first: to read at most so much takes so much memory
+        size = os.fstat(file.fileno()).st_size  # needed first, because file.read(n) allocates n bytes
         data = b"" if size > largest else file.read(size + 1)
-        if len(data) > size:  # it grows, or belongs to a system that tells no sizes
+        if len(data) > size:  # the file is growing, or its file system reports no sizes
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
         raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
@@ -181,14 +181,14 @@ def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
 
 
 def read_lines(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a file with their ends (raises as ``open_file``); one that is too long comes in pieces."""
+    """Yield the lines of a file with their line ends (raises as ``open_file``); very long lines come in pieces."""
     with open_file(path) as file:
         while line := file.readline(_LARGEST_JSON):
             yield line
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file; RunDirectoryError also where it is no UTF-8."""
+    """Return the text of a file; RunDirectoryError if it is not UTF-8."""
     try:
         return read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -199,10 +199,10 @@ def read_json(path: Path) -> Any:
     """Return the JSON value in ``path``.
 
     Raises:
-        RunDirectoryError: the file cannot be read or is no JSON, with the line.
+        RunDirectoryError: the file cannot be read or is not JSON, with the line.
     """
     data = read_bytes(path, _LARGEST_JSON)
-    with _telling(path, "JSON"):
+    with _naming_file(path, "JSON"):
         return json_value(data)
 
 
@@ -210,22 +210,22 @@ def read_yaml(path: Path) -> Any:
     """Return the plain YAML value in ``path``.
 
     Raises:
-        RunDirectoryError: the file cannot be read or is no plain YAML, with the line.
+        RunDirectoryError: the file cannot be read or is not plain YAML, with the line.
     """
     data = read_bytes(path, _LARGEST_YAML)
-    with _telling(path, "YAML"):
+    with _naming_file(path, "YAML"):
         return yaml_value(data)
 
 
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
-    """Return a value that was read from ``path``, which must be a mapping (RunDirectoryError when it is none)."""
+    """Return a value that was read from ``path``; RunDirectoryError unless it is a mapping."""
     if not isinstance(value, dict):
         raise RunDirectoryError(f"holds a {type(value).__name__}", key=str(path), expected="a mapping")
     return value
 
 
 @contextlib.contextmanager
-def _telling(path: Path, kind: str) -> Iterator[None]:
+def _naming_file(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except Unreadable as error:
@@ -244,7 +244,7 @@ def sha256(path: Path) -> str:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a name beside ``path``, taken by nothing, for what is not whole yet; ``temporaries`` finds it."""
+    """Return an unused name next to ``path`` for an incomplete file; ``temporaries`` finds such files."""
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
 
 
@@ -252,7 +252,7 @@ def temporary_name(path: Path) -> Path:
 def temporary_folder(target: Path) -> Iterator[Path]:
     """Make a folder next to ``target`` for the body to fill and rename; remove it if the body did not.
 
-    A killed process leaves its folder. The next call for the same target removes folders whose lock nobody holds.
+    A killed process leaves its folder behind. The next call for the same target removes folders that are not locked.
     """
     for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError), _flocked(left):
@@ -261,14 +261,14 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # some file systems have no locks: nothing is removed there
+        with contextlib.suppress(OSError):  # on file systems without locks, no folder is ever removed
             stack.enter_context(_flocked(folder))
         yield folder
 
 
 @contextlib.contextmanager
 def _flocked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder; OSError when another process holds it or the file system has no locks."""
+    """Hold the lock of a folder; OSError if another process holds it, or the file system has no locks."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -278,13 +278,13 @@ def _flocked(folder: Path) -> Iterator[None]:
 
 
 def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
-    """Return what a killed writer has left half written in a folder, or anywhere below it when ``deep``."""
+    """Return the incomplete files of killed writers in a folder, or with ``deep`` anywhere below it."""
     pattern = f".*{TEMPORARY_SUFFIX}"
     return sorted(folder.rglob(pattern) if deep else folder.glob(pattern))
 
 
 def cut(path: Path, size: int) -> None:
-    """Drop what stands in a file past ``size`` bytes, on the disk as well."""
+    """Truncate a file to ``size`` bytes, and sync it to the disk."""
     if not path.exists():
         return
     with for_people(path):
@@ -293,14 +293,14 @@ def cut(path: Path, size: int) -> None:
 
 
 def sync(path: Path) -> None:
-    """Bring a file's content to the disk, so that it outlives a power cut."""
+    """Sync a file's content to the disk, so that it survives a power failure."""
     if path.exists():
         with for_people(path):
             _fsync(path)
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring every file below a folder, and the names that lead to it, to the disk: it outlives a power cut."""
+    """Sync every file below a folder, and the directory entries that lead to it, to the disk."""
     for path in sorted(folder.rglob("*")):
         _sync(path)
     for place in (folder, folder.parent, folder.parent.parent):
@@ -308,7 +308,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    # Not every file system can sync a folder, and none must.
+    # Some file systems cannot sync a folder, which is harmless.
     with contextlib.suppress(OSError):
         _fsync(path)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from wheelleg_exp.errors import ConfigError, WheellegError
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
-# Bytes of address space and of data that reading the stock robot needs (measured: 573 MB and 62 MB on two cores).
+# Bytes of address space and data for reading the stock robot (measured: 573 MB and 62 MB on two cores).
 _SPACE, _DATA = 5 * 2**27, 2**27
 START_SPACE = 5 * 2**28  # bytes of address space that importing torch, MuJoCo and USD needs (measured: 1.2 GB)
 _UNITS = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"))
@@ -32,24 +32,21 @@ def machine_memory() -> int:
 
 
 def require_memory(need: int, key: str, what: str) -> None:
-    """Refuse what cannot fit.
+    """Raise ConfigError if the machine has less than ``need`` bytes of memory.
 
     Args:
-        need: bytes that it needs at least.
-        key: the config key that says how much.
-        what: what needs them, in words.
-
-    Raises:
-        ConfigError: the machine has less.
+        need: lower bound of the required memory, bytes.
+        key: the config key that determines the requirement.
+        what: name of the objects that need memory.
     """
-    there = machine_memory()
-    if need > there:
+    total = machine_memory()
+    if need > total:
         message = f"{what} take {shown_bytes(need)} of memory at least"
-        raise ConfigError(message, key=key, expected=f"less than the {shown_bytes(there)} of this machine")
+        raise ConfigError(message, key=key, expected=f"less than the {shown_bytes(total)} of this machine")
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a size of this process in bytes by its name in ``/proc/self/status``; None where the system has none."""
+    """Return a size of this process in bytes by its name in ``/proc/self/status``; None without such a file."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))
@@ -58,10 +55,9 @@ def used_memory(kind: str) -> int | None:
 
 
 def require_room(space: int = _SPACE) -> None:
-    """Refuse limits that leave less than ``space`` bytes to this process: USD, MuJoCo and torch crash without memory.
+    """Raise WheellegError if ``ulimit -v`` or ``ulimit -d`` leaves less than ``space`` bytes to this process.
 
-    Raises:
-        WheellegError: ``ulimit -v`` or ``ulimit -d`` is too low.
+    Without memory, USD, MuJoCo and torch crash without a message.
     """
     for name, kind, least in (("RLIMIT_AS", "VmSize", space), ("RLIMIT_DATA", "VmData", _DATA)):
         used = used_memory(kind)
@@ -87,9 +83,9 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 
 
 def matrix_kernels() -> str:
-    """Return which of MKL's repeatable code paths is the fastest here: the wide one needs an Intel CPU with AVX-512.
+    """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    Both give the same bits at any number of threads. On other makes' CPUs MKL takes one path whatever it is told.
+    Each path gives the same bits for any number of threads. On CPUs of other makers MKL ignores the choice.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
@@ -97,12 +93,12 @@ def matrix_kernels() -> str:
 
 
 def is_intel() -> bool:
-    """Return whether the CPU is one of Intel's, as far as the kernel tells."""
+    """Return whether the kernel reports an Intel CPU."""
     return first_processor().get("vendor_id") == "GenuineIntel"
 
 
 def first_processor() -> dict[str, str]:
-    """Return what the kernel tells of the first processor; nothing where it has no such file."""
+    """Return the kernel's information about the first processor; empty without ``/proc/cpuinfo``."""
     try:
         text = _CPUINFO.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -116,11 +112,11 @@ _SPINS, _SAMPLES = "20000", 3  # up to a millisecond of spinning
 
 
 def spins() -> str:
-    """Return how often OpenMP's idle threads look for work before they sleep.
+    """Return the number of spins of OpenMP's idle threads before they sleep.
 
-    Those that sleep at once take twice as long for an update of many short operations. Those that spin are in the way
-    of others that spin: two trainings beside each other would take four times as long. So they spin where nobody else
-    computes just now.
+    Threads that sleep at once double the time of an update with many short operations. Spinning threads slow down other
+    spinning threads: two simultaneous trainings would take four times as long. So threads spin only if no other
+    process computes at this moment.
     """
     try:
         running = []
@@ -133,36 +129,36 @@ def spins() -> str:
     return _SPINS if others + 2 <= (os.cpu_count() or 1) else "0"
 
 
-# MKL_CBWR: the same matrix code path for every number of threads, so that thread counts change no number.
-# OMP_WAIT_POLICY: idle threads sleep, after GOMP_SPINCOUNT; spinning ones make a busy machine many times slower.
+# MKL_CBWR: one matrix code path for every number of threads, so that the number of threads changes no result.
+# OMP_WAIT_POLICY: idle threads sleep after GOMP_SPINCOUNT spins; endless spinning makes a busy machine much slower.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
-_chosen: set[str] = set()  # variables that are this program's choice, not the user's
+_chosen: set[str] = set()  # variables that this program has set, not the user
 
 
 def prepare_threads() -> bool:
-    """Set the variables that are not set yet; how long threads spin only where nothing says how they wait.
+    """Set the variables that the user has not set; GOMP_SPINCOUNT only if OMP_WAIT_POLICY is not set, either.
 
     Returns:
-        Whether they can still take effect: False when torch was imported before one of them was set.
+        Whether the variables can take effect: False if torch was imported before one of them was set.
     """
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
-        missing.remove("GOMP_SPINCOUNT")  # whoever says how threads wait has said how long
+        missing.remove("GOMP_SPINCOUNT")  # the user has chosen how threads wait
     os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)
 
 
 def share_cores() -> None:
-    """Let threads of processes that this one starts sleep at once, because several of them compute at a time."""
+    """Make idle threads of child processes sleep at once, because several child processes compute simultaneously."""
     if "GOMP_SPINCOUNT" in _chosen:
         os.environ["GOMP_SPINCOUNT"] = "0"
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Let MKL go on with a run's code path where this program chose another, and this CPU has it.
+    """Use the MKL code path that a run has recorded, if this CPU supports it and the user has not chosen another one.
 
-    It must be called before MKL is first used, and importing tensordict uses it. A path that the user asks for stays.
+    Call this before MKL is first used; importing tensordict uses MKL.
 
     Args:
         recorded: the environment variables of the run.
@@ -173,18 +169,15 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
 
 
 def own_environ() -> dict[str, str]:
-    """Return the environment without what this program has chosen, for a process that chooses by itself.
+    """Return the environment variables without those that this program has set, for a child process of this program.
 
-    A variable that is handed on is the user's to that process: it would not go on with a run's kernels.
+    The child process would treat inherited variables as the user's choice, and would ignore a run's code path.
     """
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 
 
 def usable_cores() -> int:
-    """Return how many cores this process can keep busy: those that it may run on, and no more than its quota pays.
-
-    A container's limit (``docker run --cpus 2``) is such a quota.
-    """
-    from joblib import cpu_count  # which takes a while to import
+    """Return the number of cores that this process can use: its CPU affinity, limited by a container's CPU quota."""
+    from joblib import cpu_count  # slow to import
 
     return int(cpu_count())

@@ -46,10 +46,10 @@ def is_trusted(path: str | Path) -> bool:
 
 
 def real_path(path: str | Path) -> str:
-    """Return what a path leads to, absolute and without links; nothing for a text that is no path."""
+    """Return the absolute path without links; an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # a zero in it
+    except ValueError:  # the text contains a null character
         return ""
 
 
@@ -69,7 +69,7 @@ FILE = "pyproject.toml"
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")  # a folder with one is never a project
 CONFIGS = "configs"
 _ROOT = 0  # the user id of the administrator
-_SOURCES = ("", "src")  # where a project keeps its packages
+_SOURCES = ("", "src")  # folders that can contain a project's packages
 
 
 @dataclass(frozen=True)
@@ -90,17 +90,17 @@ class Project:
         return self.root / CONFIGS
 
     def source(self, package: str) -> Path:
-        """Return the folder that a declared package's top folder or module stands in.
+        """Return the folder that contains the top folder or module of a declared package.
 
         Raises:
-            ConfigError: the project does not hold it.
+            ConfigError: the project does not contain the package.
         """
         top = package.split(".")[0]
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
                 return folder
         raise ConfigError(
-            f"the project holds no package '{top}'",
+            f"the project has no package '{top}'",
             key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
             where=str(self.root / FILE),
             expected=f"a folder {self.root / top}",
@@ -108,10 +108,10 @@ class Project:
 
 
 def read_project(folder: Path) -> Project | None:
-    """Return the project of a folder, None when its ``pyproject.toml`` declares no packages for configs.
+    """Return the project of a folder, or None if its ``pyproject.toml`` declares no packages for configs.
 
     Raises:
-        ConfigError: the file declares some, but is no valid TOML, or what it declares is no name of a package.
+        ConfigError: the file declares packages, but is not valid TOML, or a declared name is not a package name.
     """
     file = folder / FILE
     try:
@@ -153,10 +153,10 @@ def _package(value: Any, file: Path) -> str:
 
 
 def current_project() -> Project | None:
-    """Return the nearest project at or above the current folder, but none in a run, pipeline, sweep or bundle.
+    """Return the nearest project at or above the current folder, except inside a run, pipeline, sweep or bundle.
 
     Raises:
-        ConfigError: it belongs to another user, who could have put it above this folder.
+        ConfigError: the project belongs to another user, who could have put it above the current folder.
     """
     here = Path.cwd()
     above = (here, *here.parents)
@@ -170,29 +170,29 @@ def current_project() -> Project | None:
 
 
 def _require_own(project: Project) -> None:
-    """Refuse a project of another user, as git refuses such a repository: standing in a folder is not to trust it."""
+    """Refuse a project of another user, as git does: being in a folder does not mean that the user trusts it."""
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
         raise ConfigError(
-            "this folder lies in a project of another user, whose code and configs are not used unasked",
+            "this folder is in a project of another user, whose code and configs are used only on request",
             key=str(project.root),
             expected=f"--config-dir {project.configs} to trust it, or another folder",
         )
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:
-    """Return config folders, and behind them that of the project that one stands in.
+    """Return config folders, followed by the config folder of the current project.
 
-    A folder that is not there stays as it is given: who looks into it tells.
+    A missing folder is returned unchanged; the code that reads it reports the error.
 
     Raises:
-        ConfigError: the project that one stands in cannot be used.
+        ConfigError: the current project cannot be used.
     """
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # named, and so trusted
+        if error.key in {str(folder.parent) for folder in found}:  # the user named the project, and so trusts it
             return found
         raise
     if project is not None:
@@ -210,10 +210,10 @@ def _resolved(folder: Path) -> Path:
 
 
 def config_folder(folder: Path) -> Path:
-    """Return the absolute path of a config folder, named by itself, by its project, or by an installed package.
+    """Return the absolute path of a config folder, from its path, its project's path, or an installed package's name.
 
     Raises:
-        ConfigError: there is no such folder or package.
+        ConfigError: the folder or package does not exist.
     """
     absolute = Path(folder).expanduser().absolute()
     if absolute.is_dir():
@@ -225,7 +225,7 @@ def config_folder(folder: Path) -> Path:
     parent = absolute.parent
     siblings = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
     raise ConfigError(
-        "there is no such config folder",
+        "the config folder does not exist",
         key=str(folder),
         where="--config-dir",
         expected="a folder with YAML files, a project, or an installed package that declares itself",
@@ -234,7 +234,7 @@ def config_folder(folder: Path) -> Path:
 
 
 def _installed_configs(package: str) -> Path | None:
-    """Return the configs of an installed package that has declared itself, without importing it."""
+    """Return the config folder of an installed package that declares itself, without importing the package."""
     if package not in installed_packages():
         return None
     spec = importlib.util.find_spec(package.split(".")[0])
@@ -248,19 +248,19 @@ def _installed_configs(package: str) -> Path | None:
 
 def installed_packages() -> tuple[str, ...]:
     """Return the packages that installed distributions declare."""
-    from importlib import metadata  # with a parser of mails, which composing does not wait for
+    from importlib import metadata  # imports the email parser, which is too slow for composing
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
 
 
-# --- the packages of projects that are in use, by name ---
+# --- packages of the projects in use, by name ---
 
 _joined: dict[str, Project] = {}
 
 
 def join(project: Project) -> None:
-    """Let configs call the packages of a project, until the process ends."""
+    """Allow configs to call the packages of a project, until the process ends."""
     for package in project.packages:
         _joined[package] = project
 
@@ -272,7 +272,7 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
     trusted. All other recorded folders are ignored (see ``left_out``), because the caller may not need them.
 
     Raises:
-        ConfigError: a given folder is not there, or a recorded one lies in another user's project.
+        ConfigError: a given folder does not exist, or a recorded folder is in another user's project.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -284,36 +284,36 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
 
 
 def own_folders(recorded: Iterable[str]) -> list[Path]:
-    """Return which of the config folders that a run has recorded are in use now, or known as the user's own."""
+    """Return the recorded config folders that are in use now or trusted by the user."""
     in_use = {real_path(project.configs) for project in _joined.values()}
     own = (folder for folder in recorded if real_path(folder) in in_use or is_trusted(folder))
     return [Path(folder) for folder in own if Path(folder).is_dir()]
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Return the recorded config folders that are not among those found, each with the reason."""
+    """Return the recorded config folders that are not in ``found``, each with the reason."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
 
 
 def is_there(folder: str | Path) -> bool:
-    """Return whether there is such a folder; nothing that a run has recorded is too odd to ask."""
+    """Return whether a folder exists; False for a recorded name that is invalid."""
     try:
         return Path(folder).is_dir()
-    except OSError:  # a name that no file system takes
+    except OSError:  # an invalid name, such as a very long one
         return False
 
 
 def join_folder(folder: Path) -> None:
-    """Let configs call the packages of the project that a config folder belongs to, if it does to one."""
+    """Allow configs to call the packages of the project that contains a config folder, if there is one."""
     project = read_project(folder.parent) if folder.name == CONFIGS else None
     if project is not None:
         join(project)
 
 
 def forget(root: Path) -> None:
-    """Undo ``join`` for the project of a folder, its imported modules included."""
+    """Undo ``join`` for the project of a folder, and drop its imported modules."""
     for package in [name for name, project in _joined.items() if project.root == root]:
         del _joined[package]
         top = package.split(".")[0]
@@ -334,10 +334,10 @@ def project_of(package: str) -> Project | None:
 
 
 def make_importable(target: str) -> None:
-    """Let the import system find the package of a target when it is a project's own.
+    """Make the package of a target importable if it belongs to a project in use.
 
     Raises:
-        ConfigError: the project does not hold it, or a module of that name has been imported from elsewhere.
+        ConfigError: the project lacks the package, or a module of that name was imported from elsewhere.
     """
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
@@ -356,7 +356,7 @@ def make_importable(target: str) -> None:
 
 
 def make_classes_importable(node: Any) -> None:
-    """Do the same for every ``class_name`` in an agent's config, which rsl_rl imports itself (raises the same)."""
+    """Call ``make_importable`` for every ``class_name`` in an agent's config, which rsl_rl imports itself."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             if key == "class_name":
@@ -373,7 +373,7 @@ def _lies_in(module: ModuleType, folder: Path) -> bool:
 
 
 class _Finder(MetaPathFinder):
-    """Finds the declared packages of projects in their own folders, and nothing else."""
+    """Finds only the declared packages of projects, in the projects' folders."""
 
     def __init__(self) -> None:
         self.sources: dict[str, Path] = {}

@@ -1,4 +1,4 @@
-"""Where the stock configs and assets are, in a checkout and in an installed package alike; how a place is shown."""
+"""Paths: stock configs and assets in a checkout or an installed package, the cache, user assets, and their display."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
-# Beside a robot's MJCF, by their names in the config: the networks of its actuators, and the ground's own file.
-CACHE_KEY = "WHEELLEG_CACHE"  # the variable that names the cache
+CACHE_KEY = "WHEELLEG_CACHE"  # environment variable with the cache folder
+# Folders next to a robot's MJCF: the networks of its actuators, and the file of its ground.
 NETWORKS, GROUND = "networks", "ground"
-# Of other runs: the policy that teaches, and the networks that a training begins with.
+# Files from other runs: the teacher policy, and the networks that a training starts from.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -35,10 +35,10 @@ def assets_dir() -> Path:
 
 
 def cache_dir() -> Path:
-    """Return the folder for files that can be made again (``WHEELLEG_CACHE``, or the user's cache folder).
+    """Return the cache folder (``WHEELLEG_CACHE``, or the user's cache folder).
 
     Raises:
-        WheellegError: no variable names a folder, and the user has no home folder.
+        WheellegError: no variable is set, and the user has no home folder.
     """
     root = os.environ.get(CACHE_KEY)
     if root:
@@ -51,17 +51,16 @@ def cache_dir() -> Path:
 
 
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
-    """Return the file that a config's relative asset path names.
+    """Return the file that an asset path in a config names.
 
     Args:
-        name: path as written in the config; a relative one is looked up below each root, then below the
-            stock assets.
-        roots: folders of the user's own assets, searched first.
-        key: config key that holds the path, for the message.
-        what: what kind of file it is, for the message.
+        name: path in the config; a relative path is searched below each root, then below the stock assets.
+        roots: folders of the user's assets, searched first.
+        key: config key of the path, for the message.
+        what: kind of the file, for the message.
 
     Raises:
-        AssetError: no such file, with the places that were searched.
+        AssetError: the file does not exist, with the paths that were searched.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]
@@ -78,14 +77,14 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
 
 
 def _nearest_file(name: str, candidates: Sequence[Path]) -> str | None:
-    """Return the name of a file that is there, beside a candidate, in the place of the last part of ``name``."""
-    beside = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
-    found = nearest_name(Path(name).name, [other for other in beside if Path(other).suffix == Path(name).suffix])
+    """Return ``name`` with its last part replaced by the most similar file next to a candidate."""
+    siblings = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
+    found = nearest_name(Path(name).name, [other for other in siblings if Path(other).suffix == Path(name).suffix])
     return str(Path(name).with_name(found)) if found else None
 
 
 def show_file(file: Path, line: int | None = None) -> str:
-    """Return ``file:line``, relative to the current folder when the file lies in it."""
+    """Return ``file:line``, relative to the current folder if the file is inside it."""
     try:
         shown = file.relative_to(Path.cwd())
     except ValueError:

@@ -16,19 +16,19 @@ import yaml
 from wheelleg_exp.errors import RunDirectoryError
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_DEEPEST = 200  # the C parser would end the process long before Python's limit of recursion
-_MOST_NODES = 1_000_000  # that aliases stand for
-_TIMES, _PACKED_ROOM = 16, 1 << 20  # how many times an archive's bytes it may hold, beside so many of its own
-_MOST_BITS = 1023  # of a whole number, which a float can take
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # what may begin one more level
+_DEEPEST = 200  # nesting: the C parser would crash the process before Python's recursion limit
+_MOST_NODES = 1_000_000  # nodes after the expansion of aliases
+_TIMES, _PACKED_ROOM = 16, 1 << 20  # largest unpacked size: factor on the packed size, plus bytes
+_MOST_BITS = 1023  # largest integer that a float can represent
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # characters that can open a level of nesting
 
 
 class Unreadable(ValueError):
-    """A text is no JSON or YAML, or holds what no file of this program does.
+    """A text is not JSON or YAML, or contains values that files of this program never contain.
 
     Args:
         problem: what is wrong.
-        line: where, from 1.
+        line: line number, from 1.
     """
 
     def __init__(self, problem: str, line: int | None = None) -> None:
@@ -40,7 +40,7 @@ def json_value(data: bytes | str) -> Any:
     """Return the value of a JSON text.
 
     Raises:
-        Unreadable: it is none, names a key twice, is nested too deeply, or holds a number that JSON does not have.
+        Unreadable: the text is not JSON, repeats a key, is nested too deeply, or contains a number unknown to JSON.
     """
     try:
         return _bounded(json.loads(data, object_pairs_hook=_without_repeats, parse_constant=_no_number))
@@ -52,7 +52,7 @@ def json_value(data: bytes | str) -> Any:
         raise Unreadable("it is nested too deeply") from error
     except Unreadable:
         raise
-    except (ValueError, MemoryError) as error:  # a whole number of thousands of digits
+    except (ValueError, MemoryError) as error:  # an integer with thousands of digits
         raise Unreadable(str(error) or "it is too large") from error
 
 
@@ -60,27 +60,27 @@ def yaml_value(data: bytes | str) -> Any:
     """Return the plain value of a YAML text without anchors.
 
     Raises:
-        Unreadable: it is none, names a key twice, is nested too deeply, or holds a value that is not what it says.
+        Unreadable: the text is not YAML, repeats a key, is nested too deeply, or has a value that contradicts its tag.
     """
     return _read(data, lambda: _bounded(yaml.load(data, Loader=_PlainLoader)), aliases=False)
 
 
 def yaml_tree(data: bytes | str) -> yaml.Node | None:
-    """Return the nodes of a YAML text, which know their lines.
+    """Return the node tree of a YAML text, which contains line numbers.
 
     Raises:
-        Unreadable: it is none, is nested too deeply, or its aliases stand for too much.
+        Unreadable: the text is not YAML, is nested too deeply, or its aliases expand to too many nodes.
     """
     return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
 
 
 def require_bounded(archive: ZipFile) -> None:
-    """Raise Unreadable for an archive that unpacks to far more than it is: torch packs code, and stores numbers."""
+    """Raise Unreadable for a zip bomb; torch's own archives compress only code, and store numbers uncompressed."""
     parts = archive.infolist()
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
-        raise Unreadable("it unpacks to far more than it is")
+        raise Unreadable("its unpacked size is far above its file size")
     if len({part.header_offset for part in parts}) < len(parts):
-        raise Unreadable("its parts lie in one another")
+        raise Unreadable("its parts overlap")
 
 
 class _PlainLoader(_LOADER):
@@ -88,7 +88,7 @@ class _PlainLoader(_LOADER):
         seen: set[Any] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise Unreadable(f"the key '{key.value}' stands twice", key.start_mark.line + 1)
+                raise Unreadable(f"the key '{key.value}' is repeated", key.start_mark.line + 1)
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         return super().construct_mapping(node, deep=deep)
 
@@ -103,22 +103,22 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise Unreadable(problem, mark.line + 1 if mark else None) from error
-    except Exception as error:  # a value that is not what its tag or its form says
+    except Exception as error:  # a value that contradicts its tag
         raise Unreadable(f"a value cannot be read ({type(error).__name__}: {error})") from error
 
 
 def _require_plain(data: bytes | str, aliases: bool) -> None:
-    """Refuse what is nested too deeply, and references: all, or those that stand for more than anybody can read."""
+    """Refuse deep nesting and aliases: all aliases, or those that expand to too many nodes."""
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     if sum(map(raw.count, _OPENING)) < _DEEPEST and b"&" not in raw:
         return
     sizes: dict[str | None, int] = {}
-    above: list[tuple[str | None, int]] = []  # the anchors of open nodes, and how much stood before them
+    above: list[tuple[str | None, int]] = []  # anchors of open nodes, and the number of nodes before each
     total = 0
     for event in yaml.parse(data, Loader=_LOADER):
         line = None if event.start_mark is None else event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent) and not aliases:
-            raise Unreadable("it holds references to anchors", line)
+            raise Unreadable("it contains references to anchors", line)
         total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
         if isinstance(event, yaml.CollectionStartEvent):
             above.append((event.anchor, total))
@@ -128,11 +128,11 @@ def _require_plain(data: bytes | str, aliases: bool) -> None:
         if len(above) > _DEEPEST:
             raise Unreadable("it is nested too deeply", line)
         if total > _MOST_NODES and sizes:
-            raise Unreadable("its references to anchors stand for too much", line)
+            raise Unreadable("its references to anchors expand to too many nodes", line)
 
 
 def _bounded(value: Any) -> Any:
-    """Return a value that is not nested too deeply, and whose whole numbers are no larger than a float can be."""
+    """Return a value; Unreadable if it is nested too deeply, or has an integer that no float can represent."""
     waiting = [(value, 0)]
     while waiting:
         node, depth = waiting.pop()
@@ -141,7 +141,7 @@ def _bounded(value: Any) -> Any:
                 raise Unreadable("it is nested too deeply")
             waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
         elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
-            raise Unreadable(f"a whole number of {node.bit_length()} bits")
+            raise Unreadable(f"an integer of {node.bit_length()} bits")
     return value
 
 
@@ -150,12 +150,12 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         repeated = next(name for index, name in enumerate(names) if name in names[:index])
-        raise Unreadable(f"the key '{repeated}' stands twice")
+        raise Unreadable(f"the key '{repeated}' is repeated")
     return found
 
 
 def _no_number(name: str) -> Any:
-    raise Unreadable(f"{name} is no number of JSON")
+    raise Unreadable(f"{name} is not a number in JSON")
 
 
 _SCALARS = (str, int, float, bool, type(None))

@@ -15,7 +15,7 @@ _listener: ContextVar[Listener | None] = ContextVar("_listener", default=None)
 
 @contextmanager
 def progress_to(listener: Listener) -> Iterator[None]:
-    """Let ``listener(what, done, total)`` hear of the work that is done inside."""
+    """Call ``listener(what, done, total)`` for the progress of work inside the block."""
     token = _listener.set(listener)
     try:
         yield
@@ -24,11 +24,11 @@ def progress_to(listener: Listener) -> Iterator[None]:
 
 
 def with_progress(what: str, items: Sequence[_Item]) -> Iterable[_Item]:
-    """Yield items, and tell behind each one how many of them are done.
+    """Yield items, and report after each item how many are done.
 
     Args:
-        what: what is being done, such as ``"making tiles"``.
-        items: what it is done to.
+        what: name of the work, such as ``"making tiles"``.
+        items: the items.
     """
     listener = _listener.get()
     for number, item in enumerate(items, start=1):

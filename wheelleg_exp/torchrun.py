@@ -1,4 +1,4 @@
-"""What torchrun tells a process that it starts: how many there are, and which one this is."""
+"""Environment variables that torchrun sets in its processes: their number, and the index of each."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ COMMAND = "torchrun --nproc-per-node N --no-python wheelleg train ..."
 
 
 def world_size() -> int:
-    """Return how many processes were started together; 1 where torchrun has started none.
+    """Return the number of processes that torchrun has started; 1 without torchrun.
 
     Raises:
-        ConfigError: ``WORLD_SIZE`` is no number.
+        ConfigError: ``WORLD_SIZE`` is not a number.
     """
     return number("WORLD_SIZE", 1)
 
 
 def number(name: str, default: int) -> int:
-    """Return one of torchrun's numbers.
+    """Return an integer variable of torchrun.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the variable is not a number.
     """
     text = os.environ.get(name, "").strip()
     if text and not text.isdigit():
@@ -31,10 +31,10 @@ def number(name: str, default: int) -> int:
 
 
 def require_alone(what: str) -> None:
-    """Raise ConfigError where several processes were started for what one process does."""
+    """Raise ConfigError if torchrun has started several processes for a job of one process."""
     if world_size() > 1:
         raise ConfigError(
             f"torchrun has started {world_size()} processes for it",
             key=what,
-            expected="'wheelleg train' of one run, or 'wheelleg resume'; without torchrun this works as ever",
+            expected="'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun",
         )

@@ -1,4 +1,4 @@
-"""Exceptions from users' code: such code cannot end the program as if all had gone well."""
+"""Exceptions from user-defined code, which must not end the program as if it had succeeded."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 
 @contextmanager
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
-    """Turn what would end the program from within the body into an error of ``kind``.
+    """Convert an exception inside the block that would end the program to an error of ``kind``.
 
-    That is ``SystemExit`` and whatever else is no ``Exception``, and a ``KeyboardInterrupt`` that nobody asked for.
+    These are ``SystemExit`` and other exceptions that are not an ``Exception``, and a ``KeyboardInterrupt`` that the
+    code raised itself.
 
     Raises:
-        WheellegError: of ``kind``, with what was raised and its place in the code.
+        WheellegError: of ``kind``, with the exception and its place in the code.
     """
     try:
         yield
@@ -31,21 +32,21 @@ def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[Non
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Return whether somebody has asked the program to stop; code may raise a ``KeyboardInterrupt`` of its own."""
+    """Return whether the user has stopped the program; user-defined code can also raise ``KeyboardInterrupt``."""
     asked = isinstance(error, Interrupted) or signal.getsignal(signal.SIGINT) is signal.default_int_handler
     return isinstance(error, KeyboardInterrupt) and asked
 
 
 def in_words(error: BaseException) -> str:
-    """Return what an exception is, what it says, and what has been noted of it."""
+    """Return the class, the message and the notes of an exception."""
     if isinstance(error, WheellegError):
         return str(error)
-    told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return "".join([told, *(f", {note}" for note in getattr(error, "__notes__", ()))])
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return "".join([text, *(f", {note}" for note in getattr(error, "__notes__", ()))])
 
 
 def place(error: BaseException) -> str | None:
-    """Return file and line from which an exception came."""
+    """Return the file and line that raised an exception."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -54,10 +55,10 @@ def place(error: BaseException) -> str | None:
 
 @contextmanager
 def importing(what: str) -> Iterator[None]:
-    """Import in the body what may be a user's, and give the program its standard streams back.
+    """Import modules inside the block that may be user-defined, and restore the standard streams afterwards.
 
     Raises:
-        ConfigError: it would end the program, or has closed a standard stream. Exceptions of its own pass.
+        ConfigError: the import would end the program, or has closed a standard stream. Other exceptions pass through.
     """
     streams = {"stdout": sys.stdout, "stderr": sys.stderr}
     try:

@@ -228,7 +228,7 @@ def test_a_declared_package_that_is_not_there_is_said(tmp_path, monkeypatch):
     assert wheelleg("check", "task=shelf_task").status == 0
     said = wheelleg("check", "task=stand", "+env.rewards.x={_target_: absent.f, weight: 1.0}")
     assert said.status == 2
-    assert "the project holds no package 'absent'" in said.err
+    assert "the project has no package 'absent'" in said.err
 
 
 def test_a_package_in_src_is_found(tmp_path, monkeypatch):

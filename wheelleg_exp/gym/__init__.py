@@ -1,10 +1,9 @@
-"""The Gymnasium faces: ``gymnasium.make`` and ``gymnasium.make_vec`` of ``Wheelleg-Velocity-v0``.
+"""Gymnasium's interfaces: ``gymnasium.make`` and ``gymnasium.make_vec`` of ``Wheelleg-Velocity-v0``.
 
 | module | what it offers |
 |---|---|
-| `task` | a task's name becomes an environment and its spaces |
-| `single_env`, `vector_env` | the two faces of it |
-| `pictures` | `render_mode="rgb_array"` |
+| `task_env` | the environment of a task, its spaces, and images for `render_mode="rgb_array"` |
+| `single_env`, `vector_env` | the single and the vector environment |
 """
 
 from __future__ import annotations
@@ -34,9 +33,9 @@ def register() -> None:
 
 
 def register_with_gymnasium() -> None:
-    """Register the environments as soon as Gymnasium is there: now, or when somebody imports it.
+    """Register the environments if Gymnasium is imported, or once it is imported later.
 
-    Gymnasium takes a quarter of a second, which a command that simulates nothing should not wait for.
+    Importing Gymnasium takes a quarter of a second, which commands without simulation should not pay.
     """
     if _GYMNASIUM in sys.modules:
         register()
@@ -45,10 +44,10 @@ def register_with_gymnasium() -> None:
 
 
 class _GymnasiumFinder(MetaPathFinder):
-    """Finds Gymnasium as others do, once, and registers the environments behind its import."""
+    """Finds Gymnasium once with the ordinary finders, and registers the environments after its import."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Return the spec of Gymnasium alone."""
+        """Return the spec of Gymnasium, and None for other modules."""
         del path, target
         if name != _GYMNASIUM:
             return None
@@ -60,17 +59,17 @@ class _GymnasiumFinder(MetaPathFinder):
 
 
 class _RegisteringLoader(Loader):
-    """Loads a module as its own loader does, and then registers the environments."""
+    """Loads a module with its own loader, and then registers the environments."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Make the module."""
+        """Create the module."""
         return self._loader.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module, give it its own loader back, and register."""
+        """Run the module, restore its own loader, and register the environments."""
         assert module.__spec__ is not None
         module.__spec__.loader = module.__loader__ = self._loader
         self._loader.exec_module(module)

@@ -1,4 +1,4 @@
-"""One environment behind ``gymnasium.Env``."""
+"""The single environment: a task as a ``gymnasium.Env``."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         task: a task's name.
         overrides: Hydra overrides, or one override as a text.
         config_dirs: folders of the user's own configs, or one folder.
-        action_bound: the largest size of an action, of all or of each (A,): the bound of ``action_space``; None is
-            unbounded. Actions beyond it are simulated as they are.
+        action_bound: largest size of an action in ``action_space``, one number for all or (A,); None means unbounded.
+            Larger actions are not clipped.
         render_mode: ``rgb_array``, or None.
-        width: of pictures, px.
-        height: of pictures, px.
+        width: width of images, px.
+        height: height of images, px.
 
     Raises:
         WheellegError: the task, an override or the robot is wrong, or one of these arguments.
@@ -61,9 +61,9 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         self._pictures = Pictures(self.env, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
-        """Begin an episode; a seed starts all random streams anew.
+        """Start an episode; a seed restarts all random streams.
 
-        ``log`` in the info is what the managers say of the episode that was left, if there was one.
+        ``log`` in the info is the managers' log of the previous episode, if there was one.
         """
         super().reset(seed=seed, options=options)
         has_run = bool(self.env.episode_length_buf[0])
@@ -73,8 +73,8 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         """Advance by one control step, for a raw action (A,).
 
-        Where a reward or the physics was not finite, the episode has failed with a reward of 0, and ``non_finite`` in
-        the info says whose numbers these were.
+        If a reward or the physics became NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the
+        info names the term.
         """
         raw = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
         observations, reward, terminated, truncated, extras = self.env.step(raw)
@@ -82,16 +82,16 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         return _first(as_arrays(observations)), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (height, width, 3), or None without a ``render_mode``.
+        """Return an image (height, width, 3), or None without a ``render_mode``.
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+            NoGraphics: this machine cannot render; the message states what to install.
         """
         drawn = self._pictures.draw()
         return None if drawn is None else drawn[0]
 
     def close(self) -> None:
-        """End the process that draws."""
+        """Stop the rendering process."""
         self._pictures.close()
 
 

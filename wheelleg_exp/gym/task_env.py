@@ -1,4 +1,4 @@
-"""A task's name becomes an environment, its Gymnasium spaces, and its pictures."""
+"""Build a task's environment, its Gymnasium spaces, and its images."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def task_env(
     given = override_texts(overrides)
     for word in given:
         if word.lstrip("+").startswith("env.num_envs="):
-            raise ConfigError("is given by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
+            raise ConfigError("is set by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
     words = [f"task={task}", *given, f"env.num_envs={num_envs}"]
     folders = [config_dirs] if isinstance(config_dirs, (str, Path)) else config_dirs
     composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
@@ -49,7 +49,7 @@ def _require_concatenated(env: ManagerBasedRLEnv) -> None:
     for group, concatenated in env.observation_manager.group_obs_concatenate.items():
         if not concatenated:
             raise ConfigError(
-                "Gymnasium observations are one array a group",
+                "Gymnasium needs one array for each observation group",
                 key=f"env.observations.{group}.concatenate_terms",
                 expected="true",
             )
@@ -68,10 +68,10 @@ def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) 
 
     Args:
         env: the environment.
-        bound: the largest size of an action, of all or of each; None is unbounded.
+        bound: largest size of an action, one number for all or one for each; None means unbounded.
 
     Raises:
-        ConfigError: the bound is no bound.
+        ConfigError: the bound is invalid.
     """
     width = env.action_manager.total_action_dim
     if bound is None:
@@ -83,18 +83,18 @@ def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) 
         high = None
     if high is None or not (np.isfinite(high).all() and (high > 0).all()):
         raise ConfigError(
-            f"{bound!r} bounds no action", key="action_bound", expected=f"a number above 0, {width} such, or None"
+            f"{bound!r} is not a bound", key="action_bound", expected=f"a number above 0, {width} such numbers, or None"
         )
     return gymnasium.spaces.Box(-high, high, dtype=np.float32)
 
 
 def as_arrays(observations: Observations) -> Arrays:
-    """Return observations as arrays of their own."""
+    """Return copies of the observations as arrays."""
     return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}
 
 
 def log_of(extras: dict[str, Any]) -> dict[str, float]:
-    """Return what the managers say of the episodes that were reset last, by name."""
+    """Return the managers' log of the last episodes that were reset, by name."""
     return {key: float(value) for key, value in extras["log"].items()}
 
 
@@ -103,40 +103,40 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Draws environments one by one; nothing of them changes.
+    """Renders environments one by one without changing them.
 
     Args:
         env: the environment.
-        mode: ``rgb_array``, or None for no pictures.
+        mode: ``rgb_array``, or None for no images.
         width: px.
         height: px.
 
     Raises:
-        ConfigError: the mode or the size is none.
+        ConfigError: the mode or the size is invalid.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
         if mode is not None and mode not in RENDER_MODES:
             expected, nearest = " or ".join([*RENDER_MODES, "None"]), nearest_name(str(mode), RENDER_MODES)
-            raise ConfigError(f"there is no mode '{mode}'", key="render_mode", expected=expected, nearest=nearest)
+            raise ConfigError(f"unknown mode '{mode}'", key="render_mode", expected=expected, nearest=nearest)
         for key, size in (("width", width), ("height", height)):
             whole = isinstance(size, Integral) and not isinstance(size, bool)
             if not (whole and _SIZE_PX[0] <= size <= _SIZE_PX[1]):
                 expected = "a whole number of px, {} to {}".format(*_SIZE_PX)
-                raise ConfigError(f"{size!r} is no size", key=key, expected=expected)
+                raise ConfigError(f"{size!r} is not a size", key=key, expected=expected)
         self._env, self._mode = env, mode
         self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
 
     def draw(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture (height, width, 3) of every environment, or None where there is no mode.
+        """Return an image (height, width, 3) of every environment, or None without a mode.
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+            NoGraphics: this machine cannot render; the message states what to install.
         """
         if self._mode is None:
             return None
         return tuple(self._pictures.draw(row) for row in host_copy(self._env.scene.sim.view("qpos")).astype(float))
 
     def close(self) -> None:
-        """End the process that draws."""
+        """Stop the rendering process."""
         self._pictures.close()

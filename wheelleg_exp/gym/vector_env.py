@@ -1,4 +1,4 @@
-"""N environments behind ``gymnasium.vector.VectorEnv``."""
+"""The vector environment: a task with N environments as a ``gymnasium.vector.VectorEnv``."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ _MODES = {
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
-    """A task as a vector environment, whose infos are laid out as Gymnasium's own ``SyncVectorEnv`` lays them out.
+    """A task as a vector environment, with infos in the layout of Gymnasium's ``SyncVectorEnv``.
 
-    ``same_step``: an environment that is done is reset within the step, its last observation and info stand in
-    ``final_obs`` and ``final_info``, the returned one begins the next episode. ``next_step``: it is reset in the step
-    after, whose action and reward count for nothing. ``disabled``: by ``reset(options={"reset_mask": ...})``.
-    ``log`` in the infos is what the managers say of the episodes that were left in this step, the mean over all of
-    them. Where a reward or the physics was not finite, the environment has failed with a reward of 0, and
-    ``non_finite`` says whose numbers these were.
+    ``same_step``: a done environment is reset within the step; ``final_obs`` and ``final_info`` contain its last
+    observation and info, and the returned observation is the first of the next episode. ``next_step``: a done
+    environment is reset in the next step, whose action is ignored and whose reward is 0. ``disabled``: the caller
+    resets with ``reset(options={"reset_mask": ...})``. ``log`` in the infos is the managers' log, averaged over the
+    episodes that ended in this step. If a reward or the physics became NaN or inf, the environment fails with a reward
+    of 0, and ``non_finite`` names the term.
 
     Args:
         num_envs: number of environments, N.
         task: a task's name.
         overrides: Hydra overrides, or one override as a text.
         config_dirs: folders of the user's own configs, or one folder.
-        action_bound: the largest size of an action, of all or of each (A,): the bound of ``single_action_space``;
-            None is unbounded. Actions beyond it are simulated as they are.
+        action_bound: largest size of an action in ``single_action_space``, one number for all or (A,); None means
+            unbounded. Larger actions are not clipped.
         render_mode: ``rgb_array``, or None.
-        width: of pictures, px.
-        height: of pictures, px.
+        width: width of images, px.
+        height: height of images, px.
         autoreset_mode: ``same_step``, ``next_step``, ``disabled``, or Gymnasium's ``AutoresetMode``.
 
     Raises:
@@ -100,7 +100,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     ) -> tuple[Arrays, dict[str, Any]]:
         """Reset every environment, or those of ``options["reset_mask"]`` (N,) bool.
 
-        One seed starts all random streams anew.
+        One seed restarts all random streams.
         """
         if isinstance(seed, list):
             raise ValueError("the environments share their random streams: give one seed, not a list")
@@ -126,19 +126,19 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         """
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ResetNeeded(f"{np.flatnonzero(self._done).tolist()} are done: reset them with options['reset_mask']")
-        begun = self._done
+        started = self._done
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)
         self._done = host_copy(terminated | truncated)
         infos: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
-            begun = self._done
+            started = self._done
             self._add_final(infos, as_arrays(extras["final_obs"]), extras)
         elif "non_finite" in extras:
             for env_id, keys in extras["non_finite"]["keys"].items():
                 self._add_info(infos, {"non_finite": keys}, env_id)
         if extras["log_is_fresh"]:
-            infos |= _log(extras, begun)
+            infos |= _log(extras, started)
         rewards = host_copy(reward.double())
         return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos
 
@@ -151,21 +151,21 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             self._add_info(infos, {"final_obs": last, "final_info": info}, env_id)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture (height, width, 3) of every environment, or None without a ``render_mode``.
+        """Return an image (height, width, 3) of every environment, or None without a ``render_mode``.
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+            NoGraphics: this machine cannot render; the message states what to install.
         """
         return self._pictures.draw()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return what each environment has or answers by a name, as ``SyncVectorEnv.call`` does."""
+        """Return an attribute or the result of a method for each environment, as ``SyncVectorEnv.call`` does."""
         found = getattr(self, name)
         answer = found(*args, **kwargs) if callable(found) else found
         return answer if name == "render" and answer is not None else (answer,) * self.num_envs
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the process that draws."""
+        """Stop the rendering process."""
         del kwargs
         self._pictures.close()
 
@@ -177,12 +177,12 @@ def _autoreset(mode: str | AutoresetMode) -> AutoresetMode:
     if found is None:
         expected = "one of " + ", ".join(_MODES)
         nearest = nearest_name(str(mode), _MODES)
-        raise ConfigError(f"there is no mode '{mode}'", key="autoreset_mode", expected=expected, nearest=nearest)
+        raise ConfigError(f"unknown mode '{mode}'", key="autoreset_mode", expected=expected, nearest=nearest)
     return found
 
 
 def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.bool_] | None:
-    """Return which environments are to be reset; None is all."""
+    """Return the mask of the environments to reset; None means all."""
     if not options or "reset_mask" not in options:
         return None
     mask = options["reset_mask"]
@@ -194,7 +194,7 @@ def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.boo
 
 
 def _log(extras: dict[str, Any], which: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the managers' log, as Gymnasium lays out what some environments (N,) bool have each."""
+    """Return the managers' log in Gymnasium's layout of infos, for the environments of the mask ``which`` (N,)."""
     log: dict[str, Any] = {}
     for key, value in log_of(extras).items():
         log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
