@@ -227,6 +227,6 @@ def test_actions_beyond_the_bound_are_simulated_as_they_are(env):
 
 @pytest.mark.parametrize("bound", [0, -1.0, float("inf"), float("nan"), [1, 2], "wide", "2", True])
 def test_a_bound_that_is_none_is_told(bound):
-    with pytest.raises(ConfigError, match="a number above 0, 6 such, or None") as caught:
+    with pytest.raises(ConfigError, match="a number above 0, 6 such numbers, or None") as caught:
         make(action_bound=bound)
     assert caught.value.key == "action_bound"
