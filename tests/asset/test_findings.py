@@ -65,7 +65,7 @@ def test_a_mesh_that_is_not_there_is_counted_by_what_it_was_for(tmp_path):
     inside = mesh.format("visual") + mesh.format("collision") * 2
     _, done = urdf.made(tmp_path, urdf.link("a", inside + urdf.BOX))
     assert numbers(done, "mesh_not_found") == {"gone.stl": {"colliders": 2, "visuals": 1}}
-    assert done.report.verdict.reasons == ("2 colliders are lost with their meshes",)
+    assert done.report.verdict.reasons == ("2 colliders are lost with their mesh files",)
 
 
 def test_a_usd_is_told_by_kind_subject_and_numbers(tmp_path):
@@ -88,14 +88,14 @@ def test_the_assumed_share_of_the_mass_is_that_of_what_the_file_does_not_weigh(t
     assert numbers(done, "no_inertial") == {"b": {"mass": 1}, "frame": {"mass": 0}}
     assert (done.report.totals["mass"], done.report.totals["assumed_mass"]) == (2, 1)
     assert done.report.totals["assumed_share"] == 0.5
-    assert done.report.verdict.reasons == ("50% of its mass is assumed",)
+    assert done.report.verdict.reasons == ("50% of the mass is assumed",)
 
 
 def test_a_robot_without_colliders_leads_its_report_with_that(tmp_path, capsys):
     source = urdf.write(tmp_path, urdf.pair("continuous"))
     assert main(["convert", str(source), "-o", str(tmp_path / "out.xml")]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first == "bot.urdf: DOUBTFUL: it has no colliders"
+    assert first == "bot.urdf: DOUBTFUL: the robot has no colliders"
     assert second == "warning: no shape of the robot collides: it falls through any ground"
 
 
@@ -119,16 +119,16 @@ def test_a_size_that_no_robot_has_is_in_doubt(tmp_path, capsys, radius, mass, sa
     source = urdf.write(tmp_path, wheel + urdf.joint("j", "a", "b", "continuous"))
     assert main(["convert", str(source), "-o", str(tmp_path / "out.xml")]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert ("DOUBTFUL: no robot has its size and mass" in told) is bool(said)
+    assert ("DOUBTFUL: no robot has this size and mass" in told) is bool(said)
     assert said in told
 
 
 def test_verdicts(tmp_path):
     assert verdict_of([], 0.0, 0).level == "good"
     assert verdict_of([], 0.0, 1).level == "check"
-    assert verdict_of([], 0.05, 0) == Verdict("check", ("5.0% of its mass is assumed",))
+    assert verdict_of([], 0.05, 0) == Verdict("check", ("5.0% of the mass is assumed",))
     lost = Finding("limits_ignored", "j", "/j", {"lower": -1, "upper": 1})
-    assert verdict_of([lost], 0.0, 1).reasons == ("1 joints lost the limits that are written",)
+    assert verdict_of([lost], 0.0, 1).reasons == ("1 joints lost the limits that the file writes",)
     assert [is_placeholder(value) for value in (0, 999, 1000, -2000)] == [True, False, True, True]
 
 

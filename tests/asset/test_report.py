@@ -175,7 +175,7 @@ def test_a_texture_and_a_library_that_are_not_there_are_reported_and_no_end(tmp_
     left = {item.name: item for item in done.report.left_out}
     assert set(left) == {"inputs:diffuse_texture", "info:mdl:sourceAsset"}
     assert left["inputs:diffuse_texture"].values == {"/bot/m/s": "gone.png"}
-    assert "not there" in left["inputs:diffuse_texture"].reason
+    assert "missing" in left["inputs:diffuse_texture"].reason
     assert warned(done) == ()
 
 

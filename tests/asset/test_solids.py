@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset.rigid_geometry import Frame, rotation_matrix
-from wheelleg_exp.asset.solids import mesh_solid, primitive
+from wheelleg_exp.asset.rigid_geometry import Frame, mesh_solid, primitive, rotation_matrix
 
 SHAPES = {
     "box": (0.1, 0.2, 0.3),

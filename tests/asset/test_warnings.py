@@ -6,7 +6,7 @@ import math
 
 import mujoco
 
-from wheelleg_exp.asset import conversion
+from wheelleg_exp.asset import convert_robot
 from wheelleg_exp.asset.mjcf import compile_mjcf
 
 from .small_usd import link, write
@@ -29,8 +29,8 @@ def test_a_warning_of_mujoco_stands_in_the_report_and_in_no_log_file(tmp_path, m
         _provoke()
         return load(path, source)
 
-    monkeypatch.setattr(conversion, "load", odd)
-    done = conversion.convert(write(tmp_path, link("a")), tmp_path / "out.xml")
+    monkeypatch.setattr(convert_robot, "load", odd)
+    done = convert_robot.convert(write(tmp_path, link("a")), tmp_path / "out.xml")
     (warning,) = [text for text in done.report.warnings if text.startswith("MuJoCo: ")]
     assert "QPOS" in warning
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

@@ -1,21 +1,16 @@
-"""Reads robots from USD and URDF into a plain description, and writes MJCF from it.
-
-``convert`` makes one MJCF file; ``convert_cached`` keeps it in a cache, keyed by the content of every layer
-that the USD stage is made of.
+"""Read robots from USD and URDF into a plain description, and write MJCF from it.
 
 | module | what it offers |
 |---|---|
-| `conversion` | a USD or URDF file becomes an MJCF |
-| `cache` | conversions kept by the content of what they were made of |
-| `description` | a robot as plain data |
-| `beside` | files of learned actuators and of the ground, which lie beside the MJCF |
+| `convert_robot` | `convert`: make an MJCF from a USD or URDF file |
+| `conversion_cache` | `convert_cached`: conversions in a cache, keyed by the content of every source file |
+| `robot_description` | a robot as plain data |
 | `usd`, `urdf` | read a robot |
-| `mjcf` | writes it |
-| `report` | what was read, assumed and left out |
-| `findings`, `shape_findings` | what is odd about a file, as data, and the verdict |
-| `values` | the model's numbers as plain JSON |
-| `geometry`, `solids` | frames, volumes and inertias |
-| `sources`, `allocation` | how much files may hold and take |
+| `mjcf` | write a robot |
+| `conversion_report`, `report_writer` | what was read, assumed, and left out; findings and verdict |
+| `robot_values` | the model's numbers as plain JSON |
+| `rigid_geometry` | frames, volumes, and inertias |
+| `file_limits` | limits on the size of files and on memory |
 """
 
 from __future__ import annotations
@@ -27,15 +22,15 @@ from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.robot_description import BaseMode, RobotDescription
 
 if TYPE_CHECKING:
-    from wheelleg_exp.asset.cache import CachedConversion, convert_cached, source_digest
-    from wheelleg_exp.asset.conversion import Conversion, convert
+    from wheelleg_exp.asset.conversion_cache import CachedConversion, convert_cached, source_digest
+    from wheelleg_exp.asset.convert_robot import Conversion, convert
 
-_LAZY = {  # the USD and MuJoCo libraries are loaded with the first use
-    "Conversion": "conversion",
-    "convert": "conversion",
-    "CachedConversion": "cache",
-    "convert_cached": "cache",
-    "source_digest": "cache",
+_LAZY = {  # the first use loads the USD and MuJoCo libraries, which takes a second
+    "Conversion": "convert_robot",
+    "convert": "convert_robot",
+    "CachedConversion": "conversion_cache",
+    "convert_cached": "conversion_cache",
+    "source_digest": "conversion_cache",
 }
 
 __all__ = [

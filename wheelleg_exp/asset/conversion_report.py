@@ -46,12 +46,12 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
 SIZES = (0.01, 20.0)  # m, longest edge of a robot
 DENSITIES = (0.01, 5000.0)  # kg/m³ of a cube whose edge is the robot's longest; most real robots have 10 to 100
-PLACEHOLDER = 1e3  # N m, N, rad/s or m/s: from here on a limit is what an exporter writes for "none"
+PLACEHOLDER = 1e3  # N m, N, rad/s or m/s: exporters write limits this large for "unlimited"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found: what it is, the body, joint or file that it is about by name, and where it stands."""
+    """One finding: its kind, the name of the body, joint, or file, and its path in the source."""
 
     kind: Kind
     subject: str
@@ -60,7 +60,7 @@ class Finding:
 
 
 def is_placeholder(value: float) -> bool:
-    """Return whether a limit of effort or speed is no limit of any motor: zero, or huge."""
+    """Return whether a limit of effort or speed is zero or huge, as no motor has it."""
     return value == 0 or abs(value) >= PLACEHOLDER
 
 
@@ -77,37 +77,37 @@ def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> st
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a conversion is worth: ``good``, ``check`` (read the warnings) or ``doubtful``, and further ``reasons``."""
+    """Quality of a conversion: ``good``, ``check`` (read the warnings), or ``doubtful``, and further ``reasons``."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
 
 
-MUCH = 0.1  # share of the mass that is assumed, from which on a robot is not the one that was meant
+MUCH = 0.1  # share of assumed mass that makes a robot doubtful
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
     """Return the verdict on a conversion.
 
     Args:
-        findings: what is odd about the file.
-        assumed_share: how much of the mass the file does not give.
-        warnings: how many there are.
+        findings: findings about the file.
+        assumed_share: share of the mass that the file does not give.
+        warnings: number of warnings.
     """
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
     doubts = [
-        (count["no_colliders"], "it has no colliders"),
-        (count["implausible_size"], "no robot has its size and mass"),
-        (assumed_share >= MUCH, f"{assumed_share:.0%} of its mass is assumed"),
-        (lost, f"{lost:g} colliders are lost with their meshes"),
-        (gone, f"{gone} layers or prims that it names are not there"),
-        (count["limits_ignored"], f"{count['limits_ignored']} joints lost the limits that are written"),
+        (count["no_colliders"], "the robot has no colliders"),
+        (count["implausible_size"], "no robot has this size and mass"),
+        (assumed_share >= MUCH, f"{assumed_share:.0%} of the mass is assumed"),
+        (lost, f"{lost:g} colliders are lost with their mesh files"),
+        (gone, f"{gone} layers or prims that the file names are missing"),
+        (count["limits_ignored"], f"{count['limits_ignored']} joints lost the limits that the file writes"),
     ]
     reasons = tuple(text for true, text in doubts if true)
     if not reasons and assumed_share:
-        return Verdict("check", (f"{assumed_share:.1%} of its mass is assumed",))
+        return Verdict("check", (f"{assumed_share:.1%} of the mass is assumed",))
     return Verdict("doubtful" if reasons else "check" if warnings else "good", reasons)
 
 
@@ -116,7 +116,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """A part of the USD and what it became."""
+    """A part of the source file and the MJCF part that it became."""
 
     path: str
     name: str
@@ -125,7 +125,7 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Assumption:
-    """A value that the file does not give, or gives in a way that needs a rule."""
+    """A value that a rule gave, because the file does not give it or gives it ambiguously."""
 
     path: str
     rule: str
@@ -134,7 +134,7 @@ class Assumption:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Something that carries physics and has no place in the MJCF: ``values`` by prim path."""
+    """Physics of the file that has no place in the MJCF: ``values`` by prim path."""
 
     name: str
     reason: str
@@ -143,7 +143,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class DofOrder:
-    """Names of the degrees of freedom in the order of either simulator."""
+    """Names of the degrees of freedom in the order of each simulator."""
 
     physx: tuple[str, ...]
     mujoco: tuple[str, ...]
@@ -151,12 +151,11 @@ class DofOrder:
 
 @dataclass(frozen=True)
 class Report:
-    """The whole story of one conversion.
+    """The report of one conversion.
 
-    ``layers`` maps each layer that the stage is made of to the sha256 of its bytes. ``velocity_limits`` holds
-    what MuJoCo has no place for and a controller still wants, in rad/s (m/s) by degree of freedom. ``findings`` are
-    what is odd about the file, one record each; ``values`` are the model's numbers by name (``values_of``), and
-    ``authored`` the file's own of its joints, by path, in its units.
+    ``layers`` maps each file of the source to the sha256 of its bytes. ``velocity_limits`` are in rad/s (m/s) by degree
+    of freedom: MuJoCo has no place for them, but a controller needs them. ``values`` are the model's numbers by name
+    (``values_of``), and ``authored`` the file's own numbers of its joints, by path, in the file's units.
     """
 
     source: str
@@ -183,19 +182,19 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """What the conversion is worth, by its findings and warnings."""
+        """The verdict from findings and warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:
-        """Return one JSON document, the same to the byte for the same conversion."""
+        """Return a JSON document, byte-identical for the same conversion."""
         return json.dumps({"verdict": asdict(self.verdict), **asdict(self)}, indent=2, ensure_ascii=False) + "\n"
 
     @staticmethod
     def from_json(text: str) -> Report:
-        """Read a report back.
+        """Parse a report.
 
         Raises:
-            ValueError: the text is no report of this version.
+            ValueError: the text is not a report of this version.
         """
         try:
             return _parse(json_value(text))
@@ -206,12 +205,12 @@ class Report:
 def _parse(data: Mapping[str, Any]) -> Report:
     if data["version"] != VERSION:
         raise ValueError(f"a report of version {data['version']}, expected {VERSION}")
-    fields = {name: value for name, value in data.items() if name != "verdict"}  # which is made of the others
+    fields = {name: value for name, value in data.items() if name != "verdict"}  # derived from the other fields
     fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
     fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
     fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
     fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
     fields["warnings"] = tuple(data["warnings"])
     fields["unresolved"] = tuple(data["unresolved"])
-    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))  # of older reports: none
+    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))  # missing in older reports
     return Report(**fields)

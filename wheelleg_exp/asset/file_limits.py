@@ -18,22 +18,20 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.machine import require_room, used_memory
 
 LARGEST_FILE = 2**30  # bytes
-LARGEST_TEXT = 2**28  # bytes of a file that is read whole, and grows twentyfold on the way: a URDF, a mesh
-FARTHEST = 1e9  # m; MuJoCo refuses states beyond 1e10, and nothing of a robot is that far
+LARGEST_TEXT = 2**28  # bytes of a URDF or mesh, which is read at once and grows twentyfold in memory
+FARTHEST = 1e9  # m; MuJoCo refuses states beyond 1e10
 MOST_PRIMS = 300_000
-MOST_ELEMENTS = 200_000  # of XML
+MOST_ELEMENTS = 200_000  # XML elements
 MOST_BODIES = 5_000
 MOST_SHAPES = 20_000
-POINT_BYTES = (
-    2_100  # peak memory for each point and triangle of a mesh (measured: 1.5 to 2.06 kB, most of it in MuJoCo)
-)
-MOST_POINTS = 3_500_000  # points and triangles of all meshes as they are drawn, those of instances again: 7.4 GB
+POINT_BYTES = 2_100  # peak memory per point and triangle of a mesh (measured: 1.5 to 2.06 kB, mostly in MuJoCo)
+MOST_POINTS = 3_500_000  # points and triangles of all meshes, counted once per instance: 7.4 GB
 
 
 def require_size(
     count: int, most: int, what: str, *, key: str | None = None, where: str | None = None, expected: str = "one robot"
 ) -> None:
-    """Refuse a robot that is too large.
+    """Raise an error if a robot is too large.
 
     Raises:
         AssetError: ``count`` is above ``most``.
@@ -43,10 +41,10 @@ def require_size(
 
 
 def require_near(lengths: ArrayLike, *, key: str, where: str | None = None) -> None:
-    """Refuse lengths (m) that no robot has.
+    """Raise an error for lengths (m) that no robot has.
 
     Raises:
-        AssetError: one is beyond ``FARTHEST``, or not a number.
+        AssetError: a length is beyond ``FARTHEST``, or NaN.
     """
     largest = float(np.abs(np.asarray(lengths, dtype=float)).max(initial=0.0))
     if not largest <= FARTHEST:
@@ -58,24 +56,24 @@ LOOKS = (*TEXTURES, ".mdl", ".mtlx")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".fbx")
 
 
-POINTER = b"version https://git-lfs"  # how a file begins that Git LFS has not fetched
-FETCH = "a pointer of Git LFS, not the file itself: 'git lfs pull' fetches that"
+POINTER = b"version https://git-lfs"  # first bytes of a file that Git LFS has not fetched
+FETCH = "a Git LFS pointer, not the file itself: 'git lfs pull' fetches the file"
 
 
 def require_plain_file(
     path: Path, expected: str, largest: int = LARGEST_FILE, *, key: str | None = None, where: str | None = None
 ) -> None:
-    """Refuse what cannot be read as a file: a pipe or a device would be waited for, or never end.
+    """Raise an error for a path that is not a readable file: reading a pipe or a device could wait forever.
 
     Args:
         path: the file.
-        expected: what it has to be.
-        largest: its size in bytes.
-        key: what names it, a prim or an element.
-        where: the file that names it.
+        expected: the expected kind of file, for the message.
+        largest: the size limit in bytes.
+        key: the prim or element that names the file.
+        where: the file that contains this prim or element.
 
     Raises:
-        AssetError: there is nothing, a folder, a pipe, a device, or a file of more than ``largest`` bytes.
+        AssetError: the path is missing, a folder, a pipe, a device, or larger than ``largest`` bytes.
     """
     problem = _problem_of(path, largest)
     if problem:
@@ -97,18 +95,18 @@ def _problem_of(path: Path, largest: int) -> str:
     return f"'{path}' is larger than {largest >> 20} MB" if found.st_size > largest else ""
 
 
-MOST = 2**33  # bytes beyond what the process has
+MOST = 2**33  # bytes beyond the process's current memory
 
 _lock = threading.Lock()
-_open: list[tuple[int, int]] = []  # the process's own limit, once for each conversion under way
+_open: list[tuple[int, int]] = []  # the process's own limit, once for each running conversion
 
 
 @contextmanager
 def bounded_memory(source: Path) -> Iterator[None]:
-    """Let allocations fail that go 8 GiB beyond what the process has at the start; on Linux, elsewhere nothing.
+    """Limit allocations to 8 GiB beyond the process's current memory; on Linux only.
 
-    A crate of a few bytes can claim two thousand million numbers, and the USD library makes room for them before it
-    looks. The limit is the process's, so other threads share it meanwhile.
+    A damaged crate of a few bytes can claim two thousand million numbers, and the USD library allocates them before it
+    checks. The limit applies to the whole process, so other threads share it.
 
     Raises:
         AssetError: the memory was not enough.

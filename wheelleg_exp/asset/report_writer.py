@@ -19,9 +19,9 @@ FALLS = "no shape of the robot collides: it falls through any ground"
 
 
 def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
-    """Record a robot without colliders, loudly, and the ends of its limbs that have none.
+    """Warn about a robot without colliders, and record each last body of a limb that has none.
 
-    An end is what moves as one and carries nothing that moves in turn: a foot, a wheel, a hand.
+    The last body is a group of welded bodies that carries no other moving body: a foot, a wheel, a hand.
     """
     if not robot.colliders:
         ledger.find("no_colliders", robot.name, "")
@@ -34,7 +34,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def _ends(robot: RobotDescription) -> list[list[Body]]:
-    """Return the bodies that are welded together at the end of a limb, the moving one first."""
+    """Return the groups of welded bodies at the end of a limb, the moving body first."""
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -74,7 +74,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
 
 
 def summarise(stage: Stage, robot: RobotDescription) -> Report:
-    """Return the report of a stage and the robot read from it."""
+    """Return the report of a USD stage and its robot."""
     units = stage.units
     return report_of(
         robot,
@@ -99,16 +99,16 @@ def report_of(
     unresolved: tuple[str, ...],
     layers: dict[str, str],
 ) -> Report:
-    """Return the report of a robot, of whatever format its file is.
+    """Return the report of a robot from a file of any format.
 
     Args:
-        robot: what was read.
-        ledger: what was noted on the way.
+        robot: the robot's description.
+        ledger: readings, assumptions, and warnings.
         source: the file's name.
         root: path of the robot within the file.
         stage: the file's units.
-        variants: names in force by variant set.
-        unresolved: names of files that are not there.
+        variants: selected names by variant set.
+        unresolved: names of missing files.
         layers: sha256 of each file that was read.
     """
     note_colliders(robot, ledger)
@@ -138,7 +138,7 @@ def report_of(
 
 
 def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
-    """Return the findings, those of bodies and joints by the names that these have in the model."""
+    """Return the findings; those about bodies and joints get the names in the model."""
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
         names.setdefault(path, name)
@@ -149,14 +149,14 @@ def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
 
 
 def base_of(robot: RobotDescription) -> str:
-    """Return how the roots stand in the world: floating, fixed, or attached by a joint."""
+    """Return how the roots are held: floating, fixed, or attached by a joint."""
     roots = list(robot.children(None))
     kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return ", ".join(sorted(kinds))
 
 
 def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:
-    """Return the counts and masses (kg) that tell at a glance whether a conversion is right."""
+    """Return counts and masses (kg) that show at a glance whether a conversion is right."""
     assumed = sum(item.numbers["mass"] for item in findings if item.kind == "no_inertial")
     return {
         "bodies": len(robot.bodies),

@@ -1,9 +1,15 @@
-"""Rotations, rigid frames, the polar decomposition of an affine map, and rounding. Arrays hold column vectors."""
+"""Rotations, rigid frames, and rounding; volume, centre, and inertia of solid shapes, and of bodies made of them.
+
+Arrays hold column vectors. Solids have closed forms. A mesh is the solid of its convex hull, or the volume that
+MuJoCo's compiler computes. Formulas: any table of moments of inertia; a capsule is a cylinder and two half spheres.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +22,22 @@ Array = NDArray[np.float64]
 def single(value: float) -> float:
     """Return the shortest decimal that is the same number in single precision.
 
-    USD stores most physics in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425 again;
-    the change is below the precision of the source.
+    USD stores most physics in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425 again. The
+    change is below the precision of the source.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
 
-SHORT_DIGITS = 5  # a decimal this short, within single precision, is what was meant and not an accident
-NOTHING = 1e-8  # m; less is the noise of single precision at the size of a link
+SHORT_DIGITS = 5  # a decimal this short, within single precision, was meant and is not an accident
+NOTHING = 1e-8  # m; smaller lengths are single-precision noise at the size of a link
 NOISE = 1e-14  # relative error of a few operations in double precision
 
 
 def rounded(value: float, scale: float | None = None) -> float:
-    """Return the short decimal that was meant, where there is one; else the number itself.
+    """Return the short decimal that was meant, if one exists; else the number itself.
 
-    -28.64789 degrees are -0.5000000058 rad; what was meant is -0.5. Nothing changes by more than the single
-    precision in which USD stores most physics, and what is no short decimal stays as it is.
+    -28.64789 degrees are -0.5000000058 rad, and -0.5 was meant. No number changes by more than the single precision in
+    which USD stores most physics. A number without a short decimal stays unchanged.
 
     Args:
         value: the number.
@@ -48,12 +54,12 @@ def rounded(value: float, scale: float | None = None) -> float:
 
 
 def plain_float(value: float) -> float:
-    """Return a number without the noise of the few operations that made it: -0.29624999999999996 is -0.29625."""
+    """Return a number without the rounding error of a few operations: -0.29624999999999996 becomes -0.29625."""
     return float(f"{value:.15g}")
 
 
 def vec3(values: Array) -> Vec3:
-    """Return three plain floats in m, without the noise below single precision of the largest and below 10 nm."""
+    """Return three floats in m, without noise below single precision of the largest one and below 10 nm."""
     scale = float(np.abs(values).max())
     if scale < NOTHING:
         return 0.0, 0.0, 0.0
@@ -62,7 +68,7 @@ def vec3(values: Array) -> Vec3:
 
 
 def rotation_matrix(quat: Quat) -> Array:
-    """Return the 3x3 matrix of a quaternion (w, x, y, z), which need not be of unit length."""
+    """Return the 3x3 matrix of a quaternion (w, x, y, z), which may have any length."""
     q = np.asarray(quat, dtype=float)
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(
@@ -103,7 +109,7 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
-        """Return the frame that changes nothing."""
+        """Return the identity."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -116,7 +122,7 @@ class Frame:
         return Frame(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Frame:
-        """Return the frame that undoes this one."""
+        """Return the inverse frame."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
     def pose(self) -> Pose:
@@ -131,7 +137,7 @@ class Frame:
         return out
 
     def distance(self, other: Frame) -> tuple[float, float]:
-        """Return how far two frames are apart: m and rad."""
+        """Return the distance between two frames: m and rad."""
         chord = float(np.linalg.norm(self.rotation - other.rotation)) / math.sqrt(8)
         return float(np.linalg.norm(self.translation - other.translation)), 2 * math.asin(min(1.0, chord))
 
@@ -139,7 +145,7 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    A mirrored map keeps a proper rotation; its stretch is then negative (the map times -1).
+    The rotation of a mirrored map stays proper; its stretch is then negative (the map times -1).
     """
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
@@ -150,7 +156,7 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
 
 
 def rigid_part(matrix: Array) -> Frame:
-    """Return a 4x4 map's frame, without scale, shear and mirroring."""
+    """Return the frame of a 4x4 map, without scale, shear, and mirroring."""
     return Frame(split_scale(matrix[:3, :3])[0], matrix[:3, 3].copy())
 
 
@@ -159,8 +165,189 @@ def apply(matrix: Array, points: Array) -> Array:
     return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
 
 
-Z_TO_AXIS = {  # rotations that carry z onto the axis of a capsule, cylinder, cone or plane
+Z_TO_AXIS = {  # rotations from z to the axis of a capsule, cylinder, cone, or plane
     "X": rotation_matrix((math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)),
     "Y": rotation_matrix((math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0)),
     "Z": np.eye(3),
 }
+
+
+WATER = 1000.0  # kg/m³, the default density
+BARE_MASS, BARE_RADIUS = 1.0, 0.1  # PhysX: a body without mass and colliders is a sphere of 1 kg
+MeshVolume = Literal["convex", "exact", "legacy", "shell"]
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Volume (m³), centre (3,) in m, and inertia (3, 3) of density 1 about that centre, in m⁵."""
+
+    volume: float
+    center: Array
+    inertia: Array
+
+    def seen_from(self, frame: Frame) -> Solid:
+        """Return the solid in the coordinates in which ``frame`` is given."""
+        r = frame.rotation
+        return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece of a body: mass (kg), centre (3,) in m, and tensor (3, 3) about that centre in kg m²."""
+
+    mass: float
+    center: Array
+    tensor: Array
+
+    @staticmethod
+    def of(solid: Solid, mass: float) -> Part:
+        """Return a solid of uniform density with this ``mass``."""
+        return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
+
+    def about(self, center: Array) -> Part:
+        """Return the part as if its centre were at ``center`` (parallel-axis theorem)."""
+        return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
+
+
+def parallel_axis(mass: float, offset: Array) -> Array:
+    """Return the increase of a tensor (3, 3) when its point moves by ``offset`` (3,) from the centre of mass."""
+    return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
+
+
+def combined_center(parts: Iterable[Part]) -> Array:
+    """Return the centre of mass (3,) of parts; the origin if their mass is zero."""
+    parts = list(parts)
+    total = sum(part.mass for part in parts)
+    if total <= 0:
+        return np.zeros(3)
+    return np.asarray(sum((part.mass * part.center for part in parts), np.zeros(3)) / total)
+
+
+def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
+    """Return the parts' tensor (3, 3) in kg m², scaled to ``mass`` (kg), about ``center`` (3,)."""
+    total = sum(part.mass for part in parts)
+    tensor = sum((part.about(center).tensor for part in parts), np.zeros((3, 3)))
+    return np.asarray(tensor * (mass / total))
+
+
+def principal(tensor: Array) -> tuple[Vec3, Quat]:
+    """Return the principal moments of a tensor (3, 3) and the rotation (w, x, y, z) of their axes.
+
+    Jacobi's method rotates the largest off-diagonal element away, by at most 45°, until none is left. PhysX uses the
+    same method, so the order of the moments is PhysX's.
+    """
+    turn, left = np.eye(3), np.array(tensor, dtype=float)
+    smallest = 1e-15 * np.abs(left).max()
+    for _ in range(60):
+        p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
+        if abs(left[p, q]) <= smallest:
+            break
+        step = _jacobi(left, p, q)
+        left, turn = step.T @ left @ step, turn @ step
+    x, y, z = (float(v) for v in np.diag(left))
+    return (x, y, z), quaternion(turn)
+
+
+def _jacobi(matrix: Array, p: int, q: int) -> Array:
+    """Return the rotation that makes element (p, q) of a symmetric matrix zero, by the smaller angle."""
+    cot = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
+    tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
+    cos = 1 / math.hypot(tan, 1.0)
+    out = np.eye(3)
+    out[p, p] = out[q, q] = cos
+    out[p, q], out[q, p] = tan * cos, -tan * cos
+    return out
+
+
+def balanced(moments: Vec3) -> Vec3:
+    """Return physically possible moments: each positive, and none larger than the sum of the other two.
+
+    MuJoCo refuses others. A moment of zero, or below 1e-9 of the largest, becomes a thousandth of the largest; a moment
+    that is too large becomes the sum of the other two.
+    """
+    largest = max(moments)
+    values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]
+    index = int(np.argmax(values))
+    others = sum(values) - values[index]
+    if values[index] > others:
+        values[index] = others * (1 - 1e-12)  # the sum itself would fail by rounding
+    return values[0], values[1], values[2]
+
+
+def cone(radius: float, half: float) -> Solid:
+    """Return the solid of a cone along z, its tip at ``half`` and its base at ``-half`` (m)."""
+    volume, moments = _cone(radius, half)
+    return Solid(volume, np.array([0.0, 0.0, -half / 2]), np.diag(moments))
+
+
+def primitive(kind: str, size: tuple[float, ...]) -> Solid:
+    """Return the solid of a box, sphere, ellipsoid, capsule or cylinder (``size`` as in MuJoCo)."""
+    volume, moments = _FORMS[kind](*size)
+    return Solid(volume, np.zeros(3), np.diag(moments))
+
+
+def _box(a: float, b: float, c: float) -> tuple[float, tuple[float, float, float]]:
+    v = 8 * a * b * c
+    return v, (v / 3 * (b * b + c * c), v / 3 * (a * a + c * c), v / 3 * (a * a + b * b))
+
+
+def _ellipsoid(a: float, b: float, c: float) -> tuple[float, tuple[float, float, float]]:
+    v = 4 / 3 * math.pi * a * b * c
+    return v, (v / 5 * (b * b + c * c), v / 5 * (a * a + c * c), v / 5 * (a * a + b * b))
+
+
+def _cylinder(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
+    v = 2 * math.pi * r * r * half
+    side = v * (3 * r * r + 4 * half * half) / 12
+    return v, (side, side, v * r * r / 2)
+
+
+def _capsule(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
+    tube, ends = 2 * math.pi * r * r * half, 4 / 3 * math.pi * r**3
+    side = tube * (half * half / 3 + r * r / 4) + ends * (2 / 5 * r * r + half * half + 3 / 4 * half * r)
+    return tube + ends, (side, side, tube * r * r / 2 + ends * 2 / 5 * r * r)
+
+
+def _cone(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
+    v, height = 2 / 3 * math.pi * r * r * half, 2 * half
+    side = v * (3 / 20 * r * r + 3 / 80 * height * height)
+    return v, (side, side, v * 3 / 10 * r * r)
+
+
+_FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {
+    "box": _box,
+    "sphere": lambda r: _ellipsoid(r, r, r),
+    "ellipsoid": _ellipsoid,
+    "cylinder": _cylinder,
+    "capsule": _capsule,
+}
+
+
+def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:
+    """Return the solid of a mesh, by MuJoCo's compiler.
+
+    Args:
+        vertices: points (n, 3) in m.
+        faces: triangles (k, 3) of indices; None for those of the convex hull.
+        volume: MuJoCo's mesh inertia modes: the ``convex`` hull, ``exact`` or ``legacy`` integrals over the triangles,
+            or the surface as a ``shell`` (the volume is then an area in m²).
+
+    Raises:
+        ValueError: the mesh has no volume.
+    """
+    import mujoco
+
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0  # the compiler has an absolute smallest volume
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    mesh = spec.add_mesh(name="mesh", uservert=(vertices / size).ravel())
+    if faces is not None and len(faces):
+        mesh.userface = faces.astype(np.int32).ravel()
+    mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
+    body = spec.worldbody.add_body()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
+    model = spec.compile()
+    axes = rotation_matrix(tuple(model.body_iquat[1]))
+    inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T
+    power = 2 if volume == "shell" else 3
+    return Solid(float(model.body_mass[1]) * size**power, model.body_ipos[1] * size, inertia * size ** (power + 2))

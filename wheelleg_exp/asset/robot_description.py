@@ -35,7 +35,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass (kg), centre of mass (m, body frame), principal moments (kg m²) and the rotation of their axes."""
+    """Mass (kg), centre of mass (m, body frame), principal moments (kg m²), and the rotation of their axes."""
 
     mass: float
     center_of_mass: Vec3
@@ -45,7 +45,7 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles: vertices (n, 3) in m and faces (k, 3) of indices; ``solid`` when it is for collisions."""
+    """Triangles: vertices (n, 3) in m and faces (k, 3) of indices; ``solid`` is true for colliders."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -68,8 +68,8 @@ class Material:
 class Geom:
     """One shape of a body.
 
-    ``size`` is what the kind needs, in m: box half extents; sphere radius; capsule and cylinder radius and
-    half length along z; ellipsoid half axes; plane and mesh nothing.
+    ``size`` depends on the kind, in m: box half extents; sphere radius; capsule and cylinder radius and half length
+    along z; ellipsoid half axes; nothing for plane and mesh.
     """
 
     name: str
@@ -90,8 +90,8 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    ``stiffness`` in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), ``effort`` in N·m (N) or None without a
-    limit; targets in rad (m). With ``acceleration`` the gains multiply the joint's effective inertia.
+    ``stiffness`` in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), ``effort`` in N·m (N), None means unlimited;
+    targets in rad (m). If ``acceleration`` is set, the gains multiply the joint's effective inertia.
     """
 
     kind: DriveKind
@@ -107,10 +107,9 @@ class Drive:
 class Dof:
     """One degree of freedom (three for a ball) of a body in its parent, about ``axis`` through ``anchor``.
 
-    Axis and anchor (m) are in the body's frame. ``range`` in rad (m) or None; ``position`` and ``velocity``
-    are the saved state; ``ref`` is the coordinate at which the body stands in its ``pose``. ``force_range`` in
-    N·m (N) limits the sum of all motors. ``max_velocity`` in rad/s (m/s) is kept for whoever drives the joint,
-    because MuJoCo has no such limit.
+    Axis and anchor (m) are in the body's frame. ``range`` in rad (m) or None; ``position`` and ``velocity`` are the
+    saved state; ``ref`` is the coordinate at which the body is at its ``pose``. ``force_range`` in N·m (N) limits the
+    sum of all motors. MuJoCo has no velocity limit: ``max_velocity`` in rad/s (m/s) is stored for the controller.
     """
 
     name: str
@@ -134,10 +133,10 @@ class Dof:
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator as MuJoCo has it: what it acts on, and the attributes of ``general``.
+    """A MuJoCo actuator: its target, and the attributes of ``general``.
 
-    ``transmission`` is the attribute that names the target: a joint, a tendon, a site, a body, or, for a slider and
-    crank, the crank's site.
+    ``transmission`` is the attribute that names the target: a joint, a tendon, a site, a body, or the crank's site of
+    a slider-crank.
     """
 
     name: str
@@ -149,9 +148,9 @@ class Actuator:
 
 @dataclass(frozen=True)
 class TendonPoint:
-    """A station of a spatial tendon: a site it passes, a geom it wraps around, or a pulley that divides its length.
+    """A point of a spatial tendon: a site, a geom to wrap around, or a pulley that divides the tendon's length.
 
-    ``name`` is the site's or geom's; ``side`` a site on that side of the geom where the tendon has to pass.
+    ``name`` is the site's or geom's; ``side`` is a site on the side of the geom where the tendon must pass.
     """
 
     kind: Literal["site", "geom", "pulley"]
@@ -162,9 +161,9 @@ class TendonPoint:
 
 @dataclass(frozen=True)
 class Tendon:
-    """A length: of a path through ``points`` in m, or the sum of coordinates of ``joints`` times a factor each.
+    """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
 
-    ``range`` limits it. One of ``points`` and ``joints`` is empty.
+    ``range`` limits the length. Either ``points`` or ``joints`` is empty.
     """
 
     name: str
@@ -189,7 +188,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Site:
-    """A named frame on a body; how it is drawn stands in ``extra``."""
+    """A named frame on a body; ``extra`` holds its look."""
 
     name: str
     path: str
@@ -199,9 +198,9 @@ class Site:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body; ``pose`` is in its parent (None: the world) where its joints are at their ``ref``.
+    """A rigid body; ``pose`` is in its parent (None: the world) when its joints are at their ``ref``.
 
-    ``velocity`` is the saved one of a floating body: m/s in the world, then rad/s about its own axes.
+    ``velocity`` is the saved velocity of a floating body: m/s in the world, then rad/s about its own axes.
     """
 
     name: str
@@ -223,7 +222,7 @@ class Body:
 class Closure:
     """A joint that closes a loop: points on both bodies (None: the world) coincide, or frames are welded.
 
-    A hinge has two pairs, on its axis.
+    A hinge has two pairs of points, on its axis.
     """
 
     name: str
@@ -236,7 +235,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A saved state by name: MuJoCo's ``qpos``, ``qvel``, ``ctrl`` and the like in the order of its own model."""
+    """A saved state: MuJoCo's ``qpos``, ``qvel``, ``ctrl``, and the like, in the order of MuJoCo's model."""
 
     name: str
     path: str
@@ -245,9 +244,9 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Everything that a simulator needs to know of the file. Parents stand before their children.
+    """Everything that a simulator needs from the file. Parents come before their children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag`` and ``compiler`` hold MuJoCo's
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` hold MuJoCo's
     attributes of those elements.
     """
 
@@ -277,17 +276,17 @@ class RobotDescription:
 
     @property
     def dofs(self) -> tuple[Dof, ...]:
-        """All degrees of freedom but those of floating bases, in the order of the bodies (depth first)."""
+        """All degrees of freedom except those of floating bases, in the order of the bodies (depth first)."""
         return tuple(dof for body in self.bodies for dof in body.dofs)
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of the degrees of freedom with a drive; none for a URDF, which has no drives."""
+        """Names of the degrees of freedom with a drive; empty for a URDF, which has no drives."""
         return tuple(dof.name for dof in self.dofs if dof.drive is not None)
 
     @property
     def colliders(self) -> tuple[Geom, ...]:
-        """All shapes of bodies that collide."""
+        """All colliding shapes of bodies."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
 
     def children(self, parent: str | None) -> Iterator[Body]:
@@ -295,17 +294,17 @@ class RobotDescription:
         return (body for body in self.bodies if body.parent == parent)
 
 
-RESERVED = frozenset({"world"})  # MuJoCo's own body
-DEEPEST = 8  # parts of a path that a name may have, before equal names are numbered
-LONGEST_FILE = 100  # characters; file systems take 255 bytes
+RESERVED = frozenset({"world"})  # MuJoCo's root body
+DEEPEST = 8  # parts of a path in a name; beyond, equal names are numbered
+LONGEST_FILE = 100  # characters; file systems allow 255 bytes
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
-    """Return a name for each path: as few of its last parts, joined by ``_``, as tell all of them apart.
+    """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
 
     Args:
         paths: prim paths, each once.
-        shown: names to prefer over the leaf, where the leaf is an encoded form of them.
+        shown: names to prefer over the leaf, if the leaf is an encoded form of them.
     """
     shown = shown or {}
     parts = {path: _last_parts(path) for path in paths}
@@ -327,20 +326,20 @@ def _last_parts(path: str) -> list[str]:
 
 
 def numbered(names: dict[str, str]) -> dict[str, str]:
-    """Return the names with ``_2``, ``_3``, ... behind those that were taken before."""
+    """Return the names, with ``_2``, ``_3``, ... appended to repeated ones."""
     counter = Numbered(RESERVED)
     return {path: counter.take(name) for path, name in names.items()}
 
 
 class Numbered:
-    """Names given so far; one that is taken gets a number."""
+    """Names in use; a repeated name gets a number."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = set(taken)
         self._next: dict[str, int] = {}
 
     def take(self, name: str) -> str:
-        """Return ``name``, or ``name_2`` and so on where that is taken."""
+        """Return ``name``, or ``name_2`` and so on if that name is in use."""
         candidate, number = name, self._next.get(name, 2)
         while candidate in self._taken:
             candidate, number = f"{name}_{number}", number + 1
@@ -350,5 +349,5 @@ class Numbered:
 
 
 def file_stem(name: str) -> str:
-    """Return a name that any file system takes, and takes as one name whatever its case: short, without folders."""
+    """Return a file name that every file system accepts and treats as one name, regardless of case."""
     return re.sub(r"[^\w-]", "_", name, flags=re.ASCII)[:LONGEST_FILE].strip("_") or "mesh"

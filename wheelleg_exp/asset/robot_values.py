@@ -13,7 +13,7 @@ from wheelleg_exp.asset.robot_description import Body, Dof, Drive, Geom, Mesh, R
 
 
 def values_of(robot: RobotDescription) -> dict[str, Any]:
-    """Return bodies, joints, colliders, meshes and actuators of a robot by name, in SI units and radians."""
+    """Return bodies, joints, colliders, meshes, and actuators of a robot by name, in SI units and radians."""
     colliders = [(body.name, geom) for body in robot.bodies for geom in body.geoms if geom.collides]
     return {
         "bodies": {body.name: _body(body) for body in robot.bodies},
@@ -38,7 +38,9 @@ def _body(body: Body) -> dict[str, Any]:
         "rotation": list(body.pose.rotation),
         "mass": inertial.mass,
         "center_of_mass": list(inertial.center_of_mass),
-        "inertia": [float(tensor[place]) for place in order],  # xx yy zz xy xz yz, about the centre, in body axes
+        "inertia": [
+            float(tensor[place]) for place in order
+        ],  # xx yy zz xy xz yz about the centre of mass, in body axes
     }
 
 
@@ -61,7 +63,7 @@ def _joint(dof: Dof, body: str) -> dict[str, Any]:
 
 
 def effort_of(dof: Dof) -> float | None:
-    """Return what a joint's motors may do at most, in N·m or N; None without a limit."""
+    """Return the largest effort of a joint's motors, in N·m or N; None means unlimited."""
     limits = [] if dof.force_range is None else [max(map(abs, dof.force_range))]
     if dof.drive is not None and dof.drive.effort is not None:
         limits.append(dof.drive.effort)
@@ -103,7 +105,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value that JSON has: without infinity, which it does not know, and tuples."""
+    """Return a JSON value: tuples become lists, and NaN and infinity become text."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, Mapping):

@@ -216,7 +216,7 @@ def test_references_that_go_in_circles_are_cut_and_told(tmp_path):
     body = link("a") + 'def Xform "again" (references = </bot>)\n{\n}\n'
     model, done = converted(write(tmp_path, body))
     assert model.nbody == 2
-    assert any("circle" in text and "/bot/again" in text for text in done.report.warnings)
+    assert any("cycle" in text and "/bot/again" in text for text in done.report.warnings)
 
 
 def test_layers_below_themselves_are_cut_and_told(tmp_path):
@@ -224,7 +224,7 @@ def test_layers_below_themselves_are_cut_and_told(tmp_path):
     path = write(tmp_path, link("a"), header=SI + "\n    subLayers = [@./other.usda@]")
     model, done = converted(path)
     assert model.nbody == 2
-    assert any("circle" in text for text in done.report.warnings)
+    assert any("cycle" in text for text in done.report.warnings)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from wheelleg_exp.asset import conversion, file_limits
+from wheelleg_exp.asset import convert_robot, file_limits
 from wheelleg_exp.asset.urdf import mesh_files
 
 from .. import small_urdf
@@ -69,7 +69,7 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
     "STL cut short": ("m.stl", stl(1, 1, 0, 0, 0, 1, 0)[:-7], "as long as its number of triangles"),
     "STL of words": ("m.stl", "solid\nvertex a b c\nvertex 0 0 0\nvertex 1 1 1", "could not convert"),
     "STL of half a point": ("m.stl", "solid\nvertex 1 2", "damaged"),
-    "STL of two corners": ("m.stl", "solid\nvertex 1 2 3\nvertex 1 2 4", "other than three corners"),
+    "STL of two corners": ("m.stl", "solid\nvertex 1 2 3\nvertex 1 2 4", "does not have three corners"),
     "STL of nothing": ("m.stl", b"", "as long as its number of triangles"),
     "OBJ with an index of 24 digits": ("m.obj", POINTS + "f 1 2 " + "9" * 24, "damaged"),
     "OBJ with an index of 2^31": ("m.obj", POINTS + "f 1 2 2147483648", "no triangles"),
@@ -96,24 +96,24 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
         dae("#p", "http://127.0.0.1/x#p"),
         "refers to 'http://127.0.0.1/x#p'",
     ),
-    "COLLADA of polygons of 2e9 corners": ("m.dae", polygons("2000000000 2000000000"), "do not fit"),
-    "COLLADA of polygons of -3 corners": ("m.dae", polygons("-3 9"), "do not fit"),
-    "COLLADA of polygons that overflow": ("m.dae", polygons(" ".join([str(2**62)] * 4) + " 6"), "do not fit"),
-    "COLLADA of more polygons than corners": ("m.dae", polygons("3 4"), "do not fit"),
+    "COLLADA of polygons of 2e9 corners": ("m.dae", polygons("2000000000 2000000000"), "do not match"),
+    "COLLADA of polygons of -3 corners": ("m.dae", polygons("-3 9"), "do not match"),
+    "COLLADA of polygons that overflow": ("m.dae", polygons(" ".join([str(2**62)] * 4) + " 6"), "do not match"),
+    "COLLADA of more polygons than corners": ("m.dae", polygons("3 4"), "do not match"),
     "COLLADA in a ring": (
         "m.dae",
         dae(scene=node('<instance_node url="#n"/>'), nodes='<node id="n"><instance_node url="#n"/></node>'),
-        "in a ring, or multiply",
+        "in a cycle, or multiply",
     ),
     "COLLADA that multiplies": (
         "m.dae",
         dae(scene=node('<instance_node url="#n0"/>'), nodes=floors('<instance_geometry url="#g"/>')),
-        "in a ring, or multiply",
+        "in a cycle, or multiply",
     ),
     "COLLADA that multiplies nothing": (
         "m.dae",
         dae(scene=node('<instance_node url="#n0"/>'), nodes=floors("")),
-        "in a ring, or multiply",
+        "in a cycle, or multiply",
     ),
     "COLLADA with the same shape again and again": (
         "m.dae",
@@ -131,7 +131,7 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
         "not finite",
     ),
     "COLLADA in a scene that is a shape": ("m.dae", dae(scene=SHOWN.replace("#g", "#s")), "no triangles"),
-    "COLLADA that is deep": ("m.dae", "<COLLADA>" + "<node>" * 100_000, "deep inside each other"),
+    "COLLADA that is deep": ("m.dae", "<COLLADA>" + "<node>" * 100_000, "levels deep"),
     "COLLADA that is something else": ("m.dae", CANARY, "not valid XML"),
 }
 WHOLE: dict[str, tuple[str, str | bytes]] = {
@@ -178,7 +178,7 @@ def test_a_mesh_that_is_only_odd_is_read(scratch: Scratch, name: str) -> None:
 def test_a_mesh_of_more_points_than_a_robot_has_is_left_out(scratch: Scratch, few: None) -> None:
     many = POINTS * 300 + "f 1 2 3\nf 1 2 4\n"
     said = scratch.convert(lambda folder: robot(folder, "m.obj", many))
-    assert "it has more than 1,000 points and triangles" in " ".join(said.out.split())
+    assert "the file has more than 1,000 points and triangles" in " ".join(said.out.split())
 
 
 def test_the_largest_meshes_fit_the_memory_that_a_conversion_may_take() -> None:
@@ -189,12 +189,12 @@ def test_meshes_that_take_much_memory_are_reported_and_too_large_ones_refused(
     scratch: Scratch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Six points and triangles, once as a visual and once as a collider."""
-    monkeypatch.setattr(conversion, "POINT_BYTES", 10**9)
-    monkeypatch.setattr(conversion, "machine_memory", lambda: 13 * 10**9)
+    monkeypatch.setattr(convert_robot, "POINT_BYTES", 10**9)
+    monkeypatch.setattr(convert_robot, "machine_memory", lambda: 13 * 10**9)
     mesh = f"{POINTS}f 1 2 3\nf 1 2 4"
     said = scratch.convert(lambda folder: robot(folder, "m.obj", mesh))
     assert "warning: meshes with 12 points and triangles take about 12 GB of memory" in " ".join(said.out.split())
-    monkeypatch.setattr(conversion, "machine_memory", lambda: 11 * 10**9)
+    monkeypatch.setattr(convert_robot, "machine_memory", lambda: 11 * 10**9)
     said = scratch.convert(lambda folder: robot(folder, "m.obj", mesh))
     assert said.status == 2
     assert "take about 12 GB of memory" in said.err

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.asset import cache, convert, convert_cached
+from wheelleg_exp.asset import conversion_cache, convert, convert_cached
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import AssetError, WheellegError
 from wheelleg_exp.paths import cache_dir
@@ -100,7 +100,7 @@ def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scr
         output.write_text(older)
     said = scratch.run("convert", source, "-o", output)
     assert said.status == 2
-    assert "holds other files than the meshes of 'bot.xml', such as 'mine.obj'" in said.err
+    assert "contains files other than the meshes of 'bot.xml', such as 'mine.obj'" in said.err
 
 
 def test_meshes_that_are_a_file_are_not_replaced(scratch: Scratch) -> None:
@@ -166,7 +166,7 @@ DAMAGE: dict[str, Callable[[Path], None]] = {
 }
 
 
-@pytest.mark.parametrize("file", [cache.MODEL, cache.REPORT, cache.CONTENTS])
+@pytest.mark.parametrize("file", [conversion_cache.MODEL, conversion_cache.REPORT, conversion_cache.CONTENTS])
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> None:
     source = robot(tmp_path)
@@ -182,9 +182,11 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> 
 def test_an_entry_without_a_model_is_made_again(tmp_path: Path) -> None:
     source = robot(tmp_path)
     entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
-    (entry / cache.MODEL).unlink()
-    contents = json.loads((entry / cache.CONTENTS).read_text())
-    (entry / cache.CONTENTS).write_text(json.dumps({k: v for k, v in contents.items() if k != cache.MODEL}))
+    (entry / conversion_cache.MODEL).unlink()
+    contents = json.loads((entry / conversion_cache.CONTENTS).read_text())
+    (entry / conversion_cache.CONTENTS).write_text(
+        json.dumps({k: v for k, v in contents.items() if k != conversion_cache.MODEL})
+    )
     assert convert_cached(source, cache_dir=tmp_path / "cache").output.is_file()
 
 

@@ -66,7 +66,7 @@ def test_a_base_floats_unless_told_otherwise_and_the_report_says_so(tmp_path):
     model, conversion = made(tmp_path, pair("continuous"))
     assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)
     assert conversion.report.base == "floating"
-    assert assumed(conversion, "does not say how its base stands") == [("/robot/link[a]", "floating")]
+    assert assumed(conversion, "does not define its base") == [("/robot/link[a]", "floating")]
     model, conversion = made(tmp_path, pair("continuous"), "fixed")
     assert (model.nv, conversion.report.base) == (1, "fixed")
 
@@ -153,7 +153,9 @@ def test_limits_mean_what_urdf_means_by_them(tmp_path, kind, limit, expected, wa
 def test_a_hinge_without_limit_is_unlimited_and_people_are_told(tmp_path):
     model, conversion = made(tmp_path, pair())
     assert not model.jnt_limited[1]
-    assert warned(conversion) == ("/robot/joint[j]: no <limit>, read as no limits; other simulators lock such a joint",)
+    assert warned(conversion) == (
+        "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint",
+    )
 
 
 def test_efforts_and_speeds_of_zero_mean_not_given(tmp_path):
@@ -259,7 +261,7 @@ def test_a_frame_that_weighs_a_rounding_error_carries_nobody(tmp_path):
     welded = link("base", BOX, inertial="") + link("imu", inertial=speck) + joint("m", "base", "imu", "fixed")
     model, conversion = made(tmp_path, welded)
     assert model.body("base").mass[0] == pytest.approx(8)  # 0.008 m³ of water
-    assert "weighs 8 kg" in conversion.report.warnings[0]
+    assert "mass is 8 kg" in conversion.report.warnings[0]
     (found,) = [item for item in conversion.report.findings if item.kind == "no_inertial"]
     assert (found.subject, found.numbers["mass"]) == ("base", pytest.approx(8))
 
@@ -299,8 +301,8 @@ def test_what_moves_and_weighs_nothing_gets_physx_s_kilogram(tmp_path):
     assert model.body("b").mass[0] == 1
     np.testing.assert_allclose(model.body("b").inertia, 0.4 * 0.1**2)
     assert warned(conversion) == (
-        "/robot/link[b]: it moves, and neither it nor what is welded to it has a mass; "
-        "it weighs 1 kg in the model, as in PhysX",
+        "/robot/link[b]: the link moves, and neither it nor links welded to it have a mass; "
+        "the model's mass is 1 kg, as in PhysX",
     )
 
 

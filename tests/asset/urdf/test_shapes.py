@@ -111,7 +111,7 @@ def test_shapes_without_size_are_left_out_and_a_lost_collider_is_told(tmp_path):
     flat = '<geometry><box size="0 0 0"/></geometry>'
     odd = "<geometry><heightmap/></geometry>"
     _, conversion = made(tmp_path, link("a", f"<visual>{flat}</visual><collision>{odd}</collision>"))
-    assert left(conversion)["/robot/link[a]/visual visual"] == "it has no size"
+    assert left(conversion)["/robot/link[a]/visual visual"] == "its size is zero"
     assert warned(conversion) == (
         "/robot/link[a]/collision: a collider was left out: a shape of kind 'heightmap' is not supported",
     )
@@ -222,7 +222,7 @@ def test_a_flat_visual_stays_and_a_flat_collider_becomes_a_thin_box(tmp_path):
 @pytest.mark.parametrize(
     ("file", "data", "reason"),
     [
-        ("part.ply", b"ply", ".ply is no mesh format that is read here"),
+        ("part.ply", b"ply", ".ply is not a supported mesh format"),
         ("part.stl", stl()[:-10], "damaged"),
         ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no triangles"),
         ("part.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
@@ -245,7 +245,7 @@ def test_nodes_of_a_collada_file_that_refer_to_each_other_end(tmp_path):
     loop = dae().replace('<instance_geometry url="#g"/>', '<instance_node url="#outer"/>')
     (tmp_path / "part.dae").write_text(loop)
     _, conversion = made(tmp_path, link("a", mesh("part.dae")))
-    assert "ring" in left(conversion)["/robot/link[a]/visual visual"]
+    assert "cycle" in left(conversion)["/robot/link[a]/visual visual"]
 
 
 # ---------------------------------------------------------------- where files are
@@ -318,7 +318,7 @@ def test_a_missing_mesh_is_named_and_the_robot_still_comes(tmp_path, name):
     _, conversion = made(tmp_path, link("a", mesh(name) + mesh(name, "collision")))
     assert conversion.report.unresolved == (name,)
     assert warned(conversion) == (
-        f"/robot/link[a]/collision: a collider was left out: mesh '{name}': the file is not there",
+        f"/robot/link[a]/collision: a collider was left out: mesh '{name}': the file is missing",
         f"not found, read without it: {name}",
     )
 

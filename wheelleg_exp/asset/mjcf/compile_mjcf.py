@@ -41,14 +41,14 @@ TARGETS = {
 
 
 class ModelRefused(AssetError):
-    """MuJoCo does not take a model."""
+    """MuJoCo refuses a model."""
 
 
 def load(path: Path, source: str) -> mujoco.MjModel:
     """Load an MJCF.
 
     Raises:
-        ModelRefused: MuJoCo does not take it, with its reason.
+        ModelRefused: MuJoCo refuses it, with the reason.
     """
     with refusals(source, path.parent):
         return mujoco.MjModel.from_xml_path(str(path))
@@ -58,7 +58,7 @@ def build(text: str, files: Mapping[str, bytes], source: str) -> mujoco.MjModel:
     """Compile the text of an MJCF and the files that it names.
 
     Raises:
-        ModelRefused: MuJoCo does not take it, with its reason.
+        ModelRefused: MuJoCo refuses it, with the reason.
     """
     with refusals(source):
         return mujoco.MjModel.from_xml_string(text, dict(files))
@@ -69,10 +69,10 @@ _PLACE = re.compile(r",? *Element (?:name )?'(?P<name>[^']*)'(?:, (?:id|line|col
 
 @contextmanager
 def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
-    """Turn MuJoCo's refusals into errors about ``source``, without lines and the folder of what nobody else sees.
+    """Convert MuJoCo's exceptions to errors about ``source``, without lines and folders of temporary files.
 
     Raises:
-        ModelRefused: MuJoCo refuses something, with its reason and the element's name.
+        ModelRefused: MuJoCo refuses something, with the reason and the element's name.
     """
     try:
         yield
@@ -83,22 +83,22 @@ def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def told_by_mujoco() -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of, which it would write into a log file in the current folder."""
-    told: list[str] = []
+def mujoco_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which MuJoCo would write to a log file in the current folder."""
+    texts: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: told.append(f"MuJoCo: {text}"))
+    mujoco.set_mju_user_warning(lambda text: texts.append(f"MuJoCo: {text}"))
     try:
-        yield told
+        yield texts
     finally:
         mujoco.set_mju_user_warning(before)
 
 
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
-    """Compare bodies, joints, shapes, what acts on them and between them.
+    """Compare bodies, joints, shapes, actuators, and constraints of a model with the description.
 
     Raises:
-        AssetError: the model is not what was described; an error of the converter, not of the file.
+        AssetError: the model differs from the description; this is an error of the converter, not of the file.
     """
     check = _Check(model, source)
     for body in robot.bodies:
@@ -117,19 +117,19 @@ class _Check:
         self.model, self.source = model, source
 
     def same(self, what: str, got: object, want: object) -> None:
-        """Hold numbers against the file's; AssetError when they differ."""
+        """Raise AssetError unless numbers equal the file's."""
         if not np.allclose(np.asarray(got, float), np.asarray(want, float), rtol=RELATIVE, atol=SMALL):
-            raise AssetError(f"the model of '{self.source}' has other {what} than the file: {got}, expected {want}")
+            raise AssetError(f"the model of '{self.source}' differs from the file in {what}: {got}, expected {want}")
 
     def find(self, kind: mujoco.mjtObj, name: str, what: str) -> int:
-        """Return the id of a named element; AssetError when there is none."""
+        """Return the id of a named element; AssetError if it is missing."""
         index = mujoco.mj_name2id(self.model, kind, name)
         if index < 0:
             raise AssetError(f"the model of '{self.source}' has no {what} '{name}'")
         return int(index)
 
     def body(self, body: Body) -> None:
-        """Hold a body's place, mass and inertia against the model."""
+        """Compare a body's pose, mass, and inertia."""
         model, name, inertial = self.model, body.name, body.inertial
         index = self.find(mujoco.mjtObj.mjOBJ_BODY, name, "body")
         parent = self.find(mujoco.mjtObj.mjOBJ_BODY, body.parent, "body") if body.parent is not None else 0
@@ -144,7 +144,7 @@ class _Check:
         self.same(f"inertia of {name}", got / scale, want / scale)
 
     def dof(self, dof: Dof) -> None:
-        """Hold a joint's kind, axis, limits and passive forces against the model."""
+        """Compare a joint's kind, axis, limits, and passive forces."""
         model, name = self.model, dof.name
         index = self.find(mujoco.mjtObj.mjOBJ_JOINT, name, "joint")
         first = model.jnt_dofadr[index]
@@ -158,25 +158,25 @@ class _Check:
             self.same(f"range of {name}", model.jnt_range[index], dof.range)
         self.same(f"armature of {name}", model.dof_armature[first], dof.armature)
         self.same(f"friction loss of {name}", model.dof_frictionloss[first], dof.frictionloss)
-        if "springdamper" not in dof.extra:  # it takes the place of both
+        if "springdamper" not in dof.extra:  # springdamper replaces damping and stiffness
             self.same(f"damping of {name}", model.dof_damping[first], dof.damping)
             self.same(f"stiffness of {name}", model.jnt_stiffness[index], dof.stiffness)
 
     def actuator(self, actuator: Actuator) -> None:
-        """Hold what an actuator acts on against the model."""
+        """Compare the target of an actuator."""
         index = self.find(mujoco.mjtObj.mjOBJ_ACTUATOR, actuator.name, "actuator")
         target = self.find(TARGETS[actuator.transmission], actuator.target, actuator.transmission)
         self.same(f"target of {actuator.name}", self.model.actuator_trnid[index][0], target)
 
     def tendon(self, tendon: Tendon) -> None:
-        """Hold a tendon's path and limits against the model."""
+        """Compare a tendon's path and limits."""
         index = self.find(mujoco.mjtObj.mjOBJ_TENDON, tendon.name, "tendon")
         length = len(tendon.points) + len(tendon.joints)
         self.same(f"path of {tendon.name}", self.model.tendon_num[index], length)
         self.same(f"limits of {tendon.name}", self.model.tendon_limited[index], _limited(tendon))
 
     def counts(self, robot: RobotDescription) -> None:
-        """Hold how many there are of everything against the model."""
+        """Compare the number of elements of each kind."""
         model = self.model
         geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
         anchors = sum(len(closure.anchors) for closure in robot.closures)
@@ -209,10 +209,10 @@ def _tensor(moments: object, axes: object) -> np.ndarray:
 
 
 def with_force_gains(robot: RobotDescription) -> RobotDescription:
-    """Return the robot with ``k · I`` for the ``k`` of each acceleration drive.
+    """Return the robot with ``k · I`` for each gain ``k`` of acceleration drives.
 
-    ``I`` is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: what the drive accelerates while
-    everything else is free to move.
+    ``I`` is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: the inertia that the drive accelerates while
+    all other joints are free to move.
     """
     if not any(dof.drive and dof.drive.acceleration for dof in robot.dofs):
         return robot
@@ -241,17 +241,17 @@ def _effective_inertia(robot: RobotDescription) -> dict[str, float]:
     return {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
 
 
-MOST = 20  # attributes that one file may have wrong
-TRIALS = 200  # models that are compiled in search of one of them
-MAPPINGS = ("extra", "option", "flag", "compiler")  # fields that hold MuJoCo's own attributes
+MOST = 20  # wrong attributes in one file
+TRIALS = 200  # models compiled to find one wrong attribute
+MAPPINGS = ("extra", "option", "flag", "compiler")  # fields with MuJoCo's attributes
 
 Place = tuple[tuple[str, int], ...]
-"""Where an item stands in a robot: fields and places in them, from the outside in."""
+"""Path to an item of a robot: fields and indices, from the outside in."""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """An attribute: the item that has it, where that stands, the field that holds it, its MJCF name and its value."""
+    """An attribute: its item, the item's place in the robot, the field with the attribute, and its MJCF name."""
 
     item: Any
     place: Place
@@ -260,7 +260,7 @@ class Suspect:
 
     @property
     def value(self) -> object:
-        """Return the attribute's value."""
+        """The attribute's value."""
         return getattr(self.item, self.mapping)[self.key]
 
 
@@ -268,7 +268,7 @@ def without_refused(robot: RobotDescription, report: Report) -> tuple[RobotDescr
     """Return the robot without the attributes that MuJoCo refuses, and a report that names them.
 
     Raises:
-        ModelRefused: MuJoCo refuses the robot for another reason, with MuJoCo's.
+        ModelRefused: MuJoCo refuses the robot for another reason.
     """
     for _ in range(MOST):
         refusal = _refusal(robot, report.source)
@@ -277,7 +277,7 @@ def without_refused(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         found = _culprit(robot, refusal, report.source)
         if found is None:
             raise refusal
-        robot, report = _without(robot, found.place, found), _told(report, found, refusal)
+        robot, report = _without(robot, found.place, found), _with_left_out(report, found, refusal)
     return robot, report
 
 
@@ -291,7 +291,7 @@ def _refusal(robot: RobotDescription, source: str) -> ModelRefused | None:
 
 
 def _culprit(robot: RobotDescription, refusal: ModelRefused, source: str) -> Suspect | None:
-    """Return the attribute without which MuJoCo takes the robot, or complains of something else."""
+    """Return an attribute without which MuJoCo accepts the robot, or else refuses it for another reason."""
     changed = None
     suspects = list(_suspects(robot))
     named = [found for found in suspects if f"'{getattr(found.item, 'name', '')}'" in refusal.message]
@@ -324,8 +324,8 @@ def _without(item: Any, place: Place, suspect: Suspect) -> Any:
     return replace(item, **{name: tuple(inner)})
 
 
-def _told(report: Report, found: Suspect, refusal: ModelRefused) -> Report:
-    """Return the report with an attribute among what was left out, by the name that it has in the file."""
+def _with_left_out(report: Report, found: Suspect, refusal: ModelRefused) -> Report:
+    """Return the report with an attribute added to ``left_out``, by its name in the file."""
     path = getattr(found.item, "path", report.root)
     of_item = [item for item in report.mapped if item.path == path and item.became == found.key]
     name = of_item[0].name if of_item else found.key

@@ -21,11 +21,11 @@ from wheelleg_exp.asset.rigid_geometry import Array, Frame
 from wheelleg_exp.asset.robot_description import Body, Closure, Coupling, Dof, Geom, Mesh, RobotDescription
 
 WHEEL, LEG = "wheel", "leg"
-ROUND = 0.1  # share of a wheel's radius that its shapes may be off
+ROUND = 0.1  # allowed deviation from a circle, as share of a wheel's radius
 
 
 def roles_of(robot: RobotDescription) -> dict[str, str]:
-    """Return ``wheel`` or ``leg`` by the name of a joint, an actuator or a shape; others are left out."""
+    """Return ``wheel`` or ``leg`` by the name of a joint, an actuator, or a shape; other names are omitted."""
     meshes = {mesh.name: mesh for mesh in robot.meshes}
     bodies = {body.name: body for body in robot.bodies}
     movers = {body.name: _mover(body, bodies) for body in robot.bodies}
@@ -49,7 +49,7 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
 
 
 def _mover(body: Body, bodies: dict[str, Body]) -> str:
-    """Return the name of the body that a body is welded to in the end."""
+    """Return the name of the moving body that a body is welded to, directly or through other bodies."""
     while body.parent is not None and not body.dofs:
         body = bodies[body.parent]
     return body.name
@@ -72,7 +72,7 @@ def _in_top(body: Body, top: Body, bodies: dict[str, Body]) -> Frame:
 
 
 def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> bool:
-    """Return whether a shape is as wide in all directions across the joint's axis, and its middle stands on that."""
+    """Return whether a shape is round about the joint's axis: equally wide across the axis, and centred on it."""
     frame = inside @ Frame.of(geom.pose)
     axis = np.asarray(dof.axis) / np.linalg.norm(dof.axis)
     along = frame.rotation.T @ axis  # in the shape's own frame
@@ -82,7 +82,7 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
 
 
 def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, float]:
-    """Return a shape's middle and its radius about an axis through that, in m; 0 when it is not round about it."""
+    """Return a shape's centre and its radius about an axis through that centre, in m; radius 0 if it is not round."""
     if geom.kind == "sphere":
         return np.zeros(3), geom.size[0]
     if geom.kind in ("cylinder", "capsule"):
@@ -92,7 +92,7 @@ def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, 
     points = meshes[geom.mesh].vertices
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     across = points - middle - np.outer((points - middle) @ along, along)
-    first = np.linalg.svd(along[None])[2][1:]  # two directions across
+    first = np.linalg.svd(along[None])[2][1:]  # two directions across the axis
     reach = [
         float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
         for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -108,7 +108,7 @@ EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLI
 
 @dataclass
 class Family:
-    """Elements of one tag by name, and which attributes may make a class of their own (None: all of them)."""
+    """Elements of one tag by name; ``grouping`` names the attributes that can make a class of their own (None: all)."""
 
     tag: str
     members: Mapping[str, Attributes]
@@ -118,9 +118,9 @@ class Family:
 
 
 class Classes:
-    """The default classes of a document, and what is left for each element to say.
+    """The default classes of a document, and the attributes that remain on each element.
 
-    ``roles`` are what joints, actuators and shapes are for, by name.
+    ``roles`` maps joints, actuators, and shapes to their role, by name.
     """
 
     def __init__(self, root: str, roles: Mapping[str, str]) -> None:
@@ -131,7 +131,7 @@ class Classes:
         self._rest: dict[tuple[str, str], Attributes] = {}
 
     def child(self, name: str) -> None:
-        """Make an empty class within the robot's."""
+        """Add an empty class to the robot's class."""
         self._content.setdefault(name, {})
         self._parents[name] = self.root
 
@@ -147,12 +147,12 @@ class Classes:
             self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
 
     def of(self, tag: str, name: str) -> str | None:
-        """Return an element's class, None when it has none or when it is the robot's, which bodies hand down."""
+        """Return an element's class; None if it has none, or if it is the robot's class, which bodies pass on."""
         found = self._of.get((tag, name))
         return None if found is None or found == self.root or not self._needed(found) else found
 
     def explicit(self, tag: str, name: str) -> str | None:
-        """Return an element's class where no body hands one down: the robot's only if it says something of ``tag``."""
+        """Return an element's class outside of bodies: the robot's class only if it has attributes of ``tag``."""
         found = self._of.get((tag, name))
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
@@ -161,7 +161,7 @@ class Classes:
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
-        """Return whether bodies have something to hand down."""
+        """Return whether the robot's class has attributes for elements inside bodies."""
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
@@ -180,7 +180,7 @@ class Classes:
         return out
 
     def common(self, names: Iterable[str]) -> str:
-        """Return what elements have in common: they are wheels, or words of their names, or they are of legs."""
+        """Return what elements have in common: the wheel role, or common words of their names, or the leg role."""
         names = list(names)
         found = {self.roles.get(name, "") for name in names}
         role = found.pop() if len(found) == 1 else ""
@@ -198,7 +198,7 @@ class Classes:
             self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
 
     def _free(self, stem: str, family: Family) -> str:
-        """Return a name for a class: one of the same parent may hold several tags."""
+        """Return an unused class name. One class of the same parent can hold several tags."""
         if family.parent == self.root:
             stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
         else:
@@ -217,7 +217,7 @@ def _key(value: Value) -> str:
 
 
 def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
-    """Return what all members say alike; nothing of a single one, which can say it itself."""
+    """Return the attributes that all members share; nothing for a single member, which can state them itself."""
     first, *others = [*members] or [{}]
     if not others:
         return {}
@@ -234,7 +234,7 @@ def _grouping(rest: Attributes, family: Family) -> list[str]:
 
 
 def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
-    """Return the names of members that say the same, where there are two or more."""
+    """Return groups of two or more members with the same attributes."""
     groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for name, rest in rests.items():
         key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
@@ -244,7 +244,7 @@ def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> 
 
 
 def _words_in_common(names: list[str]) -> str:
-    """Return the words that all names have, in the order of the first."""
+    """Return the words that all names contain, in the order of the first name."""
     split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
     shared = [word for word in split[0] if all(word in words for words in split[1:])]
     words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
@@ -254,7 +254,7 @@ def _words_in_common(names: list[str]) -> str:
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
 SHARED = frozenset({"group", "rgba", "friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
 UNSEEN: Attributes = {"group": GROUP_VISUAL, "contype": 0, "conaffinity": 0, "mass": 0.0}
-TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # by the ground, and by nothing of the robot
+TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # contact with the ground, but not with the robot itself
 
 
 def gather(robot: RobotDescription) -> Classes:
@@ -294,7 +294,7 @@ def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
 
 
 def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
-    """Return the actuators by kind. MuJoCo keeps one default of all kinds in a class, so each kind has its own."""
+    """Return the actuators by kind. A MuJoCo class has one default for all kinds, so each kind has its own class."""
     members: dict[str, dict[str, Attributes]] = {}
     for dof in robot.dofs:
         if dof.drive:
@@ -304,8 +304,8 @@ def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
     if len(members) == 1:
         return [Family(kind, items, classes.root) for kind, items in members.items()]
     names = {kind: classes.common(items) for kind, items in members.items()}
-    told = all(names.values()) and len(set(names.values())) == len(names) and not set(names.values()) & RESERVED
-    parents = {kind: names[kind] if told and classes.root not in names.values() else kind for kind in members}
+    named = all(names.values()) and len(set(names.values())) == len(names) and not set(names.values()) & RESERVED
+    parents = {kind: names[kind] if named and classes.root not in names.values() else kind for kind in members}
     for parent in parents.values():
         classes.child(parent)
     return [Family(kind, items, parents[kind]) for kind, items in members.items()]

@@ -27,11 +27,11 @@ from wheelleg_exp.asset.robot_description import (
 )
 from wheelleg_exp.errors import AssetError
 
-FEW = 6  # a rule that was followed more often is told once, in the head; the report has every place
+FEW = 6  # a rule with more places is noted once, in the head; the report has every place
 
 
 class Note(Protocol):
-    """Where something was assumed, by which rule, and what came of it."""
+    """An assumption: its place in the source, its rule, and the resulting value."""
 
     @property
     def path(self) -> str:
@@ -43,23 +43,23 @@ class Note(Protocol):
 
     @property
     def value(self) -> str:
-        """What came of it."""
+        """The resulting value."""
 
 
 class Notes:
-    """The notes of a document and the elements of its paths."""
+    """The notes of a document, and the elements by path in the source."""
 
     def __init__(self, notes: Sequence[Note]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Say which element a path became; the first one counts."""
+        """Record the element of a source path; the first one counts."""
         if path:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Give the elements their comments, and return the notes of no element and those of many."""
+        """Add comments to the elements. Return the notes without an element and those with many elements."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]
@@ -75,7 +75,7 @@ class Notes:
         return head
 
     def _find(self, path: str) -> Element | None:
-        """Return the element of a path or of what is above it."""
+        """Return the element of a path or of its nearest ancestor."""
         while path.strip("/"):
             if path in self._elements:
                 return self._elements[path]
@@ -84,7 +84,7 @@ class Notes:
 
 
 class Names:
-    """Names that clash with no other of the robot's."""
+    """Names of free joints, closures, and anchors that are unique in the robot."""
 
     def __init__(self, robot: RobotDescription) -> None:
         joints = Numbered(dof.name for dof in robot.dofs)
@@ -101,11 +101,11 @@ class Names:
         return self._free[body]
 
     def anchors(self, body: str | None) -> Iterator[tuple[str, Pose]]:
-        """Yield the sites on a body (None: the world) that loops close at."""
+        """Yield the sites on a body (None: the world) at which loops close."""
         yield from self._anchors.get(body, [])
 
     def equalities(self, closure: Closure) -> list[tuple[str, str, str]]:
-        """Return for each pair of anchors the equality's name and its two sites."""
+        """Return the equality's name and its two sites, for each pair of anchors."""
         return self._closures[closure.name]
 
     def _closure(self, closure: Closure, sites: Numbered, equalities: Numbered) -> None:
@@ -121,25 +121,25 @@ class Names:
 
 
 class World:
-    """Makes the ``<worldbody>`` of one robot."""
+    """The ``<worldbody>`` of one robot."""
 
     def __init__(self, robot: RobotDescription, classes: Classes, names: Names, notes: Notes) -> None:
         self.robot, self.classes, self.names, self.notes = robot, classes, names, notes
 
     def element(self) -> Element:
-        """Return the world with everything in it."""
+        """Return the world with its contents."""
         world = Element("worldbody")
         for geom in self.robot.static_geoms:
             self._geom(world, geom, static=True)
         self._sites(world, self.robot.static_sites, None)
         made: dict[str | None, Element] = {None: world}
-        for body in self.robot.bodies:  # parents stand before their children
+        for body in self.robot.bodies:  # parents come before their children
             made[body.name] = self._body(made[body.parent], body)
         return world
 
     def _body(self, parent: Element, body: Body) -> Element:
-        hands_down = body.parent is None and self.classes.inherited()
-        out = parent.add("body", name=body.name, childclass=self.classes.root if hands_down else None)
+        passes_class = body.parent is None and self.classes.inherited()
+        out = parent.add("body", name=body.name, childclass=self.classes.root if passes_class else None)
         out.attributes.update(of.pose(body.pose))
         out.attributes.update(mocap=True if body.mocap else None, gravcomp=1.0 if body.weightless else None)
         out.attributes.update(body.extra)
@@ -189,7 +189,7 @@ class World:
             out.add("site", of.pose(at), name=name)
 
     def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
-        bare = static and geom.collides  # what stands in the world keeps MuJoCo's own defaults
+        bare = static and geom.collides  # static colliders keep MuJoCo's defaults
         rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
         element = out.add(
             "geom",
@@ -204,23 +204,23 @@ class World:
 
 
 def file_name(mesh: Mesh) -> str:
-    """Return the mesh's file name: its own, without what file systems take for folders."""
+    """Return the mesh's file name, without characters that separate folders."""
     return re.sub(r"[^\w.-]", "_", mesh.name) + ".obj"
 
 
 def obj_text(mesh: Mesh) -> str:
-    """Return the mesh as OBJ, every number without loss."""
+    """Return the mesh as OBJ, with lossless numbers."""
     points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (twice as fast)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"
 
 
-SHOWN_NOTES = 30  # assumptions in the file's head; all of them are in the report
-DEEPEST = 499  # nested elements that MuJoCo's XML reader takes
+SHOWN_NOTES = 30  # assumptions in the file's head; the report has all of them
+DEEPEST = 499  # nested elements that MuJoCo's XML reader accepts
 
 
 class Writer:
-    """Makes the document of one robot."""
+    """The MJCF document of one robot."""
 
     def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Note] = ()) -> None:
         self.robot, self.mesh_folder = robot, mesh_folder
@@ -232,7 +232,7 @@ class Writer:
         """Return the whole document.
 
         Raises:
-            AssetError: bodies are nested deeper than MuJoCo reads.
+            AssetError: bodies are nested deeper than MuJoCo can read.
         """
         root = Element("mujoco", {"model": self.robot.name})
         self._settings(root)
@@ -257,7 +257,7 @@ class Writer:
         if (depth := root.depth()) > DEEPEST:
             raise AssetError(
                 f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
-                expected=f"no more than {DEEPEST - 3}, which is what MuJoCo reads from a file",
+                expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
             )
 
     def _settings(self, root: Element) -> None:
@@ -357,7 +357,7 @@ HOME = "home"
 
 
 def keyframes(robot: RobotDescription) -> Element:
-    """Return the ``<keyframe>`` of a robot; a keyframe of the file called ``home`` takes the place of ours."""
+    """Return the ``<keyframe>`` of a robot; a keyframe ``home`` of the file replaces the generated one."""
     out = Element("keyframe")
     positions, velocities = state(robot)
     controls = [_control(dof) for dof in robot.dofs if dof.drive] + [0.0] * len(robot.actuators)
@@ -375,7 +375,7 @@ def keyframes(robot: RobotDescription) -> Element:
 
 
 def state(robot: RobotDescription) -> tuple[list[float], list[float]]:
-    """Return qpos and qvel: the saved state, floating bases where they are drawn."""
+    """Return qpos and qvel: the saved state, with floating bases at their drawn poses."""
     positions: list[float] = []
     velocities: list[float] = []
     for body in robot.bodies:

@@ -15,7 +15,7 @@ Value = str | int | float | bool | Iterable[float] | None
 
 @dataclass
 class Element:
-    """A tag, its attributes (None is left away) and its children; ``comment`` stands in front of it."""
+    """A tag, its attributes (None is omitted), and its children; ``comment`` is printed before it."""
 
     tag: str
     attributes: dict[str, Value] = field(default_factory=dict)
@@ -23,14 +23,14 @@ class Element:
     comment: str = ""
 
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
-        """Append a child and return it; a trailing underscore of a keyword is dropped, ``given`` stands last."""
+        """Append and return a child. A keyword's trailing underscore is dropped; attributes in ``given`` come last."""
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
         self.children.append(child)
         return child
 
     def text(self) -> str:
-        """Return the element as indented lines. Depth has no limit here."""
+        """Return the element as indented lines, without recursion, so any depth works."""
         lines: list[str] = []
         stack: list[tuple[Element | str, int]] = [(self, 0)]
         while stack:
@@ -48,7 +48,7 @@ class Element:
         return "\n".join(lines)
 
     def depth(self) -> int:
-        """Return how many elements are nested, this one included."""
+        """Return the number of nested levels, this element included."""
         deepest, level = 0, [self]
         while level:
             deepest += 1
@@ -60,7 +60,7 @@ class Element:
 
 
 def _comment(text: str, pad: str) -> str:
-    safe = re.sub("-(?=-)|-$", "- ", text)  # XML has no double hyphen within a comment, and none at its end
+    safe = re.sub("-(?=-)|-$", "- ", text)  # XML comments must not contain a double hyphen or end with a hyphen
     lines = safe.splitlines()
     if len(lines) == 1:
         return f"{pad}<!-- {safe} -->"
@@ -68,7 +68,7 @@ def _comment(text: str, pad: str) -> str:
 
 
 def value_text(value: Value) -> str:
-    """Return an attribute's text: floats shortest without loss, sequences with blanks between."""
+    """Return an attribute's text: shortest lossless floats, sequences separated by spaces."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -86,11 +86,11 @@ def number(value: float) -> str:
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-GREY = (0.5, 0.5, 0.5, 1.0)  # the colour that lets a material's show
-GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo shows groups 0 to 2 unless told otherwise
+GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour, which a material's colour replaces
+GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show groups 0 to 2 by default
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # MuJoCo's own defaults, which need not be written
+PLAIN: Attributes = {  # MuJoCo's defaults, which need not be written
     "solref": (0.02, 1.0),
     "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
     "solreflimit": (0.02, 1.0),
@@ -110,7 +110,7 @@ PLAIN: Attributes = {  # MuJoCo's own defaults, which need not be written
 
 
 def pose(at: Pose) -> Attributes:
-    """Return position and rotation where they are not zero."""
+    """Return position and rotation if they are not zero."""
     return {
         "pos": at.position if any(at.position) else None,
         "quat": None if at.rotation == IDENTITY else at.rotation,
@@ -118,12 +118,12 @@ def pose(at: Pose) -> Attributes:
 
 
 def given(attributes: Attributes) -> Attributes:
-    """Return the attributes that have a value other than MuJoCo's own default."""
+    """Return the attributes whose value is not MuJoCo's default."""
     return {k: v for k, v in attributes.items() if v is not None and (k not in PLAIN or v != PLAIN[k])}
 
 
 def joint(dof: Dof) -> Attributes:
-    """Return what joints may share: passive forces and the parameters of their constraints."""
+    """Return the attributes that joints can share: passive forces and constraint parameters."""
     own: Attributes = {
         "stiffness": dof.stiffness or None,
         "damping": dof.damping or None,
@@ -135,7 +135,7 @@ def joint(dof: Dof) -> Attributes:
 
 
 def drive(of: Drive) -> Attributes:
-    """Return what actuators may share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
+    """Return the attributes that actuators can share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
     return given(
         {
             "kp": of.stiffness if of.kind == "position" else None,
@@ -146,32 +146,32 @@ def drive(of: Drive) -> Attributes:
 
 
 def actuator(item: Actuator) -> Attributes:
-    """Return the parameters of a general actuator; sites that belong to its target are not shared."""
+    """Return the parameters of a general actuator, without sites that belong to its target."""
     return {key: value for key, value in item.extra.items() if key not in ("refsite", "slidersite")}
 
 
 def tendon(item: Tendon) -> Attributes:
-    """Return a tendon's springs, limits and looks."""
+    """Return a tendon's springs, limits, and looks."""
     return given({"range": item.range, **item.extra})
 
 
 def key(item: Closure | Coupling) -> str:
-    """Return what tells a closure from a coupling of the same name."""
+    """Return a key that differs for a closure and a coupling of the same name."""
     return item.name if isinstance(item, Closure) else f"{item.name} (coupling)"
 
 
 def equality(item: Closure | Coupling) -> Attributes:
-    """Return the parameters of an equality's constraint."""
+    """Return the constraint parameters of an equality."""
     return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
 
 
 def site(item: Site) -> Attributes:
-    """Return how a site looks."""
+    """Return the look of a site."""
     return dict(item.extra)
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:
-    """Return a shape's kind, looks and contact parameters. Of static shapes nothing is shared."""
+    """Return a shape's kind, looks, and contact parameters. Static shapes share nothing."""
     group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
     plain = GREY if item.collides and item.drawn and not static else None  # not the colour of hidden colliders
     own: Attributes = {

@@ -8,36 +8,36 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from wheelleg_exp.asset.mjcf.compile_mjcf import load, told_by_mujoco
+from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings
 from wheelleg_exp.asset.mjcf.mjcf_document import HOME
 from wheelleg_exp.asset.mjcf.mjcf_elements import Element, Value
 from wheelleg_exp.asset.robot_description import RobotDescription
 from wheelleg_exp.files import write_text
 
 SUFFIX, STAND = "_scene", "stand"
-MARK = "Made by 'wheelleg convert'"  # by which an older scene is known, and may be replaced
-STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s, time steps that are tried
+MARK = "Made by 'wheelleg convert'"  # marks an older scene, which can be replaced
+STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s, time steps to try
 TRIAL = 0.5  # s
 NUDGE = 0.01  # m/s and rad/s
-MOST_DOFS, MOST_GEOMS = 200, 500  # of what is tried; larger ones take the first step unseen
+MOST_DOFS, MOST_GEOMS = 200, 500  # larger models get the first time step without a trial
 CLEARANCE = 0.002  # m between the floor and the robot's lowest point
-FAST = 10.0  # m/s beyond a free fall through the robot's own size: nothing at rest gets there
+FAST = 10.0  # m/s beyond a free fall through the robot's own size: a stable robot stays slower
 
 
 def scene_path(model: Path) -> Path:
-    """Return where the scene of an MJCF stands: beside it."""
+    """Return the path of an MJCF's scene, next to the MJCF."""
     return model.with_name(f"{model.stem}{SUFFIX}.xml")
 
 
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
-    """Write the scene of a robot beside its MJCF; None when another file has its name.
+    """Write the scene of a robot next to its MJCF; return None if another file has its name.
 
-    MuJoCo's ``discrete`` integrator is the one that takes stiffness implicitly; the time step is the largest with
-    which the robot, let go on the floor, does not fly apart within half a second.
+    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The time step is the largest one with which the robot,
+    dropped on the floor, stays stable for half a second.
 
     Raises:
-        AssetError: MuJoCo refuses it.
-        RunDirectoryError: it cannot be written.
+        AssetError: MuJoCo refuses the scene.
+        RunDirectoryError: the scene cannot be written.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
@@ -50,14 +50,14 @@ def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     finally:
         draft.unlink(missing_ok=True)
     steps = STEPS if trial.nv <= MOST_DOFS and trial.ngeom <= MOST_GEOMS else STEPS[:1]
-    with told_by_mujoco():
+    with mujoco_warnings():
         step = next((step for step in steps[:-1] if _is_calm(trial, step)), steps[-1])
     write_text(path, _text(robot, model, alone, step))
     return path
 
 
 def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: float) -> str:
-    """Return the scene as a document that includes the model."""
+    """Return a document that includes the model."""
     root = Element("mujoco", {"model": f"{robot.name} scene"})
     root.comment = f"{robot.name} on a floor, to look at. {MARK}."
     root.add("include", file=model.name)
@@ -87,7 +87,7 @@ def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: flo
 
 
 def _short(value: float) -> float:
-    """Return a number of the scene that nothing depends on, in a few digits."""
+    """Return a number in a few digits; for numbers without effect on the physics."""
     return float(f"{round(float(value), 6):.4g}") + 0.0
 
 
@@ -96,7 +96,7 @@ def _free(stem: str) -> itertools.chain[str]:
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
-    """Return the floor's height, and qpos and ctrl of the saved pose put down on it; None when nothing floats."""
+    """Return the floor's height, and qpos and ctrl of the saved pose on the floor; None if no body floats."""
     data = mujoco.MjData(alone)
     mujoco.mj_kinematics(alone, data)
     at_zero = round(_lowest(alone, data), 5)
@@ -117,7 +117,7 @@ def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float
 
 
 def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Return how far down the boxes around all shapes that move reach, those that collide if there are any."""
+    """Return the lowest point of the boxes around moving shapes; of colliders if there are any."""
     moving = np.flatnonzero(model.geom_bodyid)
     solid = [g for g in moving if model.geom_contype[g] or model.geom_conaffinity[g]]
     lows = []
@@ -129,7 +129,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether the robot, let go where it begins and in its last keyframe, moves no faster than what falls."""
+    """Return whether the robot, released at its start and in its last keyframe, moves no faster than in a free fall."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))
@@ -137,7 +137,7 @@ def _is_calm(model: mujoco.MjModel, step: float) -> bool:
         data = mujoco.MjData(model)
         if key is not None:
             mujoco.mj_resetDataKeyframe(model, data, key)
-        data.qvel += NUDGE  # what is unstable grows from it
+        data.qvel += NUDGE  # an instability grows from this
         for _ in range(round(TRIAL / step)):
             mujoco.mj_step(model, data)
             linear = np.abs(data.cvel[:, 3:]).max(initial=0.0)

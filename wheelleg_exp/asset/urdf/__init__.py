@@ -1,12 +1,10 @@
-"""Reads robots from URDF: MuJoCo's own reader for what it reads, the XML for what it passes over in silence.
+"""Read robots from URDF: by MuJoCo's own reader, and by the XML for data that MuJoCo ignores.
 
 | module | what it offers |
 |---|---|
-| `robot` | a file becomes a description and a report |
-| `xml`, `document` | elements, numbers and what was read |
-| `mujoco_reader` | what MuJoCo's reader sees |
-| `kinematics`, `joints` | the tree, and its degrees of freedom |
-| `inertia`, `shapes` | what links weigh, and how they look |
-| `files`, `meshes`, `collada` | the files that a URDF names |
-| `audit` | what nothing was made of |
+| `urdf_robot` | a description and a report from a file; degrees of freedom |
+| `urdf_document` | XML elements, checked numbers, and the audit of unread elements |
+| `urdf_tree` | the tree of links, and MuJoCo's reading of them |
+| `urdf_inertia`, `urdf_shapes` | mass properties and geoms of links |
+| `mesh_files` | find and read mesh files |
 """

@@ -26,14 +26,14 @@ from wheelleg_exp.errors import AssetError
 Faces = NDArray[np.int64]
 
 FACES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
-MOST_PARTS = 500_000  # of all nodes of one file; those that stand for each other can multiply without end
+MOST_PARTS = 500_000  # nodes of one file, counted with references, which can multiply without limit
 
 
 def read_dae(data: bytes) -> tuple[Array, Faces]:
-    """Return vertices (n, 3) in m and faces (k, 3) of all shapes that the file's scene shows.
+    """Return vertices (n, 3) in m and faces (k, 3) of all shapes in the file's scene.
 
     Raises:
-        ValueError: it is no COLLADA, or refers to what is not there.
+        ValueError: the data is not COLLADA, or refers to missing elements.
     """
     try:
         root = parse_xml(Path("mesh"), data)
@@ -56,7 +56,7 @@ def read_dae(data: bytes) -> tuple[Array, Faces]:
 
 
 class _File:
-    """A COLLADA document by ids."""
+    """A COLLADA document with its elements by id."""
 
     def __init__(self, root: Element) -> None:
         self.root = root
@@ -67,10 +67,10 @@ class _File:
         self.unit = float(unit.attributes.get("meter", "1")) if unit else 1.0
 
     def target(self, element: Element, name: str) -> Element:
-        """Return what a reference such as ``#mesh-1`` names."""
+        """Return the element that a reference such as ``#mesh-1`` names."""
         wanted = element.attributes.get(name, "")
         if wanted.removeprefix("#") not in self._by_id:
-            raise ValueError(f"<{element.tag}> refers to '{wanted[:60]}', which is not in it")
+            raise ValueError(f"<{element.tag}> refers to '{wanted[:60]}', which is missing")
         return self._by_id[wanted.removeprefix("#")]
 
     def shown(self) -> list[tuple[Element, Array]]:
@@ -86,7 +86,7 @@ class _File:
     def _below(self, node: Element, above: Array, depth: int) -> Iterator[tuple[Element, Array]]:
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
-            raise ValueError("nodes that refer to each other in a ring, or multiply")
+            raise ValueError("nodes refer to each other in a cycle, or multiply")
         matrix = above
         for child in node.children:
             matrix = matrix @ _transform(child)
@@ -106,7 +106,7 @@ def _numbers(element: Element) -> Array:
 
 
 def _transform(element: Element) -> Array:
-    """Return the 4x4 matrix of one transformation of a node, identity for anything else."""
+    """Return the 4x4 matrix of one transformation of a node; the identity for other elements."""
     out = np.eye(4)
     if element.tag == "matrix":
         return _numbers(element).reshape(4, 4)
@@ -124,7 +124,7 @@ def _transform(element: Element) -> Array:
 
 
 def _placed(file: _File, mesh: Element, matrix: Array) -> tuple[Array, Faces]:
-    """Return a mesh's vertices and triangles in the scene; a mirrored one is turned inside out again."""
+    """Return a mesh's vertices and triangles in the scene. Triangles of a mirrored mesh are flipped back."""
     groups = [child for child in mesh.children if child.tag in FACES]
     vertices = mesh.first("vertices")
     if vertices is None or not groups:
@@ -159,7 +159,7 @@ def _faces(group: Element) -> Faces:
         counts = group.first("vcount")
         sizes = np.array(counts.text.split() if counts else [], dtype=int)
         if any((sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners) for corners in lists):
-            raise ValueError("its polygons do not fit its corners")
+            raise ValueError("the polygons do not match the corners")
         return _joined([triangles(sizes, corners) for corners in lists])
     if group.tag == "tristrips":
         return _joined([_strip(corners) for corners in lists])
@@ -167,7 +167,7 @@ def _faces(group: Element) -> Faces:
 
 
 def _strip(corners: Faces) -> Faces:
-    """Return the triangles of a strip, every second one turned round."""
+    """Return the triangles of a strip, every second one flipped."""
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     faces[1::2] = faces[1::2, ::-1]
     return faces
@@ -187,11 +187,11 @@ def read_mesh(path: Path) -> Triangles:
     """Return a file's triangles, in its own units and axes.
 
     Raises:
-        ValueError: the format is not known, or the file is damaged or too large; the text says which.
+        ValueError: the format is unknown, or the file is damaged or too large.
     """
     reader = reader_of(path.name)
     try:
-        with np.errstate(all="ignore"):  # what is not finite is looked for below
+        with np.errstate(all="ignore"):  # values that are not finite are detected below
             data = path.read_bytes()
             if data.startswith(POINTER):
                 raise ValueError(FETCH)
@@ -201,28 +201,28 @@ def read_mesh(path: Path) -> Triangles:
     except (ArithmeticError, LookupError, ValueError) as error:
         raise ValueError(f"the file is damaged ({error})") from error
     if len(vertices) + len(faces) > MOST_POINTS:
-        raise ValueError(f"it has more than {MOST_POINTS:,} points and triangles")
+        raise ValueError(f"the file has more than {MOST_POINTS:,} points and triangles")
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("the file holds no triangles, or points that are not finite")
+        raise ValueError("the file has no triangles, or points that are not finite")
     return vertices, faces
 
 
 def reader_of(name: str) -> Callable[[bytes], Triangles]:
-    """Return what reads a file, by its ending.
+    """Return the reader of a file, by its suffix.
 
     Raises:
-        ValueError: the format is not known.
+        ValueError: the format is unknown.
     """
     suffix = PurePosixPath(name).suffix
     if suffix.lower() not in READERS:
-        raise ValueError(f"{suffix or 'a file without ending'} is no mesh format that is read here")
+        raise ValueError(f"{suffix or 'a file without suffix'} is not a supported mesh format")
     return READERS[suffix.lower()]
 
 
 def read_stl(data: bytes) -> Triangles:
-    """Return the triangles of a binary or textual STL; equal corners become one vertex."""
+    """Return the triangles of a binary or text STL; equal corners become one vertex."""
     count = int.from_bytes(data[80:84], "little")
-    if len(data) >= _STL_HEAD + count * _STL_FACE:  # in a text these four bytes are a number far too large
+    if len(data) >= _STL_HEAD + count * _STL_FACE:  # in a text STL these four bytes make a number far too large
         layout = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
         corners = np.frombuffer(data, layout, count, _STL_HEAD)["corners"].astype(float).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
@@ -232,9 +232,9 @@ def read_stl(data: bytes) -> Triangles:
     else:
         corners = np.zeros((0, 3))
     if not len(corners):
-        raise ValueError("neither text nor as long as its number of triangles says")
+        raise ValueError("neither text, nor as long as its number of triangles requires")
     if len(corners) % 3:
-        raise ValueError("a triangle with other than three corners")
+        raise ValueError("a triangle does not have three corners")
     return _welded(corners)
 
 
@@ -249,7 +249,7 @@ def _welded(corners: Array) -> Triangles:
 
 
 def read_obj(data: bytes) -> Triangles:
-    """Return the triangles of an OBJ, all its objects together."""
+    """Return the triangles of all objects in an OBJ."""
     points: list[list[str]] = []
     corners: list[int] = []
     counts: list[int] = []
@@ -270,13 +270,13 @@ def read_obj(data: bytes) -> Triangles:
 READERS: dict[str, Callable[[bytes], Triangles]] = {".stl": read_stl, ".obj": read_obj, ".dae": read_dae}
 
 
-LEVELS = 6  # folders to climb in search of a package
+LEVELS = 6  # parent folders to search for a package
 _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/{0,2}", re.IGNORECASE)
 
 
 @dataclass
 class Files:
-    """The files of one URDF: found ones with their sha256 by path as seen from its folder, and missing names."""
+    """The files of one URDF: sha256 of found files by relative path, and names of missing files."""
 
     document: Document
     hashes: dict[str, str] = field(default_factory=dict)
@@ -289,12 +289,12 @@ class Files:
         self._note(self.document.source)
 
     def find(self, name: str, endings: tuple[str, ...] = tuple(READERS)) -> Path | None:
-        """Return the file that a ``filename`` means, None when it is not there, or ends as no such file does.
+        """Return the file of a ``filename``; None if it is missing or has another suffix.
 
-        What a robot has no use for is neither read nor looked for: ``/etc/passwd`` is no mesh.
+        A file with another suffix, such as ``/etc/passwd``, is neither opened nor searched.
 
         Raises:
-            AssetError: it is too large, or cannot be read.
+            AssetError: the file is too large or cannot be read.
         """
         if not name.lower().endswith(endings):
             return None
@@ -317,13 +317,13 @@ class Files:
             raise AssetError(message, where=str(self.document.source), expected="a mesh or a texture") from None
 
     def _mesh_folder(self) -> str | None:
-        """Return the folder that MuJoCo's extension of URDF names for meshes."""
+        """Return the mesh folder of MuJoCo's URDF extension."""
         extension = self.document.root.first("mujoco")
         compiler = extension.first("compiler") if extension else None
         return self.document.text(compiler, "meshdir", "the search for mesh files") if compiler else None
 
     def _candidates(self, name: str) -> Iterator[Path]:
-        """Yield where a file may be: beside the URDF, in its package, or in a folder above both."""
+        """Yield possible paths of a file: next to the URDF, in its package, or in a folder above both."""
         scheme = _SCHEME.match(name)
         if scheme is None:
             yield self.folder / name
@@ -341,7 +341,7 @@ class Files:
             yield from self._in_package(*name[scheme.end() :].partition("/")[::2])
 
     def _moved(self, name: str) -> Iterator[Path]:
-        """Yield the local places of an absolute path that another machine wrote.
+        """Yield possible local paths of an absolute path from another machine.
 
         The path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
         """
@@ -352,7 +352,7 @@ class Files:
                 yield from self._in_package(parts[index], "/".join(parts[index + 1 :]))
 
     def _in_package(self, package: str, rest: str) -> Iterator[Path]:
-        """Yield files of a package: a folder of that name, or one above that the package was checked out to."""
+        """Yield possible files of a package: in a folder of that name, or in a parent folder that is the package."""
         for above in (self.folder, *self._above()):
             if above.name == package:
                 yield above / rest
@@ -364,7 +364,7 @@ class Files:
 
 
 def _readable(path: Path) -> bool:
-    """Return whether a path is a file that can be opened; odd names are not."""
+    """Return whether a path is a readable file; invalid names are not."""
     try:
         return path.is_file() and os.access(path, os.R_OK)
     except (OSError, ValueError):

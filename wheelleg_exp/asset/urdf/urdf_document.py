@@ -18,12 +18,12 @@ from wheelleg_exp.asset.file_limits import LARGEST_TEXT, MOST_ELEMENTS, require_
 from wheelleg_exp.asset.usd.ledger import HUGEST, Ledger
 from wheelleg_exp.errors import AssetError
 
-DEEPEST = 60  # elements inside each other; a URDF needs eight
+DEEPEST = 60  # nested elements; a URDF needs eight
 
 
 @dataclass(eq=False)
 class Element:
-    """An XML element: ``path`` as people write it (``/robot/link[base]/inertial``), ``line`` from 1."""
+    """An XML element: ``path`` is a readable path (``/robot/link[base]/inertial``), ``line`` counts from 1."""
 
     tag: str
     attributes: dict[str, str]
@@ -33,36 +33,36 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> list[Element]:
-        """Return the children of one kind."""
+        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child of one kind, None when there is none."""
+        """Return the first child with a tag, or None."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
-        """Yield this element and all below, in the order of the file."""
+        """Yield this element and all descendants, in the order of the file."""
         yield self
         for child in self.children:
             yield from child.walk()
 
 
 def parse_xml(source: Path, data: bytes) -> Element:
-    """Return the outermost element.
+    """Return the root element.
 
     Args:
         source: the file, for messages.
         data: its bytes.
 
     Raises:
-        AssetError: they are no XML, declare a document type or entities, or hold too many elements or too deep ones.
+        AssetError: the bytes are not XML, declare a document type or entities, or have too many or too deep elements.
     """
-    start = len(data) - len(data.lstrip(b" \t\r\n"))  # blanks before the declaration: common, and harmless
+    start = len(data) - len(data.lstrip(b" \t\r\n"))  # whitespace before the XML declaration is common and harmless
     return _Parser(source, data[:start].count(b"\n")).parse(data[start:])
 
 
 class _Parser:
-    """Expat with a stack; a document type is refused, so that no entity can grow or reach for other files."""
+    """Expat with a stack of open elements."""
 
     def __init__(self, source: Path, skipped_lines: int) -> None:
         self.source, self.skipped = source, skipped_lines
@@ -77,14 +77,14 @@ class _Parser:
         self.expat.StartDoctypeDeclHandler = self._doctype
 
     def parse(self, data: bytes) -> Element:
-        """Return the root element; AssetError, with file and line, when the text is no XML."""
+        """Return the root element; AssetError, with file and line, if the text is not XML."""
         try:
             self.expat.Parse(data, True)
         except expat.ExpatError as error:
             where = f"{self.source}:{error.lineno + self.skipped}"
             reason = expat.errors.messages[error.code]
             raise AssetError(f"'{self.source.name}' is not valid XML: {reason}", where=where) from None
-        except (LookupError, ValueError) as error:  # an encoding that nobody knows
+        except (LookupError, ValueError) as error:  # unknown encoding
             raise AssetError(f"'{self.source.name}' is not valid XML: {error}", where=str(self.source)) from None
         assert self.root is not None
         return self.root
@@ -103,7 +103,7 @@ class _Parser:
         if self.count > MOST_ELEMENTS:
             self._refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
         if len(self.stack) > DEEPEST:
-            self._refuse(f"elements stand more than {DEEPEST} deep inside each other", "fewer")
+            self._refuse(f"elements are nested more than {DEEPEST} levels deep", "fewer levels")
 
     def _end(self, _: str) -> None:
         element, parts = self.stack.pop()
@@ -114,7 +114,7 @@ class _Parser:
             self.stack[-1][1].append(text)
 
     def _doctype(self, *_: object) -> None:
-        self._refuse("a document type (<!DOCTYPE ...>) is not read, because entities are not", "a file without it")
+        self._refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 
     def _refuse(self, message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{self.source}:{self._line()}", expected=expected)
@@ -125,7 +125,7 @@ SHOWN_TEXT = 60  # characters of a value in a message
 
 @dataclass(eq=False)
 class Document:
-    """A URDF, and the account of what was read of it."""
+    """A URDF and the ledger of its readings."""
 
     source: Path
     root: Element
@@ -136,17 +136,17 @@ class Document:
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
-        """Return an attribute, None when it is absent, and note what it becomes, if anything."""
+        """Return an attribute, or None if missing; record what it becomes, if anything."""
         value = element.attributes.get(name)
         if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
-        """Return an attribute that has to be there and not be empty.
+        """Return an attribute that must exist and not be empty.
 
         Raises:
-            AssetError: it is not.
+            AssetError: the attribute is missing or empty.
         """
         value = self.text(element, name, became)
         if not value:
@@ -154,10 +154,10 @@ class Document:
         return value
 
     def numbers(self, element: Element, name: str, count: int, became: str) -> tuple[float, ...] | None:
-        """Return an attribute's numbers, None when it is absent or blank.
+        """Return an attribute's numbers, or None if the attribute is missing or blank.
 
         Raises:
-            AssetError: they are not ``count``, or larger than anything a robot has.
+            AssetError: there are not ``count`` numbers, or one is larger than any number of a robot.
         """
         text = self.text(element, name, became)
         if text is None or not text.strip():
@@ -169,10 +169,10 @@ class Document:
         return values
 
     def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
-        """Return an attribute's number, None when it is absent or blank; ``endless`` lets infinity pass.
+        """Return an attribute's number, or None if the attribute is missing or blank; ``endless`` allows infinity.
 
         Raises:
-            AssetError: it is no number, NaN, or larger than anything a robot has.
+            AssetError: the text is not a number, is NaN, or is larger than any number of a robot.
         """
         text = self.text(element, name, became)
         if text is None or not text.strip():
@@ -184,7 +184,7 @@ class Document:
 
     def _parsed(self, element: Element, name: str, word: str) -> float:
         try:
-            return float(word.replace("_", "?"))  # Python reads 1_000, no URDF means it
+            return float(word.replace("_", "?"))  # Python accepts 1_000, a URDF must not
         except ValueError:
             return self.fail(element, f"'{name}' is '{word[:SHOWN_TEXT]}'", "a number")
 
@@ -193,8 +193,8 @@ def open_document(source: Path) -> Document:
     """Read a URDF.
 
     Raises:
-        AssetError: it cannot be read, is no XML or no URDF, declares a document type or entities, or still holds
-            xacro.
+        AssetError: the file cannot be read, is not XML or not a URDF, declares a document type or entities, or contains
+            unexpanded xacro.
     """
     root = parse_xml(source, _bytes(source))
     if root.tag != "robot":
@@ -218,7 +218,7 @@ def _bytes(source: Path) -> bytes:
 
 
 def _name_paths(root: Element) -> None:
-    """Give each element its path: named by ``name`` where that tells it apart, else by its place."""
+    """Set the path of each element: by ``name`` if unique among its siblings, else by position."""
     root.path = f"/{root.tag}"
     for element in root.walk():
         named = Counter((child.tag, child.attributes.get("name")) for child in element.children)
@@ -235,19 +235,19 @@ def _name_paths(root: Element) -> None:
 
 
 PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*")
-"""How launch files name a package in a file's name; it means what ``package://NAME/`` means."""
+"""A package in a file name, as in launch files; it means the same as ``package://NAME/``."""
 
 
 def _refuse_xacro(document: Document) -> None:
-    """Refuse macros and substitutions that nobody has carried out, but for those that name a file's package."""
+    """Raise an error for unexpanded macros and substitutions, except those that name a file's package."""
     for element in document.root.walk():
         values = [PACKAGE.sub("", v) if key == "filename" else v for key, v in element.attributes.items()]
         values.append(element.text)
         if element.tag.startswith("xacro:") or any("${" in value or "$(" in value for value in values):
-            document.fail(element, "the file still holds xacro, which is not carried out here", "xacro IN -o OUT first")
+            document.fail(element, "the file contains unexpanded xacro", "xacro IN -o OUT first")
 
 
-READ = {  # what a kind of element may hold; everything else is left as a whole
+READ = {  # children that are read, by tag; all other children are left out
     "robot": {"link", "joint", "material", "mujoco"},
     "link": {"inertial", "visual", "collision"},
     "inertial": {"origin", "mass", "inertia"},
@@ -260,19 +260,19 @@ READ = {  # what a kind of element may hold; everything else is left as a whole
 }
 
 REASONS = {  # by the element's tag
-    "gazebo": "settings of Gazebo",
-    "transmission": "names of hardware; what drives a joint comes from the task's configuration",
-    "ros2_control": "names of hardware; what drives a joint comes from the task's configuration",
-    "sensor": "sensors are not read; observations come from the task's configuration",
-    "safety_controller": "soft limits of a hardware's controller",
-    "calibration": "the calibration of a hardware's encoder",
+    "gazebo": "Gazebo settings",
+    "transmission": "hardware names; the task's configuration defines the drives",
+    "ros2_control": "hardware names; the task's configuration defines the drives",
+    "sensor": "sensors are not read; the task's configuration defines the observations",
+    "safety_controller": "soft limits of a hardware controller",
+    "calibration": "calibration of a hardware encoder",
     "contact": "PyBullet's contact parameters; bodies keep MuJoCo's friction",
     "texture": "textures are not read",
     "specular": "only colours are read",
     "material": "colliders are drawn in one colour",
-    "joint_properties": "an old spelling of <dynamics>, which other readers pass over too",
-    "option": "settings of MuJoCo; the conversion has its own",
-    "size": "settings of MuJoCo; the conversion has its own",
+    "joint_properties": "an old spelling of <dynamics>, which other readers ignore, too",
+    "option": "MuJoCo settings; the conversion has its own",
+    "size": "MuJoCo settings; the conversion has its own",
 }
 
 ATTRIBUTES = {  # by tag and name
@@ -287,7 +287,7 @@ ATTRIBUTES = {  # by tag and name
 
 
 def audit(document: Document) -> None:
-    """Name what nothing read."""
+    """Record every element and attribute that nothing read."""
     document.ledger.mapped(document.root.path, "name", "model name")
     _visit(document, document.root)
 
@@ -302,12 +302,12 @@ def _visit(document: Document, element: Element) -> None:
         if child.tag in known:
             _visit(document, child)
         else:
-            reason = REASONS.get(child.tag, "no part of URDF that is read here")
+            reason = REASONS.get(child.tag, "this part of URDF is not read")
             document.ledger.leave(child.path, child.tag, reason, summary(child))
 
 
 def summary(element: Element) -> str:
-    """Return what an element holds, on one line and not too long."""
+    """Return the content of an element on one line, shortened."""
     found = []
     for item in element.walk():
         found += [f"{item.tag} {name}={value}" for name, value in item.attributes.items()]

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelleg_exp.asset.rigid_geometry import Array
-from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
-from wheelleg_exp.asset.solids import (
+from wheelleg_exp.asset.rigid_geometry import (
     BARE_MASS,
     BARE_RADIUS,
     WATER,
+    Array,
     Part,
     Solid,
     balanced,
@@ -23,12 +22,13 @@ from wheelleg_exp.asset.solids import (
     primitive,
     principal,
 )
+from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
 from wheelleg_exp.asset.urdf.urdf_document import Document
 from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
 from wheelleg_exp.asset.usd.gprims import Shape
 
-NOISE = 1e-6  # m; a radius of gyration below this is no body's
+NOISE = 1e-6  # m; no body has a radius of gyration below this
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -40,12 +40,12 @@ def inertials(
     Args:
         document: the URDF.
         tree: its links.
-        seen: MuJoCo's reading of them.
-        colliders: shapes that weigh where the file gives no mass.
-        base: what stands still may be without mass.
+        seen: MuJoCo's reading of the links.
+        colliders: shapes whose volume gives the mass if the file gives none.
+        base: a link that does not move can be without mass.
 
     Raises:
-        AssetError: something moves that weighs too little for MuJoCo.
+        AssetError: a moving link has too little mass for MuJoCo.
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
@@ -57,8 +57,8 @@ def inertials(
             found.update(_moving(document, unweighed, colliders))
         _note_unweighed(document, group, unweighed, found)
         if moves and not any(_enough(found[link.name]) for link in group):
-            message = f"it moves, and its mass or inertia is below {SMALLEST:g}"
-            document.fail(top.element, message, "numbers that MuJoCo can divide by")
+            message = f"the link moves, and its mass or inertia is below {SMALLEST:g}"
+            document.fail(top.element, message, "a larger mass and inertia, which MuJoCo needs")
     return {link.name: _inertial(document, link, found[link.name]) for link in links if link is not tree.world}
 
 
@@ -67,26 +67,26 @@ def _enough(part: Part) -> bool:
 
 
 def _moving(document: Document, group: list[Link], colliders: dict[str, list[Shape]]) -> dict[str, Part]:
-    """Return parts for links that move and weigh nothing, which no simulator takes: their volume, or PhysX's 1 kg."""
+    """Return parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg."""
     heavy = {link.name: part for link in group if (part := _by_volume(document, link, colliders[link.name]))}
     top = group[0]
     if not heavy:
         heavy = {top.name: _bare(document, top, BARE_MASS, np.zeros(3))}
     mass = sum(part.mass for part in heavy.values())
-    reason = "it moves, and neither it nor what is welded to it has a mass"
-    document.ledger.warn(f"{top.element.path}: {reason}; it weighs {mass:.6g} kg in the model, as in PhysX")
+    reason = "the link moves, and neither it nor links welded to it have a mass"
+    document.ledger.warn(f"{top.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
     return heavy
 
 
 def _note_unweighed(document: Document, group: list[Link], unweighed: list[Link], found: dict[str, Part]) -> None:
-    """Record the links of a group that have no ``<inertial>``, or weigh what is not written, with their kilograms."""
+    """Record the links of a group that have no ``<inertial>``, or an assumed mass, in kg."""
     for link in group:
         if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
             document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
 
 
 def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
-    """Return the links in groups that move as one, each with the link nearest to the root first."""
+    """Return groups of links that move as one, in each group the link nearest to the root first."""
     groups: dict[str, list[Link]] = {}
     top: dict[str, str] = {}
     for link in tree.depth_first():
@@ -98,7 +98,7 @@ def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> Part:
-    """Return a link's mass, centre and tensor in its own frame; no mass and no volume is a part of 0 kg."""
+    """Return a link's mass, centre, and tensor in its own frame; 0 kg without mass and volume."""
     center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
     if seen.mass > 0 and tensor is not None:
         turn = seen.inertia_frame.rotation
@@ -119,7 +119,7 @@ def _weights(colliders: list[Shape]) -> list[Part]:
 
 
 def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part | None:
-    """Return what the colliders weigh as water, None when they have no volume."""
+    """Return the colliders' mass at the density of water, or None without volume."""
     parts = _weights(colliders)
     if not parts:
         return None
@@ -129,7 +129,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part |
 
 
 def _tensor(document: Document, link: Link, mass: float) -> Array | None:
-    """Return the tensor in the inertial frame, None when none is given: absent, zero, or the noise of exporters."""
+    """Return the tensor in the inertial frame; None if missing, zero, or rounding noise of an exporter."""
     inertial = link.element.first("inertial")
     element = inertial.first("inertia") if inertial else None
     if element is None:
@@ -174,13 +174,13 @@ def _inertial(document: Document, link: Link, part: Part) -> Inertial:
 
 
 def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
-    """Return moments that a body can have, and say so when the file's are not."""
+    """Return physically possible moments, and record a change of the file's moments."""
     path, shown = link.element.path, _listed(moments)
     able = balanced(moments)
     if able != moments:
         a, b, c = moments
         document.ledger.find("impossible_inertia", link.name, path, a=a, b=b, c=c, cut_to=max(able))
-        rule = "moments that no body can have (A + B < C): the largest is cut"
+        rule = "physically impossible moments (A + B < C): the largest is reduced"
         document.ledger.assume(path, rule, f"{shown} to {_listed(able)} kg m²")
         if not np.allclose(able, moments, rtol=0.01, atol=0):
             document.ledger.warn(f"{path}: no body has the moments of inertia {shown}; the model has {_listed(able)}")

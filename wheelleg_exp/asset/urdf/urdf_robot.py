@@ -33,15 +33,15 @@ from wheelleg_exp.asset.urdf.urdf_tree import Axis, Joint, Link, Seen, Tree, rea
 from wheelleg_exp.asset.usd.usd_stage import HUGE, effort_limit, endless
 from wheelleg_exp.errors import nearest_name
 
-FAR = 1e6  # stands for the missing side of a range
-UNIT_LENGTH = 1e-6  # an axis this near to length 1 is kept as written
+FAR = 1e6  # replaces the missing end of a range
+UNIT_LENGTH = 1e-6  # an axis with a length this near to 1 is used as written
 PLANAR = ("_transX", "_transY", "_rotZ")  # in the frame whose z is the joint's axis
 
 Range = tuple[float, float]
 
 
 def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a joint; none for a weld, and none for a floating one."""
+    """Return the degrees of freedom of a joint; none for a weld or a floating joint."""
     axes = seen.axes if joint.kind != "floating" else ()
     document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
     suffixes = PLANAR if joint.kind == "planar" else ("",)
@@ -60,7 +60,7 @@ def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
 
 
 def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> Dof:
-    own = not suffix  # a planar joint's limits do not say which of its three they mean
+    own = not suffix  # limits of a planar joint do not say which of its three axes they mean
     return Dof(
         name=joint.name + suffix,
         path=joint.element.path,
@@ -86,7 +86,7 @@ def _direction(document: Document, joint: Joint, axis: Vec3) -> Vec3:
 
 @dataclass(frozen=True)
 class _Limits:
-    """A joint's ``<limit>``: range in rad or m, effort in N·m or N, velocity in rad/s or m/s; None: none."""
+    """A joint's ``<limit>``: range in rad or m, effort in N·m or N, velocity in rad/s or m/s; None: no limit."""
 
     range: Range | None = None
     effort: Range | None = None
@@ -96,7 +96,7 @@ class _Limits:
 def _limits(document: Document, joint: Joint) -> _Limits:
     element = joint.element.first("limit")
     if joint.kind in ("planar", "spherical"):
-        return _Limits()  # the audit names what stands there
+        return _Limits()  # the audit reports these elements
     if element is None:
         return _Limits(_range(document, joint, None))
     return _Limits(
@@ -105,7 +105,7 @@ def _limits(document: Document, joint: Joint) -> _Limits:
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
-    """Return the limits of a hinge or slide. A side that is not written is 0, says URDF."""
+    """Return the limits of a hinge or slide. URDF's default for a missing end is 0."""
     if joint.kind == "continuous":
         _note_ignored(document, joint, element)
         return None
@@ -118,23 +118,23 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
     if low == high:
         what = f"limits {low:g} to {high:g}" if element else "no <limit>"
         ledger.assume(path, "lower and upper limit are equal, or not given: no limits", what)
-        ledger.warn(f"{path}: {what}, read as no limits; other simulators lock such a joint")
+        ledger.warn(f"{path}: {what} means no limits here; other simulators lock such a joint")
         return None
     if low > high:
         ledger.assume(path, "the lower limit is above the upper one: no limits", f"{low:g} to {high:g}")
-        ledger.warn(f"{path}: limits {low:g} to {high:g} are the wrong way round and were read as none")
+        ledger.warn(f"{path}: limits {low:g} to {high:g} are the wrong way round and were ignored")
         return None
     if None in found:
-        ledger.assume(path, "only one limit is given: the other is 0, as URDF says", f"{low:g} to {high:g}")
+        ledger.assume(path, "only one limit is given: the other is 0, URDF's default", f"{low:g} to {high:g}")
     no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
     if (no_low or no_high) if angular else (no_low and no_high):
-        ledger.assume(path, "limits are infinite or huge: none", f"{low:g} to {high:g}")
+        ledger.assume(path, "limits are infinite or huge: no limits", f"{low:g} to {high:g}")
         return None
     return (-FAR if no_low else low, FAR if no_high else high)
 
 
 def _note_ignored(document: Document, joint: Joint, element: Element | None) -> None:
-    """Say that a joint that turns without end has limits all the same, where it has; they are left to the audit."""
+    """Warn about limits of a continuous joint, which has none; the audit names the attributes."""
     if element is None or not {"lower", "upper"} <= set(element.attributes):
         return
     low, high = (_written(document, joint, element, side, None) for side in ("lower", "upper"))
@@ -142,11 +142,13 @@ def _note_ignored(document: Document, joint: Joint, element: Element | None) -> 
         return
     path = joint.element.path
     document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
-    document.ledger.warn(f"{path}: a continuous joint has no limits; {low:g} to {high:g} are written and do not count")
+    document.ledger.warn(
+        f"{path}: a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
+    )
 
 
 def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
-    """Return a number of ``<limit>``, and keep it as the file has it."""
+    """Return a number of ``<limit>``, and store the file's value."""
     value = None if element is None else document.number(element, name, became, endless=True)
     if value is not None:
         document.ledger.authored.setdefault(joint.element.path, {})[name] = value
@@ -176,7 +178,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
         document.ledger.leave(element.path, "velocity", "zero, infinite or huge, which means not given", value)
         return None
     unit = "m/s" if joint.kind == "prismatic" else "rad/s"
-    reason = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
+    reason = f"MuJoCo has no velocity limit; see the report's velocity_limits in {unit}"
     document.ledger.leave(element.path, "velocity", reason, f"{limit:g} {unit}")
     return limit
 
@@ -226,14 +228,14 @@ def _leave_coupling(document: Document, element: Element, leader: str, tree: Tre
 
 SUFFIXES = (".urdf",)
 EARTH = 9.81
-SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF has no others
+SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF always uses SI units
 
 
 def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
-    """Read a robot and say what was read, assumed and left out.
+    """Read a robot and its report.
 
     Raises:
-        AssetError: the file cannot be read, or is no robot.
+        AssetError: the file cannot be read, or is not a robot.
     """
     document = open_document(source)
     robot, files = describe(document, base)
@@ -241,7 +243,7 @@ def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
 
 
 def source_files(source: Path) -> dict[str, str]:
-    """Return the sha256 of a URDF and of each mesh file that it names, by path as seen from its folder.
+    """Return the sha256 of a URDF and of each mesh file that it names, by relative path.
 
     Raises:
         AssetError: the file cannot be read.
@@ -255,12 +257,12 @@ def source_files(source: Path) -> dict[str, str]:
 
 
 def describe(document: Document, base: BaseMode) -> tuple[RobotDescription, Files]:
-    """Return the robot of a document, and the files that it is made of."""
+    """Return the robot of a document, and its files."""
     return _Builder(document, base).build()
 
 
 class _Builder:
-    """Makes bodies of links; the world, if the file has it, is none."""
+    """Make bodies from links, except for the world link."""
 
     def __init__(self, document: Document, base: BaseMode) -> None:
         self.document, self.base = document, base
@@ -273,12 +275,12 @@ class _Builder:
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
     def build(self) -> tuple[RobotDescription, Files]:
-        """Return the robot, and the files that it names."""
+        """Return the robot and its files."""
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids(), self.base)
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
-            document.fail(tree.root.element, "the file holds the world and nothing in it", "a robot")
+            document.fail(tree.root.element, "the file contains only the world", "a robot")
         bodies = _floating_last([self._body(link, masses[link.name]) for link in links])
         robot = RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
@@ -299,7 +301,7 @@ class _Builder:
         return robot, self.files
 
     def _named_by(self, file: str) -> dict[str, float]:
-        """Return how many colliders and visuals name a file."""
+        """Return the number of colliders and visuals that name a file."""
         shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
         of_file = [
             placed.collides
@@ -330,7 +332,7 @@ class _Builder:
         joint, ledger = link.joint, self.document.ledger
         if joint is None:
             if self.base == "auto":
-                rule = "a URDF does not say how its base stands: as in Gazebo and PyBullet; --base fixed pins it"
+                rule = "a URDF does not define its base: floating as in Gazebo and PyBullet; --base fixed fixes it"
                 ledger.assume(link.element.path, rule, "floating")
             elif self.base == "fixed":
                 ledger.assume(link.element.path, "--base fixed", "no free joint")
@@ -345,7 +347,7 @@ class _Builder:
         return joint.kind == "floating"
 
     def _world_pose(self, link: Link) -> Pose:
-        """Return where a link stands when all coordinates are zero."""
+        """Return the pose of a link in the world with all coordinates at zero."""
         chain = [link]
         while chain[-1].joint is not None:
             chain.append(chain[-1].joint.parent)
@@ -365,7 +367,7 @@ class _Builder:
         return tuple(dof.name for joint in joints for dof in self.dofs[joint.name])
 
     def _exclusions(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs that never touch: links that a joint holds together."""
+        """Return the pairs that never touch: links that a joint connects."""
         pairs = []
         for joint in self.tree.joints.values():
             if joint.parent is not self.tree.world and joint.kind != "floating":
@@ -374,7 +376,7 @@ class _Builder:
 
 
 def _floating_last(bodies: list[Body]) -> tuple[Body, ...]:
-    """Return the bodies so that each tree stands whole: a link on a floating joint starts a tree of its own."""
+    """Return the bodies with each tree in one piece: a link on a floating joint starts its own tree."""
     children: dict[str | None, list[Body]] = {}
     for body in bodies:
         children.setdefault(body.parent, []).append(body)
@@ -388,7 +390,7 @@ def _floating_last(bodies: list[Body]) -> tuple[Body, ...]:
 
 
 def _body_names(document: Document, tree: Tree) -> dict[str, str]:
-    """Return the bodies' names: the links', but for one that MuJoCo keeps for itself."""
+    """Return the bodies' names: those of the links, except for a name that MuJoCo reserves."""
     names = {name: name for name in tree.links}
     for name in RESERVED & set(names):
         if tree.world is not None and tree.world.name == name:
@@ -402,7 +404,7 @@ def _body_names(document: Document, tree: Tree) -> dict[str, str]:
 
 
 def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
-    """Return the report of a URDF and the robot read from it."""
+    """Return the report of a URDF and its robot."""
     return report_of(
         robot,
         document.ledger,

@@ -19,7 +19,7 @@ from wheelleg_exp.errors import AssetError
 
 
 class Looks:
-    """The colours of a document; ``used`` holds the materials that shapes have asked for."""
+    """The colours of a document; ``used`` holds the materials of shapes."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -32,7 +32,7 @@ class Looks:
         self._taken: set[str] = set()
 
     def _register(self, element: Element) -> None:
-        """Keep the first colour of each name; a later shape may still bring its own."""
+        """Store the first colour of each name; a later shape can still define its own."""
         name, color = element.attributes.get("name"), self._color(element)
         if name and color is not None:
             self._colors.setdefault(name, color)
@@ -43,7 +43,7 @@ class Looks:
         color = element.first("color")
         try:
             values = self.document.numbers(color, "rgba", 4, "material rgba") if color else None
-        except AssetError as error:  # no reason to refuse a robot
+        except AssetError as error:  # a wrong colour is no reason to refuse a robot
             self.document.ledger.leave(element.path, "color", "a colour is four numbers", error.message)
             return None
         if values is None:
@@ -52,7 +52,7 @@ class Looks:
         return r, g, b, a
 
     def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
-        """Return the name of the material of a shape, or its own colour when that has no name."""
+        """Return the name of a shape's material, or the shape's own colour if that has no name."""
         element = shape.first("material")
         if element is None:
             return None, None
@@ -75,7 +75,7 @@ class Looks:
         return self.used[name, color].name
 
 
-LONGEST_NAME = 100  # bytes of a mesh's name; its file's is longer
+LONGEST_NAME = 100  # bytes of a mesh's name; the file's name is longer
 KINDS: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder", "capsule": "capsule"}
 
 
@@ -131,7 +131,7 @@ class Shapes:
         )
 
     def _name(self, owner: str, placed: Placed) -> str:
-        """Return a geom's name: the link's, the element's own if it has one, and what it is."""
+        """Return a geom's name: the link's name, the element's own name if any, and its role."""
         own = self.document.text(placed.element, "name", "geom name") or ""
         short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
         if placed.collides and not own:
@@ -143,7 +143,7 @@ class Shapes:
         frame = Frame.of(placed.pose)
         if placed.kind:
             if min(placed.size) <= 0:
-                self._left(placed, "it has no size")
+                self._left(placed, "its size is zero")
                 return None
             return Shape(KINDS[placed.kind], placed.size, frame)
         geometry = placed.element.first("geometry")
@@ -170,7 +170,7 @@ class Shapes:
         if _area(vertices, faces) < SMALLEST_AREA:
             self._left(placed, f"mesh '{name}': it has no surface")
             return None
-        if len(vertices) == 3:  # MuJoCo wants four points
+        if len(vertices) == 3:  # MuJoCo needs four points
             vertices = np.vstack([vertices, vertices.mean(axis=0)])
         shape = Shape("mesh", (), frame, vertices, faces)
         self._points += shape.points
@@ -178,7 +178,7 @@ class Shapes:
         return self._solid(placed, shape) if placed.collides else shape
 
     def _solid(self, placed: Placed, shape: Shape) -> Shape:
-        """Return what a mesh collides as: its hull, as everywhere in MuJoCo, or a thin box when it is flat."""
+        """Return the collision shape of a mesh: its hull, as in all of MuJoCo, or a thin box if it is flat."""
         flat = flat_to_box(shape)
         if flat is not shape:
             self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
@@ -195,10 +195,10 @@ class Shapes:
 
     def _read(self, name: str) -> Triangles | str:
         if not name:
-            return "it names no file"
+            return "no file is named"
         reader_of(name)
         path = self.files.find(name)
-        return "the file is not there" if path is None else read_mesh(path)
+        return "the file is missing" if path is None else read_mesh(path)
 
     def _left(self, placed: Placed, reason: str) -> None:
         element, ledger = placed.element, self.document.ledger
@@ -207,7 +207,7 @@ class Shapes:
             ledger.warn(f"{element.path}: a collider was left out: {reason}")
 
     def _mesh(self, placed: Placed, shape: Shape) -> str:
-        """Return the name of a shape's mesh: its file's, numbered where others have it; equal ones are kept once."""
+        """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
         vertices = np.round(shape.vertices, 9) + 0.0
@@ -220,7 +220,7 @@ class Shapes:
         mesh = next(element for element in placed.element.walk() if element.tag == "mesh")
         file = PurePosixPath(mesh.attributes["filename"].replace("\\", "/"))
         name = file.stem.encode()[:LONGEST_NAME].decode(errors="ignore") + ("" if placed.collides else "_visual")
-        return name + self._mesh_names.take(name.lower())[len(name) :]  # file systems may not tell cases apart
+        return name + self._mesh_names.take(name.lower())[len(name) :]  # some file systems ignore case
 
 
 def _area(vertices: Array, faces: np.ndarray) -> float:

@@ -22,12 +22,12 @@ from wheelleg_exp.asset.urdf.urdf_document import Document, Element
 from wheelleg_exp.errors import nearest_name
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
-WORLD = "world"  # a root link of this name that weighs nothing is the world itself
+WORLD = "world"  # a massless root link of this name is the world itself
 
 
 @dataclass(eq=False)
 class Link:
-    """A link, the joint that leads to it (None: the root), and the joints that leave it."""
+    """A link, the joint to its parent (None: the root), and the joints to its children."""
 
     element: Element
     name: str
@@ -37,7 +37,7 @@ class Link:
 
 @dataclass(eq=False)
 class Joint:
-    """A joint: ``kind`` as URDF calls it."""
+    """A joint; ``kind`` is URDF's joint type."""
 
     element: Element
     name: str
@@ -47,7 +47,7 @@ class Joint:
 
     @property
     def welds(self) -> bool:
-        """Whether nothing is left free."""
+        """Whether the joint leaves no motion free."""
         return self.kind == "fixed"
 
 
@@ -61,7 +61,7 @@ class Tree:
 
     @property
     def world(self) -> Link | None:
-        """Return the root when it stands for the world: named so, and without mass."""
+        """The root if it stands for the world: named ``world``, and without mass."""
         return self.root if self.root.name == WORLD and self.root.element.first("inertial") is None else None
 
     def depth_first(self) -> Iterator[Link]:
@@ -84,15 +84,15 @@ def read_tree(document: Document) -> Tree:
     """Return the tree of links.
 
     Raises:
-        AssetError: a name is missing or there twice, a joint's kind or link does not exist, a link hangs on two
-            joints, links form a ring, there is more or less than one root, or more links than a robot has.
+        AssetError: a name is missing or repeated, a joint type or link is unknown, a link has two parent joints, links
+            form a cycle, there is not exactly one root, or there are too many links.
     """
     links = _links(document)
     joints: dict[str, Joint] = {}
     for element in document.root.all("joint"):
         joint = _joint(document, element, links)
         if joint.name in joints:
-            document.fail(element, f"there are two joints '{joint.name}'", "names that tell all joints apart")
+            document.fail(element, f"there are two joints '{joint.name}'", "unique joint names")
         joints[joint.name] = joint
     root = _root(document, links)
     tree = Tree(links, joints, root)
@@ -107,7 +107,7 @@ def _links(document: Document) -> dict[str, Link]:
     for element in elements:
         name = document.required(element, "name", "body name")
         if name in links:
-            document.fail(element, f"there are two links '{name}'", "names that tell all links apart")
+            document.fail(element, f"there are two links '{name}'", "unique link names")
         links[name] = Link(element, name)
     if not links:
         document.fail(document.root, f"'{document.source.name}' has no link", "<link> elements below <robot>")
@@ -125,7 +125,7 @@ def _joint(document: Document, element: Element, links: dict[str, Link]) -> Join
     joint = Joint(element, name, kind, parent, child)
     if child.joint is not None:
         message = f"link '{child.name}' is the child of two joints, '{child.joint.name}' and '{name}'"
-        document.fail(element, message, "one joint to each link: URDF knows no loops")
+        document.fail(element, message, "one parent joint for each link: URDF has no loops")
     child.joint = joint
     parent.joints.append(joint)
     return joint
@@ -146,11 +146,11 @@ def _end(document: Document, element: Element, side: str, links: dict[str, Link]
 def _root(document: Document, links: dict[str, Link]) -> Link:
     roots = [link for link in links.values() if link.joint is None]
     if not roots:
-        document.fail(document.root, "the joints form a ring: every link is the child of a joint", "one root link")
+        document.fail(document.root, "the joints form a cycle: every link is the child of a joint", "one root link")
     if len(roots) > 1:
         names = ", ".join(link.name for link in roots[:8]) + (", ..." if len(roots) > 8 else "")
-        message = f"{len(roots)} links hang on no joint: {names}"
-        document.fail(roots[1].element, message, "one root; join the others to it by fixed or floating joints")
+        message = f"{len(roots)} links have no parent joint: {names}"
+        document.fail(roots[1].element, message, "one root; join the other links to it by fixed or floating joints")
     return roots[0]
 
 
@@ -158,18 +158,18 @@ def _require_tree(document: Document, tree: Tree) -> None:
     reached = {link.name for link in tree.depth_first()}
     for link in tree.links.values():
         if link.name not in reached:
-            message = f"link '{link.name}' is not reached from the root '{tree.root.name}': its joints form a ring"
+            message = f"link '{link.name}' is not reached from the root '{tree.root.name}': its joints form a cycle"
             document.fail(link.element, message, "a tree of links")
 
 
 KEEP_ALL: dict[str, Any] = {"discardvisual": False, "fusestatic": False, "strippath": False}
 SHAPES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
-DIGITS = 12  # of quaternions; the rest is the noise of sines and cosines
+DIGITS = 12  # digits of quaternions; more are rounding errors of sines and cosines
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One joint of MuJoCo, with damping and friction in SI units."""
+    """One MuJoCo joint, with damping and friction in SI units."""
 
     kind: DofKind
     axis: Vec3
@@ -179,7 +179,7 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A visual or a collider: the XML, where it is in its link, and MuJoCo's ``size`` when it is a primitive."""
+    """A visual or collider: its XML, its pose in the link, and MuJoCo's ``size`` of a primitive."""
 
     element: Element
     collides: bool
@@ -190,7 +190,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What MuJoCo reads of a link: pose in the parent, mass and the frame of the inertia, axes, shapes."""
+    """MuJoCo's reading of a link: pose in the parent, mass, frame of the inertia, axes, and shapes."""
 
     pose: Pose
     mass: float
@@ -203,7 +203,7 @@ def read_with_mujoco(document: Document, tree: Tree) -> dict[str, Seen]:
     """Return MuJoCo's reading of each link, by the link's name.
 
     Raises:
-        AssetError: a number is none, or MuJoCo refuses the file.
+        AssetError: a number is invalid, or MuJoCo refuses the file.
     """
     ids = {link.name: f"link_{number}" for number, link in enumerate(tree.links.values())}
     if tree.world is not None:
@@ -262,14 +262,14 @@ def _origin(document: Document, element: Element, out: Xml, became: str) -> None
 
 
 def primitive_of(element: Element) -> Element | None:
-    """Return a visual's or collider's box, sphere, cylinder or capsule; None when it is something else."""
+    """Return a visual's or collider's box, sphere, cylinder, or capsule; None for other shapes."""
     geometry = element.first("geometry")
     found = [child for child in geometry.children if child.tag in SHAPES] if geometry else []
     return found[0] if found else None
 
 
 def _geometry(document: Document, element: Element, out: Xml) -> None:
-    """Write a primitive; anything else becomes a box that nobody looks at."""
+    """Write a primitive; any other shape becomes a placeholder box."""
     shape = primitive_of(element)
     if shape is None:
         out.add("box", size=(1.0, 1.0, 1.0))

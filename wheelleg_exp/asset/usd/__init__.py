@@ -1,13 +1,11 @@
-"""Reads USD into a robot description.
+"""Read robots from USD.
 
 | module | what it offers |
 |---|---|
-| `robot` | a file becomes a description and a report |
-| `layers`, `missing_layers`, `variants`, `stage` | the file, opened with care |
-| `precision` | numbers as short as the file's precision allows |
-| `ledger`, `audit`, `reasons` | what was read, and what nobody read |
-| `bodies`, `joints`, `shapes` | UsdPhysics and PhysX, by subject |
-| `mjc` | what only MuJoCo's schemas say |
-| `attributes`, `units`, `scene` | values in SI units, and gravity |
-| `summary` | the report |
+| `usd_robot` | a description and a report from a file |
+| `usd_layers`, `usd_stage` | layers, variants, units, prims, and the physics scene |
+| `ledger`, `audit` | record what was read, and name what was not |
+| `bodies`, `joints` | bodies and joints of UsdPhysics and PhysX |
+| `gprims`, `colliders`, `usd_geoms`, `materials` | shapes, sites, and filters of UsdPhysics and PhysX |
+| `mjc_parts`, `mjc_overlay` | data of MuJoCo's own schemas |
 """

@@ -26,7 +26,7 @@ PHYSICAL_SCHEMAS = re.compile(r"(TensorPhysics|Physics|Physx|Newton|Mjc|Isaac\w*
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is left out; ``loud`` when the robot will move otherwise without it."""
+    """Why something is left out; ``loud`` if the robot moves differently without it."""
 
     text: str
     loud: bool = False
@@ -48,28 +48,28 @@ _PROPERTIES: tuple[tuple[str, str], ...] = (
     (r"physxForce:", "a constant force; forces come from the task"),
     (r"physxSurfaceVelocity:", "MuJoCo has no conveyors"),
     (r"physics:break(Force|Torque)", "joints never break in MuJoCo"),
-    (r"physics:JointEquivalentInertia", "a note of the importer, no physics"),
+    (r"physics:JointEquivalentInertia", "a note of the importer, not physics"),
     (r"physics:startsAsleep", "MuJoCo's bodies start awake"),
-    (r"physics:(velocity|angularVelocity|linearVelocity)", "only a floating body's velocity is a state of the model"),
+    (r"physics:(velocity|angularVelocity|linearVelocity)", "only a floating body has a saved velocity"),
     (r"physics:simulationOwner", "there is one simulation"),
     (r"physics:(engine|tensor:|newton:)", "a note of the simulator that wrote the file"),
     (r"physics:(static|dynamic)Friction|physics:restitution", "no collider is bound to this material"),
     (r"physics:gravity", "zero or negative, which means not given"),
     (r"physics:approximation", "only meshes are approximated"),
-    (r"state:\w+:physics:appliedForce", "what a joint was pushed by when the file was saved"),
+    (r"state:\w+:physics:appliedForce", "the force on a joint when the file was saved"),
     (r"isaac:physics", "Isaac's own index of links and joints; they are read from the prims"),
     (r"material:binding:", "no collider of the robot takes its friction from this binding"),
     (r"urdf:", "a note of the converter that wrote the file"),
     (r"newton:", "a setting of Newton's solvers"),
-    (r"mjcf:", "a note of the importer, no physics"),
+    (r"mjcf:", "a note of the importer, not physics"),
     (r"mjc:", "this MuJoCo attribute is not supported yet"),
     (r"physx|omni:physx|warpSim:", "a setting of another simulator"),
 )
 
 _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"PhysicsCollisionAPI", Reason("no shape at it or below it collides", loud=True)),
-    (r"PhysicsRigidBodyAPI", Reason("it is switched off, or no body of the robot")),
-    (r"PhysicsArticulationRootAPI", Reason("it stands on nothing that is joined")),
+    (r"PhysicsRigidBodyAPI", Reason("it is switched off, or not a body of the robot")),
+    (r"PhysicsArticulationRootAPI", Reason("its prim has no joints")),
     (r"PhysxForceAPI", Reason("a constant force; forces come from the task", loud=True)),
     (r"PhysxSurfaceVelocityAPI", Reason("MuJoCo has no conveyors", loud=True)),
     (r"PhysxTrigger\w*API", Reason("triggers call scripts of Isaac Sim")),
@@ -82,14 +82,14 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"PhysxCharacterControllerAPI", Reason("character controllers are not supported")),
     (
         r"Physx\w*(ForceSensor|ContactReport|JointResidual|ResidualReporting)API",
-        Reason("a report of PhysX, no physics"),
+        Reason("a report of PhysX, not physics"),
     ),
-    (r"PhysxMeshMergeCollisionAPI", Reason("each mesh below collides by itself, unmerged", loud=True)),
+    (r"PhysxMeshMergeCollisionAPI", Reason("each mesh below collides separately", loud=True)),
     (r"PhysxInstancerAPI|PhysxReplicatedAPI", Reason("a setting of PhysX's own scene")),
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# What these say stands in attributes that are accounted for one by one.
+# The attributes of these schemas are recorded one by one.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -108,8 +108,8 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
     (r"Physx\w+|Physics\w+", Reason("this kind of prim is not supported", loud=True)),
     (r"MjcKeyframe", Reason("this keyframe does not fit the model")),
     (r"(Mjc|Newton)\w+", Reason("this kind of prim is not supported", loud=True)),
-    (r"Isaac\w+", Reason("a sensor of Isaac Sim that is no frame on a body")),
-    (r"OmniGraph\w*|ComputeGraph\w*|OmniSensor\w*", Reason("graphs and sensors of Omniverse run in Isaac Sim alone")),
+    (r"Isaac\w+", Reason("a sensor of Isaac Sim that is not a frame on a body")),
+    (r"OmniGraph\w*|ComputeGraph\w*|OmniSensor\w*", Reason("graphs and sensors of Omniverse run only in Isaac Sim")),
     (r"SkelRoot|Skeleton|SkelAnimation", Reason("skins are not read")),
 )
 
@@ -121,7 +121,7 @@ def why_property(name: str) -> str:
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why an applied schema has no place, None when it is no physics or its attributes say it all."""
+    """Return why an applied schema has no place; None if it is not physics or if its attributes are recorded."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -130,7 +130,7 @@ def why_schema(name: str) -> Reason | None:
 
 @functools.cache
 def why_kind(name: str) -> Reason | None:
-    """Return why a kind of prim has no place, None when it carries no physics."""
+    """Return why a kind of prim has no place; None if it is not physics."""
     return next((reason for pattern, reason in _KINDS if re.fullmatch(pattern, name)), None)
 
 
@@ -138,7 +138,7 @@ LONGEST = 200  # characters of a value
 
 
 def audit(stage: Stage) -> None:
-    """Name every authored physics property, applied schema and prim that nothing read."""
+    """Record every authored physics property, applied schema, and prim that nothing read."""
     for prim in _everything(stage):
         _kind(stage, prim)
         _schemas(stage, prim)
@@ -154,7 +154,7 @@ def audit(stage: Stage) -> None:
 
 
 def _everything(stage: Stage) -> Iterator[Usd.Prim]:
-    """Yield the robot's prims, what instancers hide, and what the robot uses from outside: scene and materials."""
+    """Yield the robot's prims, prims inside instancers, and scenes and materials outside the robot."""
     seen: set[Sdf.Path] = set()
     for prim in stage.prims:
         seen.add(prim.GetPath())
@@ -197,12 +197,12 @@ def _schemas(stage: Stage, prim: Usd.Prim) -> None:
 
 
 def _files(stage: Stage, shader: Usd.Prim) -> None:
-    """Name the textures and material libraries of a shader, and say which of them are not there."""
+    """Record the textures and material libraries of a shader, and which of them are missing."""
     for name in shader.GetAuthoredPropertyNames():
         value = shader.GetAttribute(name).Get() if name.startswith(("inputs:", "info:mdl")) else None
         if isinstance(value, Sdf.AssetPath) and value.path:
             reason = "colours are carried over, textures and material libraries are not"
-            missing = "" if value.resolvedPath else "; this file is not there"
+            missing = "" if value.resolvedPath else "; this file is missing"
             stage.ledger.leave(shader.GetPath(), name, reason + missing, value.path)
 
 
@@ -210,7 +210,7 @@ _MASS = ("physics:mass", "physics:density", "physics:centerOfMass", "physics:dia
 
 
 def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
-    """Return why a property was left out, from where it stands where that says more than its name."""
+    """Return why a property was left out; its place can give a better reason than its name."""
     name, kind = prop.GetName(), str(prim.GetTypeName())
     if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
         return "declared without a value"
@@ -220,11 +220,11 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"
     if joint and not stage.ledger.knows(prim.GetPath(), kind):
-        return "its joint says nothing here"
+        return "its joint has no effect"
     if name == "newton:inertia":
-        return "zeros, which mean not given" if "PhysicsRigidBodyAPI" in schemas(prim) else "it counts on bodies alone"
+        return "zeros, which mean not given" if "PhysicsRigidBodyAPI" in schemas(prim) else "it counts only on bodies"
     if name.startswith(("drive:", "limit:", "state:")) and ":physics:" in name:
-        return "the joint leaves no such axis free" if joint else "only joints have drives, limits and states"
+        return "the joint leaves no such axis free" if joint else "only joints have drives, limits, and states"
     if joint and name.startswith(("physics:lower", "physics:upper", "physics:cone", "physics:axis")):
         return "this joint has no such limit or axis"
     return why_property(name)
@@ -233,19 +233,19 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
 def _why_mass(prim: Usd.Prim, name: str) -> str:
     applied = schemas(prim)
     if "PhysicsRigidBodyAPI" in applied:
-        return "not needed beside the others" if name == "physics:density" else "it means not given: 0 or not finite"
+        return "not needed: the mass is given" if name == "physics:density" else "it means not given: 0 or not finite"
     if "PhysicsCollisionAPI" in applied:
-        return "it means not given, or the body that it would weigh in has mass properties of its own"
+        return "it means not given, or the body has its own mass properties"
     if "PhysicsMaterialAPI" in applied:
-        return "not needed: what it would weigh has a mass, or nothing is bound to it"
-    return "mass properties count on bodies, colliders and materials alone"
+        return "not needed: the bound shapes have a mass, or nothing is bound to this material"
+    return "mass properties count only on bodies, colliders, and materials"
 
 
 def _text(prop: Usd.Property) -> str:
     try:
         if isinstance(prop, Usd.Relationship):
             return ", ".join(str(path) for path in prop.GetTargets())[:LONGEST]
-        if not isinstance(prop, Usd.Attribute):  # a damaged layer names it, and holds nothing of it
+        if not isinstance(prop, Usd.Attribute):  # a damaged layer names the property without a definition
             return "not readable"
         value = plain(prop.Get()) if prop.HasAuthoredValue() else ""
     except Tf.ErrorException:  # authored as an attribute in one layer and as a relationship in another
@@ -254,7 +254,7 @@ def _text(prop: Usd.Property) -> str:
 
 
 def _outside(stage: Stage) -> None:
-    """Name the physics that stands outside the default prim, one entry for each prim at the top."""
+    """Record physics outside the default prim, one entry for each top-level prim."""
     top = stage.root.GetPath().GetPrefixes()[:1]
     if not top:
         return
@@ -265,7 +265,7 @@ def _outside(stage: Stage) -> None:
         found = Counter(_sort(inner) for inner in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
         parts = [f"{sort}: {found[sort]}" for sort in ("bodies", "joints", "colliders") if found[sort]]
         if parts:
-            reason = f"it stands outside the default prim {stage.root.GetPath()}"
+            reason = f"it is outside the default prim {stage.root.GetPath()}"
             stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()) or "prim", reason, ", ".join(parts))
 
 
@@ -277,7 +277,7 @@ def _sort(prim: Usd.Prim) -> str:
 
 
 def _referenced(stage: Stage) -> set[Sdf.Path]:
-    """Return the prims at the top that the robot is made of by reference, such as scopes of prototypes."""
+    """Return the top-level prims that the robot references, such as scopes of prototypes."""
     found: set[Sdf.Path] = set()
     for prim in stage.prims:
         if prim.IsInstance() or prim.HasAuthoredReferences():

@@ -21,8 +21,8 @@ from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 from wheelleg_exp.errors import AssetError
 
 SITE_SCHEMAS = {"MjcSiteAPI", "NewtonSiteAPI"}
-SHAPES = {"sphere", "capsule", "ellipsoid", "cylinder", "box"}  # what MuJoCo draws sites as
-GREY = (0.5, 0.5, 0.5, 1.0)  # the colour of a site without any
+SHAPES = {"sphere", "capsule", "ellipsoid", "cylinder", "box"}  # MuJoCo's shapes of sites
+GREY = (0.5, 0.5, 0.5, 1.0)  # default colour of a site
 SAME_ANGLE = 1e-6  # rad between a shape's frame and its prim's
 
 
@@ -35,7 +35,7 @@ def is_site(prim: Usd.Prim) -> bool:
 def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
     """Return the sites of each body, by the body's path.
 
-    The USD library does not know the types of Isaac's sensors, so that their own transform is that of the prim above.
+    The USD library does not know the types of Isaac's sensors, so their transform is that of the parent prim.
     """
     found: dict[str, list[Site]] = {}
     for prim, name in _named(stage):
@@ -63,7 +63,7 @@ def _site(stage: Stage, prim: Usd.Prim, name: str, link: Link | None) -> Site:
 
 
 def _look(stage: Stage, prim: Usd.Prim, base: Frame, frame: Frame) -> Extra:
-    """Return a site's shape, size, colour and group, where the prim is a shape that MuJoCo draws there."""
+    """Return a site's shape, size, colour, and group, if the prim is a shape that MuJoCo can draw at a site."""
     found: dict[str, str | int | tuple[float, ...]] = {}
     if prim.IsA(UsdGeom.Gprim):
         shape = shape_of(prim, base.inverse().matrix() @ stage.matrix(prim))
@@ -78,7 +78,7 @@ def _look(stage: Stage, prim: Usd.Prim, base: Frame, frame: Frame) -> Extra:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A gprim of a prototype as one instance shows it: its map (4x4) to the world in metres, and the instance."""
+    """A gprim of a prototype in one instance: its map (4x4) to the world in metres, and the instance's index."""
 
     prim: Usd.Prim
     carrier: Usd.Prim | None
@@ -87,14 +87,14 @@ class Placed:
 
 
 def placed_gprims(stage: Stage, instancer: Usd.Prim) -> Iterator[Placed]:
-    """Yield the gprims of all instances; what cannot be expanded is reported."""
+    """Yield the gprims of all instances; an instancer that cannot be expanded is reported."""
     api, time = UsdGeom.PointInstancer(instancer), Usd.TimeCode.Default()
     roots = [stage.usd.GetPrimAtPath(path) for path in api.GetPrototypesRel().GetForwardedTargets()]
     if not roots or not all(roots):
-        return _refuse(stage, instancer, "its prototypes are not there")
+        return _refuse(stage, instancer, "its prototypes are missing")
     shapes = [_gprims(root) for root in roots]
     if any("PhysicsRigidBodyAPI" in schemas(prim) for root in roots for prim in Usd.PrimRange(root)):
-        return _refuse(stage, instancer, "its prototypes are rigid bodies, of which it makes many")
+        return _refuse(stage, instancer, "its prototypes are rigid bodies")
     if any(len(values) > MOST_SHAPES for values in _arrays(instancer)):
         return _refuse(stage, instancer, f"it makes more than {MOST_SHAPES:,} instances")
     indices, maps = _instance_maps(api, time)
@@ -138,7 +138,7 @@ def _arrays(instancer: Usd.Prim) -> Iterator[Sized]:
 
 
 def _instance_maps(api: UsdGeom.PointInstancer, time: Usd.TimeCode) -> tuple[list[int] | None, list[Array]]:
-    """Return which prototype each instance shows, and its map to the instancer; masked ones are left away."""
+    """Return the prototype index and the map of each instance; masked instances are left out."""
     which = api.GetProtoIndicesAttr().Get(time)
     if which is None or np.asarray(which).dtype.kind not in "iu":
         return None, []
@@ -153,9 +153,9 @@ SHAPED = {"Cube", "Sphere", "Capsule", "Capsule_1", "Cylinder", "Cylinder_1", "C
 
 @dataclass(eq=False)
 class Piece:
-    """A gprim of a body (None: the world). ``carrier`` has CollisionAPI, None for a visual.
+    """A gprim of a body (None: the world). ``carrier`` is the prim with CollisionAPI, None for a visual.
 
-    ``instance`` numbers the copies that a PointInstancer makes of one gprim.
+    ``instance`` is the index of a PointInstancer's copy.
     """
 
     prim: Usd.Prim
@@ -168,20 +168,20 @@ class Piece:
 
     @property
     def path(self) -> str:
-        """Return the gprim's path."""
+        """The gprim's path."""
         return str(self.prim.GetPath())
 
     @property
     def key(self) -> str:
-        """Return what tells the piece from all others: its path, with the number of the instance."""
+        """A unique key: the path, with the index of the instance."""
         return self.path if self.instance is None else f"{self.path}_{self.instance}"
 
 
 def find_pieces(stage: Stage, links: Links) -> list[Piece]:
-    """Return all shapes, in the order of the stage. Shapes that nothing can be made of are reported.
+    """Return all shapes, in the order of the stage. Unsupported shapes are reported.
 
     Raises:
-        AssetError: there are more, or more points of meshes, than a robot has; or one has no size or place.
+        AssetError: there are too many shapes or points of meshes for a robot, or a shape has no valid size or place.
     """
     pieces, points = [], 0
     for piece in filter(None, _pieces(stage, links)):
@@ -199,7 +199,7 @@ def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
         above = carriers.get(path.GetParentPath())
         carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else above
         if prim.IsA(UsdGeom.Gprim):
-            if above is not None:  # a gprim's own schema goes for itself alone
+            if above is not None:  # a gprim's own schema does not apply to its children
                 carriers[path] = above
             if not is_site(prim):
                 yield _piece(stage, links.owner(path), prim, carrier, stage.matrix(prim))
@@ -236,13 +236,13 @@ def _piece(
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # MuJoCo needs the hull of points alone, drawn or not
+        elif shape.vertices is not None and shape.faces is None:  # MuJoCo builds a hull from points, drawn or not
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)
             reason = "a plane collides only where it stands still, in the world"
     if shape is None or _empty(shape):
-        _unsupported(stage, prim, collides, "it has no size" if shape else reason)
+        _unsupported(stage, prim, collides, "its size is zero" if shape else reason)
         return None
     if shape.note:
         stage.ledger.assume(prim.GetPath(), f"{prim.GetTypeName()}: {shape.note}", shape.kind)
@@ -272,7 +272,7 @@ def _unsupported(stage: Stage, prim: Usd.Prim, collides: bool, reason: str) -> N
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:
-    """Return what a mesh collides as. MuJoCo always takes a mesh's convex hull."""
+    """Return the collision shape of a mesh. MuJoCo always uses a mesh's convex hull."""
     wanted = stage.ledger.read(carrier, "physics:approximation", "the collider's shape")
     if prim.GetPath() != carrier.GetPath():
         wanted = stage.ledger.read(prim, "physics:approximation", "the collider's shape") or wanted

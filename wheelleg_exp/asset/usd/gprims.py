@@ -11,21 +11,20 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from wheelleg_exp.asset.file_limits import MOST_POINTS, require_size
-from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, rounded, split_scale
+from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, Solid, cone, primitive, rounded, split_scale
 from wheelleg_exp.asset.robot_description import ShapeKind
-from wheelleg_exp.asset.solids import Solid, cone, primitive
 from wheelleg_exp.asset.usd.ledger import number_of, plain
 
-THIN = 1e-3  # m, the thickness of what is flat
+THIN = 1e-3  # m, thickness of flat shapes
 SMALLEST_AREA = 1e-12  # m²; MuJoCo refuses meshes without a surface
-_SEGMENTS = 32  # sides of a cone, and of a cylinder that is not round
+_SEGMENTS = 32  # sides of a cone, and of an oval cylinder
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), triangles (k, 3).
+    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), and triangles (k, 3).
 
-    ``weight`` is the solid that PhysX weighs, in the shape's frame, where the shape itself is another one.
+    ``weight`` is the solid that gives PhysX the mass, in the shape's frame, if it differs from the shape.
     """
 
     kind: ShapeKind
@@ -38,15 +37,15 @@ class Shape:
 
     @property
     def points(self) -> int:
-        """Return the number of a mesh's points and triangles, 0 for other shapes."""
+        """Number of a mesh's points and triangles, 0 for other shapes."""
         return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
-    """Return the shape of a gprim, None when the kind is not supported or a mesh is broken.
+    """Return the shape of a gprim, None if the kind is not supported or a mesh is broken.
 
     Args:
-        prim: a Cube, Sphere, Capsule, Cylinder (or the newer Capsule_1, Cylinder_1), Cone, Plane or Mesh.
+        prim: a Cube, Sphere, Capsule, Cylinder (or the newer Capsule_1, Cylinder_1), Cone, Plane, or Mesh.
         matrix: 4x4, from the gprim's coordinates to its body's in metres.
     """
     make = _MAKERS.get(str(prim.GetTypeName()))
@@ -64,7 +63,7 @@ class _Placing:
 
     @property
     def scale(self) -> Array | None:
-        """Scale along the shape's own axes, None when it is sheared."""
+        """Scale along the shape's own axes, None if the shape is sheared."""
         off = self.stretch - np.diag(np.diag(self.stretch))
         if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max():
             return None
@@ -82,7 +81,7 @@ def _clean(*sizes: float) -> tuple[float, ...]:
 
 
 def _axis(prim: Usd.Prim) -> tuple[str, str]:
-    """Return the axis of a shape, and a note when the file names one that there is not."""
+    """Return the axis of a shape, and a note if the file names an unknown axis."""
     value = plain(prim.GetAttribute("axis").Get())
     if value is None or (isinstance(value, str) and value in (*Z_TO_AXIS, "")):
         return value or "Z", ""
@@ -119,7 +118,7 @@ def _round(kind: ShapeKind) -> Maker:
 
 
 def _tapered(kind: ShapeKind) -> Maker:
-    """Return the maker of Capsule_1 and Cylinder_1, whose ends have radii of their own."""
+    """Return the maker of Capsule_1 and Cylinder_1, which have a radius for each end."""
 
     def make(prim: Usd.Prim, at: _Placing) -> Shape:
         return _between(kind, prim, at, number_of(prim, "radiusTop"), number_of(prim, "radiusBottom"))
@@ -128,7 +127,7 @@ def _tapered(kind: ShapeKind) -> Maker:
 
 
 def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: float) -> Shape:
-    """Return a capsule or cylinder from its lower end to its upper one; the hull where MuJoCo has no such shape."""
+    """Return a capsule or cylinder; its hull if MuJoCo has no such shape."""
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
@@ -148,7 +147,7 @@ def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: 
 
 
 def _rings(top: float, bottom: float, half: float, kind: ShapeKind) -> Array:
-    """Return points of a cylinder or a capsule about z, with a radius at either end."""
+    """Return points of a cylinder or capsule about z, with a radius for each end."""
     levels = [(half, top), (-half, bottom)]
     if kind == "capsule":
         tilt = np.linspace(0, math.pi / 2, 7)
@@ -170,7 +169,7 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
-    """Return a plane that goes on for ever; its solid side stays the one below its axis, mirrored or not."""
+    """Return an infinite plane. Its solid side stays below its axis, mirrored or not."""
     axis, note = _axis(prim)
     turn = Z_TO_AXIS[axis]
     if at.scale is None or np.diag(at.stretch).min() < 0:
@@ -180,7 +179,7 @@ def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _turn_z_to(direction: Array) -> Array:
-    """Return some rotation that carries z onto a unit vector."""
+    """Return a rotation from z to a unit vector."""
     helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
     x = np.cross(helper, direction)
     x /= np.linalg.norm(x) or 1.0
@@ -188,10 +187,10 @@ def _turn_z_to(direction: Array) -> Array:
 
 
 def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
-    """Return a drawn plane as a thin box of its width and length, for bodies that move: MuJoCo's planes do not."""
+    """Return a drawn plane as a thin box, for bodies that move: MuJoCo's planes are static."""
     rotation, stretch = split_scale(matrix[:3, :3])
     along = "XYZ".index(_axis(prim)[0])
-    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # which way width and length go, by UsdGeomPlane
+    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # directions of width and length, by UsdGeomPlane
     half = np.full(3, THIN / 2)
     for side, name in zip(sides, ("width", "length"), strict=True):
         half[side] = number_of(prim, name) / 2 * abs(stretch[side, side])
@@ -199,16 +198,16 @@ def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
 
 
 def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
-    """Return a mesh's points, stretched, and its triangles without the holes; None when it is broken."""
+    """Return a mesh's points, stretched, and its triangles without the holes; None if it is broken."""
     mesh = UsdGeom.Mesh(prim)
     points = _points(mesh)
     counts, indices = (_integers(_array(a)) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
     if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
         return None
     faces = triangles(counts, indices, _holes(mesh, len(counts)))
-    if len(points) == 3:  # MuJoCo wants four points
+    if len(points) == 3:  # MuJoCo needs four points
         points = np.vstack([points, points.mean(axis=0)])
-    with np.errstate(all="ignore"):  # whoever asked looks for what is not finite
+    with np.errstate(all="ignore"):  # the caller checks for numbers that are not finite
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
@@ -217,7 +216,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
 
 
 def _array(attribute: Usd.Attribute) -> object:
-    """Return an array, before anything is made of it that is larger."""
+    """Return an array after checking its size, before larger arrays are made from it."""
     value = attribute.Get()
     if isinstance(value, Sized):
         require_size(len(value), 3 * MOST_POINTS, "numbers", key=str(attribute.GetPath()), expected="fewer")
@@ -259,7 +258,7 @@ def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
 def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
-    """Return triangles (k, 3): each polygon but the holes as a fan around its first corner, in their order."""
+    """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:
@@ -270,7 +269,7 @@ def triangles(
 
 
 def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, half: float) -> Shape:
-    """Let a hull weigh as the round solid that PhysX makes of it: the larger scale across its axis counts."""
+    """Give a hull the mass of PhysX's round solid: the larger scale across the axis counts."""
     if at.scale is None:
         return hull
     along = "XYZ".index(axis)
@@ -306,7 +305,7 @@ def bounding_box(shape: Shape) -> Shape:
 
 
 def bounding_sphere(shape: Shape) -> Shape:
-    """Return the sphere around a mesh, about the middle of its box."""
+    """Return the sphere around a mesh, about the centre of its box."""
     assert shape.vertices is not None
     middle = (shape.vertices.min(axis=0) + shape.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(shape.vertices - middle, axis=1).max())
@@ -314,7 +313,7 @@ def bounding_sphere(shape: Shape) -> Shape:
 
 
 def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
-    """Return a thin box for a mesh whose points lie in one plane, else the shape itself."""
+    """Return a thin box for a mesh whose points are in one plane, else the shape itself."""
     assert shape.vertices is not None
     middle = shape.vertices.mean(axis=0)
     _, spread, axes = np.linalg.svd(shape.vertices - middle, full_matrices=False)

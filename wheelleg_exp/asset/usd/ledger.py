@@ -20,21 +20,21 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # no length, mass, gain or force is larger, and a double of 1e300 overflows what is computed from it
+HUGEST = 1e30  # no length, mass, gain, or force is larger; products of larger numbers would overflow
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """What a value has to be; ``length`` of a vector; whether infinity and huge numbers have a meaning."""
+    """The required kind of a value; ``length`` of a vector; ``endless`` if infinity and huge numbers are allowed."""
 
     what: What
     length: int = 1
     endless: bool = False
 
 
-_KINDS: tuple[tuple[str, ValueKind], ...] = (  # full names as patterns
+_KINDS: tuple[tuple[str, ValueKind], ...] = (  # patterns of full names
     (r"physics:(lowerLimit|upperLimit|coneAngle[01]Limit|minDistance|maxDistance)", ValueKind("number", endless=True)),
     (r"(limit:\w+:physics:(low|high)|drive:\w+:physics:maxForce)", ValueKind("number", endless=True)),
     (r"physx(Joint|JointAxis:\w+):maxJointVelocity", ValueKind("number", endless=True)),
@@ -89,15 +89,15 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return what the attribute of this full name has to hold, None when any value will do."""
+    """Return the required kind of an attribute by its full name, or None if any value is allowed."""
     return next((kind for pattern, kind in _KINDS if re.fullmatch(pattern, name)), None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
-    """Return an attribute's value as ``plain`` does, after holding it against what it has to be.
+    """Return an attribute's value as ``plain`` does, after checking it.
 
     Raises:
-        AssetError: it is of another kind, not a number (NaN), or larger than anything a robot has.
+        AssetError: the value has another kind, is NaN, or is larger than any number of a robot.
     """
     value = plain(attribute.Get())
     if value is None:
@@ -109,10 +109,10 @@ def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
 
 
 def number_of(prim: Usd.Prim, name: str) -> float:
-    """Return a shape's own number, such as ``radius``, the schema's where none is authored.
+    """Return a shape's number, such as ``radius``; the schema's default if not authored.
 
     Raises:
-        AssetError: it is none, or infinite.
+        AssetError: there is no number, or it is infinite.
     """
     attribute = prim.GetAttribute(name)
     value = value_of(attribute, ValueKind("number")) if attribute else None
@@ -122,7 +122,7 @@ def number_of(prim: Usd.Prim, name: str) -> float:
 
 
 def _wrong(value: Any, kind: ValueKind | None) -> str:
-    """Return what is wrong with a value, nothing when it will do."""
+    """Return what is wrong with a value; an empty text if it is valid."""
     if kind is None or kind.what in ("flag", "text"):
         if _has_nan(value):
             return "is not a number (NaN)"
@@ -202,7 +202,7 @@ def _plain_array(value: Any) -> Any:
 
 
 class Ledger:
-    """What was read and what it became, what was assumed, what was left out, and what people should know."""
+    """What was read and what it became, what was assumed, what was left out, and warnings."""
 
     def __init__(self) -> None:
         self._mapped: dict[tuple[str, str], Mapped] = {}
@@ -211,18 +211,18 @@ class Ledger:
         self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
         self._found: dict[tuple[str, str, str], Finding] = {}
-        self.authored: dict[str, dict[str, Any]] = {}  # attributes of joints in the file's units, by path and name
+        self.authored: dict[str, dict[str, Any]] = {}  # joint attributes in the file's units, by path and name
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
         """Return an attribute's authored value in plain Python, or None.
 
         Args:
-            prim: where it stands.
-            name: full name, such as ``physics:mass``; of schemas that the USD library does not know as well.
-            became: what it turns into; None when the caller says so later.
+            prim: the attribute's prim.
+            name: full name, such as ``physics:mass``; schemas unknown to the USD library work, too.
+            became: what the attribute becomes; None if the caller records it later.
 
         Raises:
-            AssetError: the value is no number where one belongs, NaN, or larger than anything a robot has.
+            AssetError: the value has a wrong kind, is NaN, or is larger than any number of a robot.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
@@ -235,7 +235,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the targets of a relationship, [] when it is not authored."""
+        """Return the targets of a relationship, [] if it is not authored."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -244,50 +244,50 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
-        """Note that something became something."""
+        """Record what a part of the source became."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
-        """Note a value that comes from a rule and not from the file."""
+        """Record a value that a rule gave and not the file."""
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
-        """Note something that has no place in the model."""
+        """Record a part of the source that has no place in the model."""
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
-        """Note something that people should know."""
+        """Record a warning."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record something odd, once for each kind, subject and place; what the numbers are stands in ``findings``."""
+        """Record a finding, once for each kind, subject, and path; see ``conversion_report`` for kinds and numbers."""
         self._found[kind, subject, str(path)] = Finding(
             kind, subject, str(path), {name: float(value) for name, value in numbers.items()}
         )
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return everything odd, in the order of finding."""
+        """All findings, in the order of recording."""
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
-        """Return whether a rule was followed somewhere."""
+        """Return whether a rule was used at a path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
-        """Return whether something is accounted for: it became something, or was left out for a reason."""
+        """Return whether an attribute became something or was left out for a reason."""
         key = (str(path), name)
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
-        """Return whether something was left out for a reason."""
+        """Return whether an attribute was left out for a reason."""
         return (str(path), name) in self._left_names
 
     def entries(
         self,
     ) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return everything noted, in the order of noting."""
+        """Return mapped, assumed, and left-out items and warnings, in the order of recording."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

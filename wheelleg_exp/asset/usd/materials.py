@@ -17,18 +17,18 @@ COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseC
 
 @dataclass
 class Looks:
-    """Materials met so far, by path of the USD material, in the order of meeting."""
+    """Materials in use, by path of the USD material, in the order of first use."""
 
     stage: Stage
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
-        """Return the materials with names that tell them apart, by USD path."""
+        """Return the materials with unique names, by USD path."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
     def look(self, prim: Usd.Prim) -> tuple[str | None, Rgba | None]:
-        """Return the path of the material that colours a gprim, or the gprim's own colour."""
+        """Return the path of the material of a gprim, or the gprim's own colour."""
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if bound and self._read(bound.GetPrim()):
             self.stage.ledger.mapped(prim.GetPath(), "material:binding", "material")
@@ -55,7 +55,7 @@ class Looks:
 
 
 def display_color(prim: Usd.Prim) -> Rgba | None:
-    """Return a gprim's first displayColor, with displayOpacity; None where it is no colour."""
+    """Return a gprim's first displayColor, with displayOpacity; None if invalid."""
     gprim = UsdGeom.Gprim(prim)
     color = _first(gprim.GetDisplayColorPrimvar(), 3)
     if color is None:
@@ -65,7 +65,7 @@ def display_color(prim: Usd.Prim) -> Rgba | None:
 
 
 def _first(primvar: UsdGeom.Primvar, count: int) -> tuple[float, ...] | None:
-    """Return the first element of a primvar, None when it is not that many finite numbers."""
+    """Return the first element of a primvar, None unless it is ``count`` finite numbers."""
     try:
         values = np.asarray(primvar.ComputeFlattened(), dtype=float).reshape(-1, count)
     except (Tf.ErrorException, TypeError, ValueError):
@@ -87,7 +87,7 @@ def _input(shader: Usd.Prim, names: tuple[str, ...]) -> Any:
 
 
 def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
-    """Return the physics material of a gprim: bound for physics or all purposes, there, above, or by a collection."""
+    """Return the physics material of a gprim: bound for physics or all purposes, directly, above, or by collection."""
     material, relationship = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
     if not material or "PhysicsMaterialAPI" not in schemas(material.GetPrim()):
         return None
@@ -97,9 +97,9 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 
 
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
-    """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's own.
+    """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
 
-    None leaves it to MuJoCo, which is right for files that carry MuJoCo's own schemas.
+    None means MuJoCo's default, which is right for files with MuJoCo's own schemas.
     """
     material = physics_material(stage, prim) or _scene_material(stage)
     if material is None:
@@ -118,7 +118,7 @@ PHYSX_FRICTION = 0.5
 
 
 def _scene_material(stage: Stage) -> Usd.Prim | None:
-    """Return the physics material that a PhysicsScene is bound to: PhysX's default for what has none."""
+    """Return the physics material that a PhysicsScene is bound to: PhysX's default material."""
     for scene in physics_scenes(stage):
         material = physics_material(stage, scene)
         if material is not None:
@@ -129,19 +129,19 @@ def _scene_material(stage: Stage) -> Usd.Prim | None:
 def _unbound(stage: Stage) -> float | None:
     if any(name.startswith("Mjc") for scene in physics_scenes(stage) for name in schemas(scene)):
         return None
-    rule = "colliders without a physics material: PhysX's own friction"
+    rule = "colliders without a physics material: PhysX's default friction"
     stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
     return PHYSX_FRICTION
 
 
 _NO_PLACE = {
     "physics:staticFriction": "MuJoCo has one sliding friction: the dynamic one",
-    "physics:restitution": "MuJoCo has no coefficient of restitution; contacts are solref and solimp",
+    "physics:restitution": "MuJoCo has no coefficient of restitution; solref and solimp define contacts",
 }
 
 
 def _combine(stage: Stage, material: Usd.Prim) -> None:
     mode = stage.ledger.read(material, "physxMaterial:frictionCombineMode") or "average"
     if mode != "max":
-        rule = f"PhysX combines friction by '{mode}', MuJoCo takes the larger"
+        rule = f"PhysX combines friction by '{mode}', MuJoCo uses the larger"
         stage.ledger.assume(material.GetPath(), rule, "friction as authored")

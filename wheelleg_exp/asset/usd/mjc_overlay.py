@@ -58,7 +58,7 @@ JOINT_ATTRIBUTES = {
 
 
 def with_body_extra(stage: Stage, body: Body) -> Body:
-    """Return a body whose joints, and itself, have MuJoCo's own attributes."""
+    """Return a body with MuJoCo's own attributes of it and of its joints."""
     prim = stage.usd.GetPrimAtPath(body.path)
     found = attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
     dofs = tuple(_dof(stage, dof) for dof in body.dofs)
@@ -76,7 +76,7 @@ def _dof(stage: Stage, dof: Dof) -> Dof:
 
 
 def _unlimited(stage: Stage, prim: Usd.Prim, dof: Dof) -> dict[str, Attribute]:
-    """Return the switch that turns a range of forces off."""
+    """Return the switch that disables a force range."""
     token = stage.ledger.read(prim, "mjc:actuatorfrclimited", "actuatorfrclimited")
     return {"actuatorfrclimited": False} if token == "false" and dof.force_range else {}
 
@@ -91,14 +91,14 @@ GEOM_ATTRIBUTES = {
     "mjc:margin": "margin",
     "mjc:gap": "gap",
 }
-FRICTION = (0.0, 0.005, 0.0001)  # torsional and rolling are those of a geom without any
-EXPLICIT = ("mjc:shellinertia", "mjc:inertia")  # how a shape weighs, where nothing asked for it
-DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}  # the schemas that hold a group, 0 when it is not authored
+FRICTION = (0.0, 0.005, 0.0001)  # MuJoCo's defaults of torsional and rolling friction
+EXPLICIT = ("mjc:shellinertia", "mjc:inertia")  # mass rules of a shape, if nothing read them
+DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}  # schemas with a group, whose default is 0
 SOLID = {"MjcCollisionAPI", "NewtonCollisionAPI"}
 
 
 def with_geom_extra(stage: Stage, geom: Geom) -> Geom:
-    """Return a geom with MuJoCo's own attributes: those of its prim, or of the prim above that carries them."""
+    """Return a geom with MuJoCo's own attributes: those of its prim, or of an ancestor that has them."""
     prim = stage.usd.GetPrimAtPath(geom.path)
     found: dict[str, Attribute] = {}
     drawn = _carrier(prim, DRAWN)
@@ -114,7 +114,7 @@ def with_geom_extra(stage: Stage, geom: Geom) -> Geom:
 
 
 def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
-    """Return how many vertices a mesh's convex hull may have, as the mesh's attribute."""
+    """Return the maximum number of vertices of a mesh's convex hull, as the mesh's attribute."""
     prim = stage.usd.GetPrimAtPath(geom.path)
     names = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
     found = attributes(stage, prim, names)
@@ -122,7 +122,7 @@ def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
 
 
 def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
-    """Return the prim, or the nearest above, that has one of the schemas; bodies end the search."""
+    """Return the prim, or the nearest ancestor up to its body, that has one of the schemas."""
     while prim and not prim.IsPseudoRoot():
         found = set(schemas(prim))
         if wanted & found:
@@ -134,7 +134,7 @@ def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
 
 
 def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
-    """Return three friction coefficients where the bound material has more than the sliding one."""
+    """Return three friction coefficients if the bound material has more than sliding friction."""
     bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
     if not bound or geom.friction is None:
         return {}
@@ -148,14 +148,14 @@ def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
     return {} if tuple(values[1:]) == FRICTION[1:] else {"friction": tuple(values)}
 
 
-LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)  # a coupling without coefficients: the same coordinate
+LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)  # default of a coupling: the same coordinate
 SOLVER = {"mjc:solref": "solref", "mjc:solimp": "solimp"}
 COUPLED = {"NewtonMimicAPI", "MjcEqualityJointAPI"}
 CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
 
 def with_closure_extra(stage: Stage, closure: Closure) -> Closure:
-    """Return a loop's joint with the stiffness of its constraint, and whether it is active."""
+    """Return a loop closure with the stiffness of its constraint, and whether it is active."""
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
@@ -193,7 +193,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
 
 
 def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float, float, float, float]:
-    """Return the polynomial in rad and m. Newton's offset is in the unit of USD's coordinate, MuJoCo's is not."""
+    """Return the polynomial in rad and m. Newton's offset is in the unit of USD's coordinate, MuJoCo's is in SI."""
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -208,7 +208,7 @@ def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float,
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
-OPTIONS = {  # what changes the model; steps and solvers belong to the task
+OPTIONS = {  # options that change the model; the task defines time step and solver
     f"mjc:option:{name}": name
     for name in (
         "cone",
@@ -253,7 +253,7 @@ FLAGS = (
     "multiccd",
     "sleep",
 )
-SOLVER_REASON = "a setting of the solver or the step, which the task owns, not the robot"
+SOLVER_REASON = "a setting of the solver or time step, which the task defines, not the robot"
 SOLVER_OPTIONS = (
     "apirate",
     "timestep",
@@ -269,23 +269,23 @@ SOLVER_OPTIONS = (
     "jacobian",
     "solver",
 )
-COMPILER = {  # why these settings are not written
+COMPILER = {  # reasons why these settings are not written
     "angle": "angles are written in radians",
-    "autoLimits": "ranges are written with what they mean",
+    "autoLimits": "ranges are written with their effective limits",
     "saveInertial": "a setting for saving models",
     "useThread": "a setting of the compiler's speed",
-    "fitAABB": "shapes are written as they are",
+    "fitAABB": "shapes are written unchanged",
     "inertiaFromGeom": "masses and inertias are written explicitly",
     "inertiaGroupRange:min": "masses and inertias are written explicitly",
     "inertiaGroupRange:max": "masses and inertias are written explicitly",
-    "balanceInertia": "inertias that no solid has are made possible in any file",
-    "fuseStatic": "bodies are kept as the file has them",
+    "balanceInertia": "impossible inertias are always corrected",
+    "fuseStatic": "bodies stay as in the file",
     "alignFree": "a setting of the compiler's speed",
 }
 
 
 def with_options(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with the scene's options and flags, and its masses as the scene's compiler leaves them."""
+    """Return the robot with the scene's options and flags, and with the masses after its compiler settings."""
     scene = find_scene(stage)
     if scene is None:
         return robot
@@ -325,7 +325,7 @@ COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
 
 
 def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with the masses that the scene's compiler settings make of its own."""
+    """Return the robot with the masses that result from the scene's compiler settings."""
     values = {
         name: stage.ledger.read(scene, f"mjc:compiler:{name}", "masses and inertias of the bodies")
         for name in COMPILED_MASSES
@@ -356,12 +356,12 @@ def _scaled(inertial: Inertial, factor: float) -> Inertial:
 
 
 def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with everything that MuJoCo's schemas say, found by the paths of its parts.
+    """Return the robot with all data of MuJoCo's schemas, matched by prim path.
 
     Args:
         stage: the open stage.
         links: its bodies.
-        robot: what the other schemas say.
+        robot: the robot from the other schemas.
     """
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
@@ -403,7 +403,7 @@ Part = TypeVar("Part", Site, Tendon, Coupling, Actuator)
 
 
 def distinct(known: Iterable[_Named], parts: Iterable[Part]) -> tuple[Part, ...]:
-    """Return ``parts`` with numbers behind the names that ``known`` parts of the same kind have already."""
+    """Return ``parts`` with numbers appended to names that ``known`` parts of the same kind have."""
     taken, out = {item.name for item in known}, []
     for part in parts:
         name, number = part.name, 2
@@ -415,7 +415,7 @@ def distinct(known: Iterable[_Named], parts: Iterable[Part]) -> tuple[Part, ...]
 
 
 def single_dofs(robot: RobotDescription) -> dict[str, Dof]:
-    """Return by prim path the degrees of freedom of joints that have just one."""
+    """Return by prim path the degree of freedom of joints that have just one."""
     found: dict[str, Dof | None] = {}
     for dof in robot.dofs:
         found[dof.path] = None if dof.path in found else dof
@@ -443,7 +443,7 @@ def _body(stage: Stage, body: Body) -> Body:
 
 
 def _without_doubled_drives(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Drop the drive of a joint that an actuator of MuJoCo's own acts on."""
+    """Drop the drive of a joint that a MuJoCo actuator acts on."""
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
     bodies = []
     for body in robot.bodies:

@@ -30,8 +30,8 @@ from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
 Attribute = str | int | float | bool | tuple[float, ...]
-EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # numbers that MuJoCo wants
-LONGEST = {  # numbers that MuJoCo takes, or fewer
+EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
+LONGEST = {  # largest number of numbers
     "solref": 2,
     "solreflimit": 2,
     "solreffriction": 2,
@@ -52,21 +52,21 @@ WORDS = {"cone": {"pyramidal", "elliptic"}}
 
 
 def numbers(stage: Stage, prim: Usd.Prim, name: str, became: str) -> tuple[float, ...] | None:
-    """Return an array's numbers, None when it is not authored or empty."""
+    """Return an array's numbers, None if it is not authored or empty."""
     value = stage.ledger.read(prim, name, became)
     found = None if value is None else tuple(float(v) for v in np.atleast_1d(value))
     return found if found and _fits(stage, prim, name, became, found) else None
 
 
 def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
-    """Return an array of integers, [] when it is not authored."""
+    """Return an array of integers, [] if it is not authored."""
     return [int(v) for v in numbers(stage, prim, name, became) or ()]
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
-    """Return what is authored of ``names`` (USD name: MJCF attribute), in the order of ``names``.
+    """Return the authored attributes of ``names`` (USD name: MJCF attribute), in the order of ``names``.
 
-    Values that are not finite stand for MuJoCo's default and are left away.
+    Values that are not finite mean MuJoCo's default and are left out.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -78,7 +78,7 @@ def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[s
 
 
 def _fits(stage: Stage, prim: Usd.Prim, name: str, became: str, value: Attribute) -> bool:
-    """Return whether MuJoCo takes a value; else leave it out and say so."""
+    """Return whether MuJoCo accepts a value; if not, record it as left out."""
     if isinstance(value, tuple) and len(value) != EXACT.get(became, len(value)):
         reason = f"MuJoCo's {became} has {EXACT[became]} numbers, not {len(value)}"
     elif isinstance(value, tuple) and len(value) > LONGEST.get(became, len(value)):
@@ -102,14 +102,14 @@ def _plain(value: Any) -> Attribute | None:
 
 
 def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
-    """Return a range and whether it holds, as MJCF's two attributes.
+    """Return a range and its switch, as two MJCF attributes.
 
     Args:
         stage: the open stage.
-        prim: where it stands.
+        prim: the attributes' prim.
         stem: ``mjc:ctrlRange`` of ``mjc:ctrlRange:min`` and ``:max``.
-        switch: the token ``auto``, ``true`` or ``false``, such as ``mjc:ctrlLimited``.
-        became: the MJCF attribute of the range; that of the switch is ``ctrllimited`` for ``ctrlrange``.
+        switch: the token ``auto``, ``true``, or ``false``, such as ``mjc:ctrlLimited``.
+        became: the MJCF attribute of the range; the switch of ``ctrlrange`` is ``ctrllimited``.
     """
     switched = became.removesuffix("range") + "limited"
     ends = [stage.ledger.read(prim, f"{stem}:{end}", became) for end in ("min", "max")]
@@ -122,12 +122,12 @@ def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) ->
     if token == "false" and proper:
         found[switched] = False
     elif token == "true" and not proper:
-        stage.ledger.warn(f"{prim.GetPath()}: {switch} is true, but {stem} holds no range; left unlimited")
+        stage.ledger.warn(f"{prim.GetPath()}: {switch} is true, but {stem} is not a range; unlimited")
     return found
 
 
 def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
-    """Name an authored attribute that has no place in the model, unless something was made of it already."""
+    """Record an authored attribute as left out, unless it became something already."""
     value = stage.ledger.read(prim, name)
     if value is not None and not stage.ledger.knows(prim.GetPath(), name):
         stage.ledger.leave(prim.GetPath(), name, reason, value)
@@ -135,7 +135,7 @@ def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
 
 Transmission = Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
 ACTUATOR = "MjcActuator"
-TYPES = {  # what MuJoCo knows, and how MJCF writes it
+TYPES = {  # MuJoCo's types, as MJCF writes them
     "dynType": {"none", "integrator", "filter", "filterexact", "muscle", "user"},
     "gainType": {"fixed", "affine", "muscle", "user"},
     "biasType": {"none", "affine", "muscle", "user"},
@@ -151,7 +151,7 @@ ACTUATOR_ATTRIBUTES = {
 
 @dataclass(frozen=True)
 class Targets:
-    """Names in the model by prim path of what an actuator may act on; ``ranged`` of them have limits."""
+    """Names in the model, by prim path, of possible actuator targets; ``ranged`` are names with limits."""
 
     ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
@@ -160,7 +160,7 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
-        """Return the kind and the name of what is at ``path``."""
+        """Return the kind and the name of the target at ``path``."""
         kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
             ("joint", self.joints),
             ("tendon", self.tendons),
@@ -182,7 +182,7 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actu
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
     target = targets.find(paths[0]) if paths else None
     if target is None:
-        _leave_actuator(stage, prim, "it acts on nothing that is in the model")
+        _leave_actuator(stage, prim, "its target is not in the model")
         return None
     kinds = {key: stage.ledger.read(prim, f"mjc:{key}", key.lower()) for key in TYPES}
     strange = [f"{key} {kind}" for key, kind in kinds.items() if kind is not None and kind not in TYPES[key]]
@@ -216,7 +216,7 @@ def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
 
 
 def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribute] | None:
-    """Return the further sites of an actuator, None when one of them is not in the model."""
+    """Return the further sites of an actuator, None if one of them is not in the model."""
     found: dict[str, Attribute] = {}
     for name, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
         for path in stage.ledger.targets(prim, name, became)[:1]:
@@ -240,7 +240,7 @@ def _parameters(stage: Stage, prim: Usd.Prim) -> dict[str, Attribute]:
 
 
 def _without_zeros(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the array without the zeros at its end, which MuJoCo adds again; one number stays."""
+    """Return the array without trailing zeros, which MuJoCo adds; at least one number stays."""
     last = max((i for i, v in enumerate(values) if v != 0.0), default=0)
     return values[: last + 1]
 
@@ -267,14 +267,14 @@ OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:i
 
 
 def tendon_prims(stage: Stage) -> list[Usd.Prim]:
-    """Return the tendons of the stage."""
+    """Return the tendon prims of the stage."""
     return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
 
 
 def read_tendons(
     stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
 ) -> tuple[Tendon, ...]:
-    """Return the tendons whose whole path is in the model; the arguments map prim paths to names there."""
+    """Return the tendons whose whole path is in the model; the arguments map prim paths to names."""
     prims = tendon_prims(stage)
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
@@ -308,7 +308,7 @@ def _tendon(
 
 
 class _BrokenPath(Exception):
-    """A path that cannot be followed, with the reason."""
+    """A tendon's path is invalid; the message gives the reason."""
 
 
 def _pair(value: Attribute | None) -> tuple[float, float] | None:
@@ -316,11 +316,11 @@ def _pair(value: Attribute | None) -> tuple[float, float] | None:
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
-    """Return the prim paths of a tendon's stations, in order."""
+    """Return the prim paths of a tendon's points, in order."""
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
     order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
     if not order or not all(0 <= i < len(targets) for i in order):
-        raise _BrokenPath("its path and the indices into it do not fit")
+        raise _BrokenPath("its path does not match the path's indices")
     return [targets[i] for i in order]
 
 
@@ -343,7 +343,7 @@ def _points(
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
     sides = _sides(stage, prim, len(route), sites)
     if len(segments) != len(route) or max(segments) >= len(divisors):
-        raise _BrokenPath("its path and its segments do not fit")
+        raise _BrokenPath("its path does not match its segments")
     points: list[TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
@@ -363,22 +363,22 @@ def _point(path: str, side: str | None, sites: Mapping[str, str], geoms: Mapping
 
 
 def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -> list[str | None]:
-    """Return each station's side site, or None."""
+    """Return the side site of each point, or None."""
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
     order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
     if len(order) != count or max(order) >= len(targets):
-        raise _BrokenPath("its path and its side sites do not fit")
+        raise _BrokenPath("its path does not match its side sites")
     missing = [path for path in targets if path not in sites]
     if missing:
         raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
     return [sites[targets[i]] if i >= 0 else None for i in order]
 
 
-WRAPPED = {"sphere", "cylinder"}  # what MuJoCo's tendons go around
+WRAPPED = {"sphere", "cylinder"}  # shapes that MuJoCo's tendons can wrap around
 
 
 def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with a geom for each shape on a tendon's path that it has no geom of yet."""
+    """Return the robot with a geom for each shape on a tendon's path that has no geom yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
@@ -403,7 +403,7 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
 
 
 def _wrapped(stage: Stage) -> list[Usd.Prim]:
-    """Return the prims on tendons' paths that are no sites and no joints, each once."""
+    """Return the prims on tendons' paths that are not sites, each once."""
     found: dict[str, Usd.Prim] = {}
     for tendon in tendon_prims(stage):
         for path in stage.ledger.targets(tendon, "mjc:path"):
@@ -418,7 +418,7 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 
 def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...]:
-    """Return the keyframes that fit the robot's number of coordinates, velocities and controls."""
+    """Return the keyframes that match the robot's number of coordinates, velocities, and controls."""
     prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
@@ -439,7 +439,7 @@ def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) 
 
 
 def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
-    """Return how many numbers each array of a keyframe has."""
+    """Return the length of each array of a keyframe."""
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls
@@ -456,7 +456,7 @@ def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
 
 
 def _states(actuator: Actuator) -> int:
-    """Return how many states an actuator's dynamics have."""
+    """Return the number of states of an actuator's dynamics."""
     own = actuator.extra.get("actdim", -1)
     if isinstance(own, int) and own >= 0:
         return own

@@ -22,7 +22,7 @@ from wheelleg_exp.asset.usd.joints.usd_joints import Joint
 from wheelleg_exp.asset.usd.materials import Looks, friction_of
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
-SMALLEST_VOLUME = 1e-13  # m³ of a mesh's box; below it MuJoCo's compiler finds no volume for a solid
+SMALLEST_VOLUME = 1e-13  # m³ of a mesh's box; MuJoCo's compiler refuses smaller solids
 
 
 class Geoms:
@@ -50,15 +50,15 @@ class Geoms:
         return tuple(self._geom(piece, owner, self._names[key]) for piece in self._pieces.get(key, []))
 
     def materials(self) -> list[Material]:
-        """Return the materials in use, by name."""
+        """Return the materials in use."""
         return list(self._materials.values())
 
     def meshes(self) -> list[Mesh]:
-        """Return the meshes in use; call it after all geoms were asked for."""
+        """Return the meshes in use; valid after all geoms were requested."""
         return list(self._meshes.values())
 
     def _surface(self, piece: Piece) -> tuple[str | None, Rgba | None]:
-        """Return how a shape looks; a mesh that looks different face by face as most of its faces do."""
+        """Return a shape's look; for a mesh with several materials, that of most faces."""
         own = self.looks.look(piece.prim)
         if own != (None, None):
             return own
@@ -66,13 +66,13 @@ class Geoms:
         for subset in sorted(subsets, key=_faces, reverse=True):
             look = self.looks.look(subset.GetPrim())
             if look != (None, None):
-                rule = "each part of the mesh has a material of its own: that of most faces"
+                rule = "parts of the mesh have different materials: that of most faces"
                 self.stage.ledger.assume(piece.path, rule, subset.GetPrim().GetName())
                 return look
         return None, None
 
     def _name(self, owner: str, short: str, collides: bool) -> str:
-        """Return a geom's name: the body's, the shape's, and ``visual``; numbered where that is taken."""
+        """Return a geom's name: the body's, the shape's, and ``visual``; numbered if repeated."""
         name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
         name += "" if collides else "_visual"
         return self._taken.take(name)
@@ -98,7 +98,7 @@ class Geoms:
         )
 
     def _mesh(self, name: str, shape: Shape, collides: bool) -> str:
-        """Return the name of a shape's mesh; equal meshes are kept once."""
+        """Return the name of a shape's mesh; equal meshes are stored once."""
         assert shape.vertices is not None
         solid = collides and float(np.prod(np.ptp(shape.vertices, axis=0))) > SMALLEST_VOLUME
         vertices = np.round(shape.vertices, 9) + 0.0
@@ -109,7 +109,7 @@ class Geoms:
         return self._meshes[key].name
 
     def _mesh_name(self, name: str) -> str:
-        """Return a name for a mesh and its file, told from the others on disks that ignore case, too."""
+        """Return a name for a mesh and its file, unique even if case is ignored."""
         stem = file_stem(name)
         return stem + self._files.take(stem.lower())[len(stem) :]
 
@@ -120,9 +120,9 @@ def _faces(subset: UsdGeom.Subset) -> int:
 
 
 def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
-    """Return the shapes' names within their body: the leaf, with parents where two leaves are equal.
+    """Return the shapes' names within their body: the leaf, with parents if two leaves are equal.
 
-    Drawn and solid shapes do not clash, because visuals get an ending of their own.
+    Visuals get a suffix, so drawn and solid shapes never have the same name.
     """
     base = key or ""
     out = {}
@@ -136,13 +136,13 @@ def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
 
 
 WORLD = "world"
-MANY = 300  # excludes of bodies, from which on bits of shapes are shorter
-BITS = 31  # MuJoCo's contype and conaffinity are integers of 32 bits, and the first one is everybody's
+MANY = 300  # more excludes of bodies than this are written as bits of shapes, which is shorter
+BITS = 31  # MuJoCo's contype and conaffinity have 32 bits; all shapes share the first one
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Pairs of bodies that never touch, and attributes of geoms by the path of their shape."""
+    """Pairs of bodies that never touch, and collision bits of geoms by the path of their shape."""
 
     pairs: tuple[tuple[str, str], ...]
     bits: Mapping[str, Extra]
@@ -150,7 +150,7 @@ class Filters:
 
 @dataclass
 class _Rules:
-    """Which sets of shapes never touch which others; shapes by path, sets by number."""
+    """Pairs of shape sets that never touch; shapes by path."""
 
     sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
 
@@ -159,7 +159,7 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a number for each shape; those with the same number are in the same sets. 0 is in none."""
+        """Return a number for each shape; shapes with the same number are in the same sets. 0 is in no set."""
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
         for index, pair in enumerate(self.sides):
@@ -169,7 +169,7 @@ class _Rules:
         return {path: known.setdefault(tuple(member.get(path, ())), len(known)) for path in shapes}
 
     def forbidden(self, classes: Mapping[str, int]) -> set[tuple[int, int]]:
-        """Return the pairs of classes that never touch, both ways round."""
+        """Return the pairs of classes that never touch, in both orders."""
         out = set()
         for first, second in self.sides:
             for a in {classes[path] for path in first}:
@@ -181,14 +181,14 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return what never touches.
+    """Return the filters of a stage.
 
     Args:
         stage: the open stage.
         links: its bodies.
-        joints: its joints; bodies that one joins do not touch unless it says so.
+        joints: its joints; two joined bodies do not touch unless the joint allows it.
         pieces: the shapes of bodies and of the world.
-        quiet: sets of bodies, by path, that do not touch each other; None: they are one set, and no two of them touch.
+        quiet: sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
     solid = {piece.path: piece for piece in pieces if piece.collides}
     rules = _Rules()
@@ -224,7 +224,7 @@ def _joined(joints: list[Joint]) -> Iterator[tuple[str, str]]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Note FilteredPairsAPI of bodies, colliders and what stands above them; yield pairs of whole bodies."""
+    """Add FilteredPairsAPI of bodies, colliders, and their parents to the rules; yield pairs of whole bodies."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -235,7 +235,7 @@ def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Ru
 
 
 def _bodies(links: Links, path: Sdf.Path) -> list[Link]:
-    """Return the bodies that a path means: the one there, else all below; none for a collider of a body."""
+    """Return the body at a path, else all bodies below it; none for a collider of a body."""
     owner = links.owner(path)
     if owner is None:
         return links.below(path)
@@ -249,7 +249,7 @@ def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str
 
 
 def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
-    """Note what collision groups keep apart, by OpenUSD's own table of groups."""
+    """Add the rules of collision groups, by OpenUSD's own table of groups."""
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
@@ -265,7 +265,7 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
 def _members(
     stage: Stage, groups: list[UsdPhysics.CollisionGroup], solid: Mapping[str, Piece]
 ) -> dict[Sdf.Path, set[str]]:
-    """Return the shapes of each group. A shape is in one group, the first that names it, as in PhysX."""
+    """Return the shapes of each group. As in PhysX, a shape belongs to the first group that contains it."""
     taken: dict[str, Sdf.Path] = {}
     out: dict[Sdf.Path, set[str]] = {}
     for group in groups:
@@ -300,9 +300,9 @@ def _account(stage: Stage, prim: Usd.Prim, count: int) -> None:
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return pairs of bodies none of whose shapes may touch, and pairs only some of whose shapes may not.
+    """Return pairs of bodies whose shapes never touch, and pairs with only some such shapes.
 
-    Bodies with the same classes of shapes are looked at together.
+    Bodies with the same classes of shapes are processed together.
     """
     if not forbidden:
         return [], []
@@ -331,7 +331,7 @@ def _products(first: list[str], second: list[str]) -> Iterator[tuple[str, str]]:
 def _bits(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]], self_collision: bool
 ) -> dict[str, Extra]:
-    """Return contype and conaffinity: a bit for each class that is kept from another one, the first for the rest."""
+    """Return contype and conaffinity: one bit per filtered class, and the first bit for all other shapes."""
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
     everybody = 1 | sum(bit.values())
@@ -360,11 +360,11 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
 
 
 def _meant(graph: Graph, path: str) -> list[Link]:
-    """Return the bodies that a switch on a prim speaks of: those at or below it, or those that a joint joins."""
+    """Return the bodies that a switch on a prim applies to: those at or below it, or those that a joint joins."""
     joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
     return joined or graph.links.below(Sdf.Path(path))
 
 
 def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:
-    """Return whether one such articulation holds all bodies that collide."""
+    """Return whether one such articulation contains all colliding bodies."""
     return len(parts) == 1 and solid <= parts[0]

@@ -48,7 +48,7 @@ MOST_DIGITS = 9
 
 
 def shortened(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Return a robot whose numbers, where they were single, are the shortest decimals that read back as the same."""
+    """Return a robot whose single-precision numbers are the shortest decimals that read back as the same number."""
     coarse = all(_is_single(prim) for prim in stage.prims)
     bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
     static = tuple(_short_geom(geom) for geom in robot.static_geoms) if coarse else robot.static_geoms
@@ -69,7 +69,7 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 
 def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
-    by_joint = body.parent is not None  # its place comes from the frames of a joint
+    by_joint = body.parent is not None  # the pose comes from joint frames
     return replace(
         body,
         pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
@@ -80,13 +80,13 @@ def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
 
 
 def _short_inertial(inertial: Inertial) -> Inertial:
-    """Return the centre and the axes in short numbers; moments stay, which have to fit each other."""
+    """Shorten the centre and the axes. Moments stay unchanged, because they must fit each other."""
     w, x, y, z = _shortest(inertial.axes, 1.0)
     return replace(inertial, center_of_mass=_short_vector(inertial.center_of_mass), axes=(w, x, y, z))
 
 
 def _short_dof(stage: Stage, dof: Dof) -> Dof:
-    """Return a joint with short numbers; those of MuJoCo's schemas are double."""
+    """Shorten the numbers of a joint, except for those of MuJoCo's schemas, which are double."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
     return replace(
@@ -127,7 +127,7 @@ def _short_vector(values: Vec3) -> Vec3:
 
 
 def _shortest(values: Iterable[float], size: float) -> list[float]:
-    """Return the shortest decimals that are the same in a vector of single precision and this size."""
+    """Return the shortest decimals that are equal in a single-precision vector of this size."""
     return [next((s for s in _decimals(value) if abs(s - value) <= size * HALF_STEP), value) for value in values]
 
 
@@ -136,10 +136,10 @@ def _decimals(value: float) -> Iterable[float]:
 
 
 def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
-    """Read a robot and say what was read, assumed and left out.
+    """Read a robot and its report.
 
     Raises:
-        AssetError: the file cannot be read, or holds no rigid body.
+        AssetError: the file cannot be read, or contains no rigid body.
     """
     with library(source):
         stage = open_stage(source, variants)
@@ -181,7 +181,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
 
 
 def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Let stiff drives be integrated as PhysX does, implicitly; MuJoCo's own default blows some of them up."""
+    """Set an implicit integrator for drives, as in PhysX; MuJoCo's default is unstable with stiff drives."""
     if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
         return robot
     stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
@@ -194,20 +194,20 @@ def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str
 
 
 class _Parts:
-    """What bodies are made of, by body."""
+    """The parts of bodies, by body."""
 
     def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
         self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
         self.sites: dict[str, list[Site]] = {}
 
     def geoms(self, node: Node | None) -> tuple[Geom, ...]:
-        """Return the shapes of a body (None: the world) with their bits."""
+        """Return the shapes of a body (None: the world) with their collision bits."""
         bits = self.filters.bits
         found = self.shapes.of(node.link if node else None)
         return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
     def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
-        """Return a body with everything on it."""
+        """Return a body with its parts."""
         link = node.link
         return Body(
             name=link.name,

@@ -21,14 +21,14 @@ from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.asset.usd.usd_layers import Missing, find_missing, open_layers, require_physics
 from wheelleg_exp.errors import AssetError, nearest_name
 
-HUGE = 1e37  # from here on a number stands for infinity
+HUGE = 1e37  # larger numbers mean infinity
 ENDLESS_DEG = 5e7  # importers write a continuous hinge as ±57295776° (1e6 rad) or ±1e8°
 ENDLESS_LENGTH = 1e6
 
 
 @dataclass(frozen=True)
 class Units:
-    """Factors of one stage: metres per unit, kilograms per unit, and which axis is up."""
+    """Factors of a stage: metres per unit, kilograms per unit, and the up axis."""
 
     meters: float
     kilograms: float
@@ -73,33 +73,33 @@ class Units:
 
 
 def given(value: float | None) -> bool:
-    """Return whether a mass or density is given: authored and not zero."""
+    """Return whether a mass or density is given: authored, finite, and positive."""
     return value is not None and value > 0 and math.isfinite(value)
 
 
 def endless(value: float | None, angular: bool) -> bool:
-    """Return whether a limit in degrees or stage lengths is none: absent, infinite or huge."""
+    """Return whether a limit in degrees or stage lengths means unlimited: missing, infinite, or huge."""
     if value is None or not math.isfinite(value):
         return True
     return abs(value) >= (ENDLESS_DEG if angular else ENDLESS_LENGTH)
 
 
 def effort_limit(value: float | None) -> float | None:
-    """Return a drive's force limit in stage units, None for absent, infinite, huge and zero."""
+    """Return a drive's force limit in stage units, None if missing, infinite, huge, or not positive."""
     if value is None or not math.isfinite(value) or value >= HUGE or value <= 0:
         return None
     return value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
-    """Choose variants on the stage's session layer, and return the names in force by variant set.
+    """Select variants on the stage's session layer. Return all selected names by variant set.
 
     Args:
         usd: an open stage.
-        variants: names by variant set; sets are looked for on the default prim first, then below it.
+        variants: names by variant set; sets are searched on the default prim first, then below it.
 
     Raises:
-        AssetError: there is no such set, or it has no such name.
+        AssetError: the variant set does not exist, or has no such variant.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -129,7 +129,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
 
 
 def unselected(root: Usd.Prim) -> Iterator[str]:
-    """Yield a warning for each variant set without a selection: nothing of any of its variants is read."""
+    """Yield a warning for each variant set without a selection, whose variants are all ignored."""
     for name, options in variant_sets(root).items():
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():
@@ -138,7 +138,7 @@ def unselected(root: Usd.Prim) -> Iterator[str]:
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
-    """Return the names to choose from, by variant set: those of ``root`` first, then those below it."""
+    """Return the variants by variant set: sets of ``root`` first, then those below it."""
     found: dict[str, list[str]] = {}
     for prim in Usd.PrimRange(root):
         for name in prim.GetVariantSets().GetNames():
@@ -147,15 +147,14 @@ def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
 
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-MOST_SCHEMAS = 200  # of one prim; the library's time for them grows with the square
+MOST_SCHEMAS = 200  # of one prim; the library's time grows with the square of their number
 
 
 @dataclass
 class Stage:
-    """An open stage and what the readers share: units, the prims to read, transforms, and the ledger.
+    """An open stage and shared data of the readers: units, the prims to read, transforms, and the ledger.
 
-    ``prims`` stands in the stage's order and leaves out what hangs below a PointInstancer, which is drawn only where
-    the instancer puts it.
+    ``prims`` are in the stage's order, without the prims below a PointInstancer, which are drawn only as its instances.
     """
 
     usd: Usd.Stage
@@ -176,7 +175,7 @@ class Stage:
         """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up.
 
         Raises:
-            AssetError: an xformOp is none, it holds NaN or infinity, or carries the prim farther than robots reach.
+            AssetError: an xformOp is invalid or not finite, or moves the prim farther than any robot reaches.
         """
         if prim is None:
             return self._world
@@ -202,20 +201,20 @@ def _bad_transform(prim: Usd.Prim, message: str, expected: str) -> AssetError:
 
 
 def schemas(prim: Usd.Prim) -> list[str]:
-    """Return the applied API schemas as authored, those that the USD library does not know included."""
+    """Return the applied API schemas as authored, including those unknown to the USD library."""
     return list(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
 
 
 def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
-    """Open ``source`` with everything loaded.
+    """Open ``source`` with all payloads loaded.
 
     Raises:
-        AssetError: there is no such file, it is no USD, it has no such variant, a layer of physics is missing, or the
-            stage is larger than any robot's.
+        AssetError: the file is missing or not USD, a variant does not exist, a physics layer is missing, or the stage
+            is too large for a robot.
     """
     _require_file(source)
     with library(source):
-        root, *_ = open_layers(source)  # the stage takes the others that are open
+        root, *_ = open_layers(source)  # the stage uses the other layers, which stay open
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
         sampled = _settle_samples(usd)
         chosen = choose(usd, variants)
@@ -227,10 +226,10 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
 
 @contextmanager
 def library(source: Path) -> Iterator[None]:
-    """Keep the USD library's messages off the terminal, and tell its complaints, and those of the disk, as our own.
+    """Hide the USD library's terminal messages, and convert its errors and those of the disk to AssetError.
 
     Raises:
-        AssetError: the library cannot make sense of the file, or a layer cannot be read.
+        AssetError: the library cannot read the file or a layer.
     """
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
@@ -239,7 +238,7 @@ def library(source: Path) -> Iterator[None]:
         raise _unreadable(source, error) from None
     except UnicodeDecodeError:
         expected = "UTF-8"
-        raise AssetError(f"'{source.name}' holds text that is none", where=str(source), expected=expected) from None
+        raise AssetError(f"'{source.name}' contains invalid text", where=str(source), expected=expected) from None
     except OSError as error:
         raise AssetError(f"cannot be read: {error.strerror}", key=str(error.filename or source)) from None
     finally:
@@ -264,7 +263,7 @@ def _require_file(source: Path) -> None:
 
 
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
-    """Return the library's first complaint: for a text layer with its line and what stands there."""
+    """Return the library's first error: for a text layer with its line and the text there."""
     text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
@@ -279,16 +278,16 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
 
 
 def _complaint(error: Tf.ErrorException) -> str:
-    """Return the library's first complaint, without where it stands in the library."""
+    """Return the library's first error, without its place in the library's code."""
     first = str(error).strip().split("Error in ")[1:2] or [str(error)]
     text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
     return text if len(text) <= 300 else text[:300] + "..."
 
 
 def _settle_samples(usd: Usd.Stage) -> list[str]:
-    """Give attributes that are authored over time alone their first sample, in memory; return their paths.
+    """Set attributes that have only time samples to their first sample, in memory; return their paths.
 
-    Everything is read at the default time, where such an attribute has no value.
+    All attributes are read at the default time, where such an attribute has no value.
     """
     settled = []
     for layer in usd.GetUsedLayers():
@@ -318,7 +317,7 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     names = tuple(item.name for item in missing)
     stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
     for item in missing:
-        stage.ledger.warn(_told(item))
+        stage.ledger.warn(_missing_text(item))
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
     for text in unselected(root):
         stage.ledger.warn(text)
@@ -326,9 +325,9 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     return stage
 
 
-def _told(item: Missing) -> str:
+def _missing_text(item: Missing) -> str:
     if not item.is_file:
-        return f"{item.prim}: not found or going in circles, read without it: {item.name}"
+        return f"{item.prim}: not found or a cycle, read without it: {item.name}"
     return f"not found, read without it: {item.name}"
 
 
@@ -361,7 +360,7 @@ def _note_metadata(stage: Stage) -> None:
         if not top.HasAuthoredMetadata(key):
             ledger.assume(name, f"no {key}: USD's fallback", value)
     if stage.units.up not in ("Y", "Z"):
-        ledger.assume(name, f"upAxis '{stage.units.up}' is none that USD has", "Z")
+        ledger.assume(name, f"upAxis '{stage.units.up}' is not an axis of USD", "Z")
     wanted = stage.usd.GetRootLayer().defaultPrim
     if not stage.usd.GetDefaultPrim():
         ledger.assume(name, "no defaultPrim: the whole stage is read", "/")
@@ -373,7 +372,7 @@ def _note_metadata(stage: Stage) -> None:
 
 
 def _real_path(layer: Sdf.Layer) -> Path | None:
-    """Return the file that holds a layer; one inside a package is held by the package."""
+    """Return the file of a layer; a layer inside a package belongs to the package's file."""
     if layer.anonymous or not layer.realPath:
         return None
     return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
@@ -392,7 +391,7 @@ def file_hash(path: Path) -> str:
 
 
 def relative_name(path: Path, folder: Path) -> str:
-    """Return ``path`` as seen from ``folder``, with slashes, climbing out of it where needed."""
+    """Return ``path`` relative to ``folder``, with slashes and ``..`` if needed."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
@@ -404,8 +403,8 @@ def below_instancer(prim: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def physics_scenes(stage: Stage) -> list[Usd.Prim]:
-    """Return all PhysicsScene prims of a stage, wherever they are."""
-    cache = vars(stage)  # to go through a large stage once
+    """Return all PhysicsScene prims of a stage."""
+    cache = vars(stage)  # a traversal of a large stage is slow
     if "physics_scenes" not in cache:
         cache["physics_scenes"] = [prim for prim in stage.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
     found: list[Usd.Prim] = cache["physics_scenes"]
@@ -413,7 +412,7 @@ def physics_scenes(stage: Stage) -> list[Usd.Prim]:
 
 
 def scene_of_robot(stage: Stage) -> Usd.Prim | None:
-    """Return the scene that the bodies name as their owner, else the first one; None when there is none."""
+    """Return the scene that the bodies name as their owner, else the first scene, else None."""
     scenes = physics_scenes(stage)
     if len(scenes) < 2:
         return scenes[0] if scenes else None
@@ -430,7 +429,7 @@ EARTH = 9.81
 
 
 def gravity(stage: Stage) -> Vec3:
-    """Return gravity in m/s², z up: of the robot's PhysicsScene wherever it is, else the earth's."""
+    """Return gravity in m/s², z up, of the robot's PhysicsScene; the earth's without a scene."""
     scene = scene_of_robot(stage)
     if scene is None:
         stage.ledger.assume(stage.source.name, "no PhysicsScene: gravity", f"{EARTH} m/s² downwards")
@@ -457,7 +456,7 @@ def _vector(stage: Stage, scene: Usd.Prim) -> Vec3:
 
 
 def find_scene(stage: Stage) -> Usd.Prim | None:
-    """Return MuJoCo's scene, wherever it is: the first PhysicsScene with MjcSceneAPI."""
+    """Return MuJoCo's scene: the first PhysicsScene with MjcSceneAPI."""
     top = stage.usd.GetPseudoRoot()
     near: Iterable[Usd.Prim] = top.GetChildren()
     for prims in (near, Usd.PrimRange(top)):
@@ -468,7 +467,7 @@ def find_scene(stage: Stage) -> Usd.Prim | None:
 
 
 def angle_in_radians(stage: Stage, value: float) -> float:
-    """Return an angle that MuJoCo's schemas hold in the unit of the scene's compiler: degrees unless it says radian."""
+    """Return an angle of MuJoCo's schemas in rad. The scene's compiler sets its unit: degrees by default, or radian."""
     scene = find_scene(stage)
     unit = stage.ledger.read(scene, "mjc:compiler:angle", "the unit of mjc:ref and mjc:springref") if scene else None
     return value if unit == "radian" else math.radians(value)

@@ -1,10 +1,8 @@
-"""Finds the bodies of a stage, makes trees of them, and says what they weigh.
+"""Find the bodies of a stage, connect them as trees, and compute their mass properties.
 
 | module | what it offers |
 |---|---|
-| `rigid_bodies` | the bodies, and whose a prim is |
-| `roots`, `nodes`, `tree` | where trees start, and how they grow |
-| `loops` | joints that close loops |
-| `mass`, `collider_mass` | mass properties as PhysX computes them |
-| `velocity` | saved velocities |
+| `rigid_bodies` | the bodies, the body of a prim, saved velocities |
+| `roots`, `body_tree` | roots of trees, the trees, joints that close loops |
+| `mass` | mass properties as PhysX computes them |
 """

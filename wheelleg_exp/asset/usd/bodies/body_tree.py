@@ -23,7 +23,7 @@ from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 @dataclass(eq=False)
 class Node:
-    """A body in the tree: its pose in the parent (None: the world) at zero, the joint that leads there."""
+    """A body in the tree: its pose in the parent (None: the world) at zero, and the joint to the parent."""
 
     link: Link
     parent: Link | None
@@ -40,7 +40,7 @@ class Node:
 
     @property
     def joints(self) -> list[Joint]:
-        """Return all joints to the parent, outermost first: one, unless the file says that joints add up."""
+        """All joints to the parent, outermost first: one, unless the file says that joints add up."""
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
@@ -70,22 +70,23 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the pose in the parent that the file draws."""
+    """Return the pose in the parent as drawn in the file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
-HINGE_REACH = 0.05  # m between the two points that keep a loop's hinge on its axis
+HINGE_REACH = 0.05  # m between the two points of a loop's hinge
 
 
 def is_exact(joint: Joint) -> bool:
-    """Return whether equalities say the same as the joint: a weld, one hinge, or a ball."""
+    """Return whether equalities have the same effect as the joint: a weld, one hinge, or a ball."""
     return joint.welds or (len(joint.axes) == 1 and joint.axes[0].kind != "slide")
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a closing joint that no equality can stand for, and the joint to open in its place; None for none.
+    """Return a closing joint that no equality can replace, and the joint to open in its place; None if there is none.
 
-    That joint is of the same loop, can be an equality, and has no drive; of several the one furthest from the root.
+    The joint to open is in the same loop, can become an equality, and has no drive; the one furthest from the root
+    wins.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -120,7 +121,7 @@ def _driven(joint: Joint) -> bool:
 
 
 def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
-    """Return the equalities that stand for joints that close loops."""
+    """Return the equalities that replace joints that close loops."""
     found = (_closure(stage, joint) for joint in joints)
     return tuple(closure for closure in found if closure is not None)
 
@@ -140,7 +141,7 @@ def _closure(stage: Stage, joint: Joint) -> Closure | None:
 
 
 def _anchors(joint: Joint) -> Iterator[tuple[Pose, Pose]]:
-    """Yield pairs of points that a loop's joint holds together: for a hinge a second one along its axis."""
+    """Yield pairs of points that a loop's joint holds together; a hinge has a second pair along its axis."""
     first, second = joint.frames
     yield first.pose(), second.pose()
     if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
@@ -152,7 +153,7 @@ OF_COORDINATES = ("drive:", "state:", "physics:lowerLimit", "physics:upperLimit"
 
 
 def _leave_coordinates(stage: Stage, joint: Joint) -> None:
-    """Name what a joint says of its coordinate, which it does not have in the model; a drive with a warning."""
+    """Report a joint's properties of its coordinate, which is not in the model; a drive with a warning."""
     reason = "the joint closes a loop, so it has no coordinate in the model"
     for prop in joint.prim.GetAuthoredProperties():
         name = prop.GetName()
@@ -165,14 +166,14 @@ def _leave_coordinates(stage: Stage, joint: Joint) -> None:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    Level by level, so that a loop that nobody marked opens at the joint that is furthest from the root. Where no
-    equality could stand for the joint that closes a loop, another joint of that loop is opened, if one can be.
+    The tree grows level by level, so an unmarked loop opens at the joint furthest from the root. If no equality can
+    replace that joint, another joint of the loop is opened if possible.
 
     Args:
         stage: the open stage.
         links: its bodies.
         joints: its joints; those to the world decide the base.
-        base: ``floating`` drops what pins a root to the world, ``fixed`` removes the free joint.
+        base: ``floating`` drops joints that fix a root to the world, ``fixed`` removes the free joint.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -199,7 +200,7 @@ def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
 
 
 def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    """Leave out joints that move nothing: those that hold kinematic bodies to the world or to each other."""
+    """Leave out joints that move nothing: those that connect kinematic bodies to the world or to each other."""
     kept = []
     for joint in joints:
         if all(link is None or link.kinematic for link in joint.links):
@@ -212,7 +213,7 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    """Read a generic joint without any limit from the root to the world as a fixed one, as PhysX does."""
+    """Treat a generic joint without limits from the root to the world as a fixed one, as PhysX does."""
     marks = articulation_prims(stage)
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
@@ -227,7 +228,7 @@ def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 
 def _articulate(stage: Stage, joints: list[Joint]) -> None:
-    """Read joints inside an articulation as PhysX does: generic ones do not slide, and none lets its bodies touch."""
+    """Treat joints inside an articulation as PhysX does: generic ones do not slide, and joined bodies never touch."""
     for joint in joints:
         if joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
             joint.axes = [axis for axis in joint.axes if axis.kind != "slide"]
@@ -243,7 +244,7 @@ def _articulate(stage: Stage, joints: list[Joint]) -> None:
 
 
 def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link]]:
-    """Drop what pins bodies to the world; return the other joints, and the bodies, which stay the roots."""
+    """Drop joints that fix bodies to the world; return the remaining joints, and the bodies, which stay roots."""
     kept: list[Joint] = []
     released: list[Link] = []
     for joint in joints:
@@ -256,7 +257,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """Grows trees breadth first; joints that reach a body already placed close a loop."""
+    """Grows trees breadth first; a joint to a body that is already placed closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -265,7 +266,7 @@ class _Builder:
         self._used: set[str] = set()
 
     def grown(self) -> Tree:
-        """Return all trees, and what closes loops in them."""
+        """Return all trees and the joints that close loops."""
         for root, joint in find_roots(self.stage, self.graph):
             self._grow(root, joint)
         for link in self.graph.links:
@@ -274,7 +275,7 @@ class _Builder:
         return self.tree
 
     def note(self) -> None:
-        """Say what was decided, once it is settled."""
+        """Record the decisions of the final tree."""
         for node in self.tree.nodes:
             if node.joint is None and self.base == "fixed" and not node.link.kinematic:
                 self.stage.ledger.assume(node.link.path, "--base fixed", "no free joint")
@@ -283,7 +284,7 @@ class _Builder:
                 self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
 
     def _grow(self, root: Link, joint: Joint | None) -> None:
-        """Place ``root`` (by ``joint`` to the world, or free) and all that hangs on it."""
+        """Place ``root`` (by ``joint`` to the world, or free) and all bodies connected to it."""
         if root.path in self._placed:
             return
         self._place(root, None, joint, 0)
@@ -309,7 +310,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Take the joints that are no edge of the tree for loops, or add them to their edge."""
+        """Treat each joint that is not an edge of the tree as a loop closure, or add it to its edge."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -327,7 +328,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None when nothing says so."""
+    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None if not given."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
@@ -335,5 +336,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether joints carry MuJoCo's schema, which lets several of one body add up."""
+    """Return whether joints carry MuJoCo's schema, with which several joints of one body add up."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

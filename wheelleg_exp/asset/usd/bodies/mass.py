@@ -13,22 +13,28 @@ from typing import Any, cast
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import Array, apply, plain_float, quaternion, rigid_part, rotation_matrix, vec3
-from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
-from wheelleg_exp.asset.solids import (
+from wheelleg_exp.asset.rigid_geometry import (
     BARE_MASS,
     BARE_RADIUS,
     WATER,
+    Array,
     MeshVolume,
     Part,
     Solid,
+    apply,
     balanced,
     combined_center,
     combined_tensor,
+    plain_float,
     primitive,
     principal,
+    quaternion,
+    rigid_part,
+    rotation_matrix,
+    vec3,
 )
-from wheelleg_exp.asset.solids import mesh_solid as solid_of_mesh
+from wheelleg_exp.asset.rigid_geometry import mesh_solid as solid_of_mesh
+from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.colliders import Piece
 from wheelleg_exp.asset.usd.materials import physics_material
@@ -39,10 +45,10 @@ NO_DENSITY = "no density: water"
 
 
 def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
-    """Return what each collider of a body weighs, in the body's frame.
+    """Return mass, centre, and tensor of each collider of a body, in the body's frame.
 
-    A collider is the prim with CollisionAPI: its MassAPI goes for all shapes below it together. Shapes without
-    volume weigh nothing.
+    A collider is the prim with CollisionAPI: its MassAPI applies to all shapes below it together. Shapes without volume
+    have no mass.
     """
     shapes: dict[str, list[tuple[Piece, Solid]]] = {}
     for piece in pieces:
@@ -54,7 +60,7 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
 
 
 def _weightless(stage: Stage, carrier: Usd.Prim) -> bool:
-    """Return whether a collider of MuJoCo's schemas weighs nothing: there a mass of 0 is one."""
+    """Return whether a collider of MuJoCo's schemas has no mass: there, a mass of 0 means zero."""
     if "MjcCollisionAPI" not in schemas(carrier) or stage.ledger.read(carrier, "physics:mass") != 0:
         return False
     stage.ledger.mapped(carrier.GetPath(), "physics:mass", "no mass, as MuJoCo's schemas mean it")
@@ -67,13 +73,13 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
-    if carrier.GetPath() == link.prim.GetPath():  # what is authored there is the body's
+    if carrier.GetPath() == link.prim.GetPath():  # its MassAPI is the body's
         return whole
     return _with_own(stage, link, carrier, whole)
 
 
 def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
-    """Return a collider with what its own MassAPI says of mass, centre and moments."""
+    """Return a collider with mass, centre, and moments of its own MassAPI."""
     ledger, path = stage.ledger, carrier.GetPath()
     mass, tensor = ledger.read(carrier, "physics:mass"), part.tensor
     if given(mass):
@@ -118,7 +124,7 @@ def _solid(piece: Piece) -> Solid | None:
 
 
 def _volume(piece: Piece) -> MeshVolume:
-    """Return how a mesh weighs: PhysX takes its hull; MuJoCo's and Newton's schemas may say otherwise."""
+    """Return a mesh's volume mode: PhysX uses its hull; MuJoCo's and Newton's schemas can define another mode."""
     assert piece.carrier is not None
     for prim in (piece.prim, piece.carrier):
         model = prim.GetAttribute("newton:massModel")
@@ -132,7 +138,7 @@ def _volume(piece: Piece) -> MeshVolume:
 
 
 def _density(stage: Stage, link: Link, piece: Piece) -> float:
-    """Return kg/m³: the collider's own, else the body's, else the bound material's, else water."""
+    """Return kg/m³: of the collider, else of the body, else of the bound material, else water's."""
     assert piece.carrier is not None
     for prim in (piece.carrier, link.prim):
         value = stage.ledger.read(prim, "physics:density", "the body's mass")
@@ -150,24 +156,24 @@ def _density(stage: Stage, link: Link, piece: Piece) -> float:
     return WATER
 
 
-SMALLEST = 1e-15  # kg, kg m²; MuJoCo refuses less on bodies that move
+SMALLEST = 1e-15  # kg, kg m²; MuJoCo refuses less on moving bodies
 
 
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
-    """Return a body's mass, centre and principal moments.
+    """Return a body's mass, centre, and principal moments.
 
     Args:
         stage: the open stage.
         link: the body.
         pieces: its shapes; those with a carrier count, switched off or not.
-        welded: whether nothing moves it in its parent, so that MuJoCo lets it weigh nothing.
+        welded: whether the body cannot move in its parent, so that MuJoCo accepts a mass of zero.
 
     Raises:
         AssetError: the mass is too small for MuJoCo.
     """
     authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
     parts: list[Part] = []
-    if authored is None or center is None or moments is None:  # the colliders say what the file does not
+    if authored is None or center is None or moments is None:  # the colliders give the missing values
         parts = parts_of(stage, link, pieces)
     if authored is None and not parts and moments is None and welded and find_scene(stage) is not None:
         stage.ledger.assume(link.path, "no mass and no collider: none, as MuJoCo", "0 kg")
@@ -188,7 +194,7 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
 
 
 def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -> Inertial:
-    """Return a body whose moments MuJoCo refuses on what moves: as they are without ``parts``, else those of parts."""
+    """Return a body whose moments MuJoCo refuses if it moves: unchanged without ``parts``, else those of the parts."""
     largest = max(found.moments)
     stage.ledger.find("tiny_inertia", link.name, link.path, mass=found.mass, largest=largest)
     if parts is None:
@@ -207,7 +213,7 @@ def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -
 def _moments(
     stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, authored: tuple[Vec3, Quat | None] | None
 ) -> tuple[Vec3, Quat]:
-    """Return moments and axes; either, where it is not authored, is that of the colliders, as in PhysX."""
+    """Return moments and axes; each of them, if not authored, is that of the colliders, as in PhysX."""
     if authored is not None and authored[1] is not None:
         return authored[0], authored[1]
     if authored is not None and not parts:
@@ -255,7 +261,7 @@ def _center(stage: Stage, link: Link) -> Array | None:
 
 
 def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | None:
-    """Return authored principal moments (kg m²) and axes (None: not authored), None when no moments are given."""
+    """Return authored principal moments (kg m²) and axes (None: not authored); None if no moments are given."""
     ledger, factor = stage.ledger, stage.units.inertia(1.0)
     six = ledger.read(link.prim, "newton:inertia")
     if six is not None and len(six) == 6 and any(six):
@@ -281,7 +287,7 @@ def _newton_wins(stage: Stage, link: Link) -> None:
 
 
 def given_moments(value: Any) -> bool:
-    """Return whether authored moments say anything: at least one of them is positive, and all are finite."""
+    """Return whether authored moments are given: all finite, and at least one positive."""
     return value is not None and any(v > 0 for v in value) and all(math.isfinite(v) for v in value)
 
 
@@ -308,7 +314,7 @@ def _computed_tensor(
 
 
 def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
-    """Return moments that MuJoCo accepts, and say so when the file's are not."""
+    """Return moments that MuJoCo accepts, and record a change of the file's moments."""
     able = balanced(moments)
     if able == moments:
         return moments

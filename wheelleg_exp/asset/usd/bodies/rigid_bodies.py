@@ -20,7 +20,7 @@ LONGEST = 200  # characters of a name from metadata
 
 @dataclass(eq=False)
 class Link:
-    """A rigid body as drawn: its prim, name and frame in the world."""
+    """A rigid body as drawn: its prim, name, and frame in the world."""
 
     path: str
     prim: Usd.Prim
@@ -44,7 +44,7 @@ class Links:
         return iter(self.by_path.values())
 
     def owner(self, path: Sdf.Path) -> Link | None:
-        """Return the body at ``path`` or above it, None for what belongs to the world."""
+        """Return the body at ``path`` or above it, None for prims of the world."""
         climbed = []
         while path not in self._owners and not path.isEmpty:
             climbed.append(path)
@@ -62,7 +62,7 @@ def find_links(stage: Stage) -> Links:
     """Return the enabled rigid bodies.
 
     Raises:
-        AssetError: there is none, or more than a robot has.
+        AssetError: there is no body, or more bodies than a robot has.
     """
     prims = [prim for prim in stage.prims if "PhysicsRigidBodyAPI" in schemas(prim) and _enabled(stage, prim)]
     if not prims:
@@ -78,7 +78,7 @@ def _no_articulation(stage: Stage) -> AssetError:
         return AssetError(
             f"'{name}' has no articulation, and layers that it names are missing: {missing}",
             where=str(stage.source),
-            expected="those layers beside the file, and PhysicsRigidBodyAPI on prims below the default prim",
+            expected="those layers next to the file, and PhysicsRigidBodyAPI on prims below the default prim",
         )
     return AssetError(
         f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI{_why_nothing(stage)}",
@@ -88,14 +88,14 @@ def _no_articulation(stage: Stage) -> AssetError:
 
 
 def _why_nothing(stage: Stage) -> str:
-    """Return what keeps a stage's default prim from being read."""
+    """Return why a stage's default prim has no bodies."""
     root = stage.root
     if not root.IsActive():
         return f", and {root.GetPath()} is switched off (active = false)"
     if root.IsAbstract():
-        return f", and {root.GetPath()} is a class, which stands for nothing until it is referenced"
+        return f", and {root.GetPath()} is a class, which has no effect until it is referenced"
     if not root.IsDefined():
-        return f", and {root.GetPath()} is an 'over', which nothing defines"
+        return f", and {root.GetPath()} is an 'over' without a definition"
     elsewhere = [prim for prim in stage.usd.Traverse() if "PhysicsRigidBodyAPI" in schemas(prim)]
     return f" there; outside of {root.GetPath()} there is {elsewhere[0].GetPath()}" if elsewhere else ""
 
@@ -109,7 +109,7 @@ def _what_to_choose(stage: Stage) -> str:
 
 
 def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
-    """Return the original names of prims whose own name is an encoded form of it (``tn__...``)."""
+    """Return the original names of prims with an encoded name (``tn__...``)."""
     out = {}
     for prim in prims:
         if prim.GetName().startswith("tn__"):
@@ -140,7 +140,7 @@ Velocity = tuple[float, float, float, float, float, float]
 def velocity_of(stage: Stage, link: Link) -> Velocity:
     """Return a body's saved velocity: m/s in the world, then rad/s about the body's own axes.
 
-    USD holds it in the space of the prim's transform, in stage lengths and degrees.
+    USD stores it in the space of the prim's transform, in stage lengths and degrees.
     """
     linear = stage.ledger.read(link.prim, "physics:velocity", "keyframe home, qvel")
     angular = stage.ledger.read(link.prim, "physics:angularVelocity", "keyframe home, qvel")

@@ -1,4 +1,4 @@
-"""Chooses the roots of the trees: bodies that the world holds, articulation roots, and centres of what floats."""
+"""Choose the roots of the trees: bodies fixed to the world, articulation roots, and centres of floating parts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Root = tuple[Link, "Joint | None"]
 class Graph:
     """Bodies and the joints at each of them; ``edges[None]`` are the joints to the world.
 
-    ``released`` are bodies that a dropped joint held to the world: they stay roots.
+    ``released`` are bodies whose joint to the world was dropped: they stay roots.
     """
 
     links: Links
@@ -37,18 +37,18 @@ class Graph:
         return self.edges.get(link.path if link else None, [])
 
     def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:
-        """Yield the bodies that joints of the tree (with ``closing``, of loops too) connect to one."""
+        """Yield the bodies that joints connect to a body; joints that close loops only with ``closing``."""
         for joint in self.at(link):
             other = joint.other(link)
             if other is not None and (closing or not joint.closes):
                 yield other
 
     def component(self, start: Link) -> list[Link]:
-        """Return all bodies that joints of the tree connect to one, itself first, level by level."""
+        """Return all bodies that joints of the tree connect to a body, itself first, level by level."""
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
-        """Return the bodies that can be reached from one, nearest first, and how far the last one is."""
+        """Return the bodies that are reachable from a body, nearest first, and the distance of the last one."""
         depth, queue, order = {start.path: 0}, deque([start]), [start]
         while queue:
             link = queue.popleft()
@@ -62,7 +62,7 @@ class Graph:
 
 def articulation_prims(stage: Stage) -> list[Sdf.Path]:
     """Return the prims that carry ArticulationRootAPI."""
-    cache = vars(stage)  # to go through a large stage once
+    cache = vars(stage)  # a traversal of a large stage is slow
     if "articulation_prims" not in cache:
         found = [prim.GetPath() for prim in stage.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
         cache["articulation_prims"] = found
@@ -71,10 +71,10 @@ def articulation_prims(stage: Stage) -> list[Sdf.Path]:
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
-    """Return where trees start, best first.
+    """Return the roots of trees, best first.
 
-    Bodies joined to the world; bodies that carry ArticulationRootAPI; kinematic bodies; where a prim above bodies
-    carries that schema, the middle of each floating part, as PhysX chooses it; and bodies that are nobody's child.
+    These are bodies joined to the world; bodies with ArticulationRootAPI; kinematic bodies; the centre of each floating
+    part below a prim with that schema, as PhysX chooses it; and bodies that are not a child of any joint.
     """
     marks = articulation_prims(stage)
     roots: dict[str, Root] = {}
@@ -99,7 +99,7 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
 
 
 def articulated(stage: Stage, graph: Graph) -> list[Joint]:
-    """Return the joints between bodies of articulations: all that ArticulationRootAPI reaches through joints."""
+    """Return the joints between bodies of articulations: all bodies reachable from ArticulationRootAPI."""
     seeds = list(_below(graph.links, articulation_prims(stage)))
     marked = {str(path) for path in articulation_prims(stage)}
     seeds += [link for joint in graph.joints if joint.path in marked for link in joint.links if link]
@@ -118,7 +118,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the middles of the floating parts below articulation roots that hold no root yet."""
+    """Yield the centres of the floating parts below articulation roots that contain no root yet."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:
@@ -138,9 +138,10 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 
 
 def centre(graph: Graph, part: list[Link]) -> Link:
-    """Return the body whose farthest body is nearest; of several the one with more joints, then the first found.
+    """Return the body with the smallest distance to its farthest body.
 
-    That is what OpenUSD's physics parser, and with it PhysX, takes for the root of an articulation that floats.
+    A tie goes to the body with more joints, then to the first found. OpenUSD's physics parser, and so PhysX, chooses
+    the root of a floating articulation by this rule.
     """
     order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
     return min(
@@ -149,11 +150,11 @@ def centre(graph: Graph, part: list[Link]) -> Link:
     )
 
 
-MANY = 200  # bodies in loops, beyond which the middle is looked for among the first ones only
+MANY = 200  # candidates for the centre in loops
 
 
 def _middle(graph: Graph, part: list[Link]) -> list[Link]:
-    """Return the candidates for the centre: what is left of a part when leaves are cut, layer by layer."""
+    """Return the candidates for the centre: the bodies that remain after cutting leaves, layer by layer."""
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}
@@ -171,7 +172,7 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
 
 
 def _by_depth(graph: Graph, start: Link) -> Iterable[Link]:
-    """Yield the bodies of a part in the order of a depth-first walk, joints in the order of their paths."""
+    """Yield the bodies of a part in depth-first order, joints in the order of their paths."""
     seen, stack = set(), [start]
     while stack:
         link = stack.pop()

@@ -1,10 +1,10 @@
-"""Turns the joints of a stage into degrees of freedom, tendons and couplings.
+"""Convert the joints of a stage to degrees of freedom, tendons, and couplings.
 
 | module | what it offers |
 |---|---|
-| `joints` | which bodies a joint joins, and where |
-| `axes` | which axes it leaves free |
-| `articulate` | its degrees of freedom, put together |
-| `limits`, `drives`, `passive` | range, drive, friction and bounds of one axis |
-| `distance`, `mimic` | joints that become tendons and couplings |
+| `usd_joints` | the bodies and frames of a joint |
+| `joint_axes` | its free axes and their range |
+| `joint_drives` | drive, friction, and limits of speed and effort of one axis |
+| `articulate` | the degrees of freedom of a body |
+| `joint_couplings` | joints that become tendons and couplings |
 """

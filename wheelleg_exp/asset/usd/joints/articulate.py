@@ -1,4 +1,4 @@
-"""Turns tree edges into degrees of freedom, and finds the coordinates that the drawing shows."""
+"""Convert tree edges to degrees of freedom, and find the coordinates of the drawn pose."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4  # below this a drawing and its joint frames agr
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a body in its parent; without a saved state, the drawn one is it.
+    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing saved state.
 
-    A zero that is outside the limits is moved into them, but not in a robot with ``loops``, which would come apart.
+    A zero outside the limits is moved inside, except in a robot with ``loops``, which would come apart.
 
-    The coordinate is body1's against body0 about +axis. When the body is body0, its axis is negated, and
-    limits, targets and gains stay as authored.
+    The coordinate is that of body1 relative to body0 about +axis. If the body is body0, its axis is negated, and
+    limits, targets, and gains stay as authored.
     """
     if node.joint is None:
         return ()
@@ -47,7 +47,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 
 
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
-    """Report a drawn pose that the joint cannot reach; keep one that it can as the saved state."""
+    """Report a drawn pose that the joint cannot reach; use a reachable one as the saved state."""
     assert node.joint is not None
     drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
     moved = zero.inverse() @ drawn
@@ -74,9 +74,9 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return coordinates that bring a body from zero to where it is drawn, as near as its joint allows.
+    """Return the coordinates that move a body from zero to its drawn pose, as near as the joint allows.
 
-    Balls stay at zero, and so does what several joints together do.
+    Balls stay at zero, and so do several joints of one body.
     """
     assert node.joint is not None
     if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
@@ -158,7 +158,7 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
 
 
 def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
-    """Return MuJoCo's coordinate where USD's is zero, in rad or m."""
+    """Return MuJoCo's coordinate at USD's zero, in rad or m."""
     value = stage.ledger.read(prim, "mjc:ref", "joint ref")
     if value is None:
         return 0.0
@@ -166,7 +166,7 @@ def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
 
 
 def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float | None, float]:
-    """Return the saved coordinate, None when there is none, and the saved speed."""
+    """Return the saved coordinate, None if there is none, and the saved speed."""
     read, units, angular = stage.ledger.read, stage.units, axis.kind != "slide"
     position = read(prim, f"state:{axis.token}:physics:position", "keyframe home, qpos")
     velocity = read(prim, f"state:{axis.token}:physics:velocity", "keyframe home, qvel")

@@ -19,7 +19,7 @@ SLIDES, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class FreeAxis:
-    """One axis that a joint leaves free, in the joint's frame. ``token`` is its name in drives and limits."""
+    """One free axis of a joint, in the joint's frame. ``token`` is its name in drives and limits."""
 
     kind: Literal["hinge", "slide", "ball"]
     axis: Vec3
@@ -34,7 +34,7 @@ def single_axis(stage: Stage, prim: Usd.Prim, angular: bool) -> list[FreeAxis]:
 
 
 def axis_name(stage: Stage, prim: Usd.Prim) -> str:
-    """Return X, Y or Z."""
+    """Return X, Y, or Z."""
     name = stage.ledger.read(prim, "physics:axis", "axis")
     if name in UNIT:
         return str(name)
@@ -44,7 +44,7 @@ def axis_name(stage: Stage, prim: Usd.Prim) -> str:
 
 
 def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
-    """Return what a spherical joint leaves free: a ball, or a hinge when both cone angles are zero."""
+    """Return the free axes of a spherical joint: a ball, or a hinge if both cone angles are zero."""
     angles = [stage.ledger.read(prim, f"physics:coneAngle{i}Limit", "range of the ball") for i in (0, 1)]
     if angles == [0, 0]:
         stage.ledger.assume(prim.GetPath(), "a spherical joint whose cone is closed turns about its axis", "hinge")
@@ -54,10 +54,10 @@ def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
 
 
 def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
-    """Return what a generic joint leaves free, slides before hinges, and where the locked axes stand.
+    """Return the free axes of a generic joint, slides before hinges, and the offset of its locked axes.
 
-    An axis is locked when its low limit is above its high one (at 0), or equal to it (there). Three rotations are a
-    ball where none of them has limits, a drive, a state or friction of its own, which a ball cannot hold.
+    An axis is locked if its low limit is above its high one (at 0), or equal to it (at that value). Three rotations are
+    a ball if none of them has limits, a drive, a state, or friction, which a ball cannot have per axis.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):
@@ -87,14 +87,14 @@ def _limited(stage: Stage, prim: Usd.Prim, token: str) -> bool:
 
 
 def _own(prim: Usd.Prim, token: str) -> bool:
-    """Return whether something is said of one rotation alone."""
+    """Return whether one rotation has its own properties."""
     return any(
         prim.GetAuthoredPropertiesInNamespace(f"{space}:{token}") for space in ("drive", "state", "physxJointAxis")
     )
 
 
 def _at(stage: Stage, prim: Usd.Prim, token: str, value: float) -> Frame:
-    """Return the frame of a locked axis that stands at ``value`` in degrees or stage lengths."""
+    """Return the frame of a locked axis at ``value`` in degrees or stage lengths."""
     if value == 0:
         return Frame.identity()
     stage.ledger.assume(prim.GetPath(), f"limits of {token} are equal: locked there", f"{value:g}")
@@ -112,12 +112,12 @@ def turned(axis: Array, angle: float) -> Array:
 
 
 Range = tuple[float, float]
-FAR = 1e6  # stands for the missing side of a range
-LOCKED = 1e-4  # rad or m: half a range that is as good as none, because MuJoCo's has to have a width
+FAR = 1e6  # replaces the missing end of a range
+LOCKED = 1e-4  # rad or m: half range of a locked axis, because MuJoCo's range needs a width
 
 
 def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
-    """Return the limits of one axis in rad or m, None when it has none."""
+    """Return the limits of one axis in rad or m, None if unlimited."""
     if axis.kind == "ball":
         return _cone(stage, prim)
     if axis.token == "twist":
@@ -154,7 +154,7 @@ def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
 
 
 def _range(units: Units, low: float | None, high: float | None, angular: bool, one_sided: bool) -> Range | None:
-    """Return a range in rad or m; where ``one_sided`` is off, a missing side means no limits at all."""
+    """Return a range in rad or m; without ``one_sided``, a missing end means no limits."""
     no_low, no_high = endless(low, angular), endless(high, angular)
     if (no_low and no_high) or ((no_low or no_high) and not one_sided):
         return None
@@ -165,7 +165,7 @@ def _range(units: Units, low: float | None, high: float | None, angular: bool, o
 
 
 def _cone(stage: Stage, prim: Usd.Prim) -> Range | None:
-    """Return a ball's range: the smaller angle of the cone. Angles below 0 are no limits."""
+    """Return a ball's range: the smaller angle of the cone. Angles below 0 mean unlimited."""
     ledger, path = stage.ledger, prim.GetPath()
     angles = [ledger.read(prim, f"physics:coneAngle{i}Limit", "range of the ball") for i in (0, 1)]
     given = [a for a in angles if a is not None and 0 <= a < 360]

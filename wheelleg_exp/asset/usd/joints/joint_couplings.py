@@ -6,7 +6,7 @@ A distance joint is a tendon between two points, with a range, or with springs a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pxr import Usd
@@ -16,7 +16,7 @@ from wheelleg_exp.asset.usd.joints.joint_axes import FAR, Range
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
-ROD = 1e-4  # share of a rigid rod's length by which MuJoCo's range is wider, because it has to have a width
+ROD = 1e-4  # relative width of a rigid rod's range, because MuJoCo's range needs a width
 SPRING = "physxPhysicsDistanceJoint:"
 
 
@@ -30,7 +30,7 @@ class Ropes:
 
 
 def read_ropes(stage: Stage, joints: list[Joint]) -> Ropes:
-    """Return what stands for the distance joints, and for distance limits of generic joints."""
+    """Return the tendons of distance joints, and of distance limits of generic joints."""
     ropes = Ropes()
     for joint in joints:
         if joint.kind == DISTANCE:
@@ -49,7 +49,7 @@ def _distances(stage: Stage, prim: Usd.Prim) -> Range | None:
 
 
 def _range(stage: Stage, low: float | None, high: float | None) -> Range | None:
-    """Return the distances in m; a negative one is none."""
+    """Return the distances in m; a negative one means unlimited."""
     no_low, no_high = low is None or not low > 0, high is None or not 0 <= high < FAR
     if no_low and no_high:
         return None
@@ -90,7 +90,7 @@ def _wide(limits: Range) -> Range:
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
-    """Return PhysX's springs at the ends of the range, which MuJoCo has as springs with a dead band."""
+    """Return PhysX's springs at the ends of the range, which are springs with a dead band in MuJoCo."""
     read, units = stage.ledger.read, stage.units
     if read(prim, f"{SPRING}springEnabled", "tendon stiffness") is not True:
         return {}
@@ -99,11 +99,6 @@ def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
     if "PhysxPhysicsDistanceJointAPI" not in schemas(prim) or stiffness <= 0:
         return {}
     return {"stiffness": stiffness, "damping": damping, "springlength": limits}
-
-
-def ends(ropes: Ropes) -> Iterator[str]:
-    """Yield the names of all sites."""
-    return (site.name for sites in ropes.sites.values() for site in sites)
 
 
 SCHEMA = "PhysxMimicJointAPI:"
@@ -143,7 +138,7 @@ def _mimic(stage: Stage, prim: Usd.Prim, axis: str, dofs: Mapping[str, list[Dof]
 
 
 def _dof(dofs: Mapping[str, list[Dof]], path: str, axis: str | None) -> Dof | None:
-    """Return the coordinate of a joint that is meant by an axis; a joint with one coordinate needs none."""
+    """Return the coordinate of a joint by its axis; a joint with one coordinate needs no axis."""
     found = [dof for dof in dofs.get(path, ()) if dof.kind != "ball"]
     if len(found) == 1:
         return found[0]
@@ -151,5 +146,5 @@ def _dof(dofs: Mapping[str, list[Dof]], path: str, axis: str | None) -> Dof | No
 
 
 def _unit(stage: Stage, dof: Dof) -> float:
-    """Return what one unit of the file's coordinate is in rad or m."""
+    """Return one unit of the file's coordinate in rad or m."""
     return stage.units.meters if dof.kind == "slide" else math.pi / 180

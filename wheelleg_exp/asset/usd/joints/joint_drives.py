@@ -21,14 +21,14 @@ KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", 
 
 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
-    """Return the drive of one axis, None when none is authored.
+    """Return the drive of one axis, None if none is authored.
 
     Args:
         stage: the open stage.
         prim: the joint.
-        axis: the axis that the drive turns or pushes.
-        limits: the axis' range in rad or m; the target is clamped into it.
-        ref: coordinate of the joint where USD's is zero.
+        axis: the driven axis.
+        limits: the axis' range in rad or m; the target is clamped to it.
+        ref: coordinate of the joint at USD's zero.
     """
     value = _values(stage, prim, axis.token)
     if value is None:
@@ -52,10 +52,10 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Say that a position actuator follows no speed; in PhysX the drive rests ``shift`` (rad or m) from its target."""
+    """Report that a position actuator follows no speed; PhysX's drive rests ``shift`` (rad or m) from its target."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
-    reason = "a position actuator has no target of speed; PhysX would rest this far from the target position"
+    reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
     stage.ledger.leave(prim.GetPath(), name, reason, f"{shift:g} {unit}")
     stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift:g} {unit})")
 
@@ -78,7 +78,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return an effort limit (N·m or N), after recording one that no motor has; infinity is none, and meant."""
+    """Return an effort limit (N·m or N), and record one that no motor has. Infinity means unlimited."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -86,7 +86,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Return a coordinate inside the limits, and say so when it was outside."""
+    """Return a coordinate inside the limits, and record a change."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -94,7 +94,7 @@ def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range
     return inside
 
 
-Found = tuple[str, float | None]  # an attribute and its value in SI units, None where it says nothing
+Found = tuple[str, float | None]  # an attribute and its value in SI units, None if not given
 
 # Attributes in the order of precedence: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
@@ -104,7 +104,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# PhysX ignores PhysxJointAPI where PhysxJointAxisAPI is applied, and uses these values if the axis authors none.
+# PhysX ignores PhysxJointAPI if PhysxJointAxisAPI is applied, and uses these values if the axis authors none.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -173,7 +173,7 @@ def _per_axis(
 
 
 def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> float:
-    """Return the first value there is; the others that are authored lose, and the report says so."""
+    """Return the first given value; the report names the other authored values."""
     given = [(name, value) for name, value in found if value is not None]
     if not given:
         return 0.0
@@ -207,16 +207,16 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
     unit = "rad/s" if angular else "m/s"
     for name, speed in given:
         if speed < math.inf:
-            kept = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
-            reason = kept if _agrees(name, speed, given[0]) else f"{given[0][0]} wins over it"
+            stored = f"MuJoCo has no velocity limit; see the report's velocity_limits in {unit}"
+            reason = stored if _agrees(name, speed, given[0]) else f"{given[0][0]} wins over it"
             stage.ledger.leave(prim.GetPath(), name, reason, f"{speed:g} {unit}")
     return given[0][1] if given and given[0][1] < math.inf else None
 
 
 def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
-    """Return what all motors of a joint together may do, in N·m or N.
+    """Return the total force range of all motors of a joint, in N·m or N.
 
-    One side alone is authored where the other is MuJoCo's default, 0.
+    If only one end is authored, the other is MuJoCo's default, 0.
     """
     low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
     if low is not None or high is not None:

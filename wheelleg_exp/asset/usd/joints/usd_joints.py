@@ -22,7 +22,7 @@ WELD = "a weld to the parent body"
 class Joint:
     """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
 
-    ``excluded`` is what the file says of articulations; ``closes``, whether the joint is kept out of the tree.
+    ``excluded`` is the file's excludeFromArticulation; ``closes`` is true if the joint is not part of the tree.
     """
 
     path: str
@@ -37,16 +37,16 @@ class Joint:
 
     @property
     def kind(self) -> str:
-        """Return the name of the prim's type."""
+        """The name of the prim's type."""
         return str(self.prim.GetTypeName())
 
     @property
     def welds(self) -> bool:
-        """Whether nothing is left free."""
+        """Whether no axis is free."""
         return not self.axes
 
     def side(self, link: Link | None) -> int:
-        """Return 0 when ``link`` is body0, else 1."""
+        """Return 0 if ``link`` is body0, else 1."""
         return 0 if self.links[0] is link else 1
 
     def other(self, link: Link | None) -> Link | None:
@@ -55,7 +55,7 @@ class Joint:
 
 
 def read_joints(stage: Stage, links: Links) -> list[Joint]:
-    """Return the enabled joints whose bodies exist, distance joints too, in the order of the stage."""
+    """Return the enabled joints whose bodies exist, including distance joints, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_joint(stage, links, prim, names[str(prim.GetPath())]) for prim in prims)
@@ -84,12 +84,12 @@ def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | Non
 
 
 def _is_inactive_equality(prim: Usd.Prim) -> bool:
-    """Return whether MuJoCo's schemas keep a joint that is switched off, as an equality that is."""
+    """Return whether MuJoCo's schemas store a disabled joint as an inactive equality."""
     return any(name in ("MjcEqualityWeldAPI", "MjcEqualityConnectAPI") for name in schemas(prim))
 
 
 def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
-    """Return what a joint leaves free, and where it locks the rest; None for kinds that are not known."""
+    """Return the free axes of a joint, and the offset of its locked axes; None for unknown kinds."""
     kind, same = str(prim.GetTypeName()), Frame.identity()
     if kind == "PhysicsRevoluteJoint":
         return single_axis(stage, prim, angular=True), same
@@ -116,7 +116,7 @@ End = tuple[Link | None, Frame]
 
 
 def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
-    """Return the bodies and joint frames at both ends, None when the joint joins nothing."""
+    """Return the bodies and joint frames at both ends, None if the joint has no effect."""
     ledger, path, kind = stage.ledger, prim.GetPath(), str(prim.GetTypeName())
     first, second = _end(stage, links, prim, 0), _end(stage, links, prim, 1)
     if first is None or second is None:
@@ -130,7 +130,7 @@ def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
 
 
 def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
-    """Return the body at one end and the joint's frame in it; None when the target does not exist."""
+    """Return the body at one end and the joint's frame in it; None if the target does not exist."""
     targets = stage.ledger.targets(prim, f"physics:body{i}", "the body tree")
     if len(targets) > 1:
         stage.ledger.assume(prim.GetPath(), f"physics:body{i} names several prims: the first", str(targets[0]))

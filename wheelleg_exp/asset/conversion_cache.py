@@ -17,8 +17,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.asset.conversion import convert, is_urdf
 from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.asset.convert_robot import convert, is_urdf
 from wheelleg_exp.asset.file_limits import bounded_memory
 from wheelleg_exp.asset.robot_description import BaseMode
 from wheelleg_exp.asset.urdf.urdf_robot import source_files
@@ -32,15 +32,17 @@ from wheelleg_exp.terms.config_values import require_fit
 
 
 def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
-    """Return the files that an ``env`` section names, by the paths that they get beside the MJCF.
+    """Return the files that an ``env`` section names in addition to the robot, by their paths next to the MJCF.
+
+    These are networks of learned actuators, and the terrain's own file.
 
     Args:
-        env: the section.
-        roots: folders of the user's own assets.
+        env: the ``env`` section.
+        roots: user-defined asset folders.
 
     Raises:
-        ConfigError: a name is no path below a folder.
-        AssetError: a file is not there.
+        ConfigError: a name is not a path below a folder.
+        AssetError: a file is missing.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -60,15 +62,15 @@ def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str,
 
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
-_ATTEMPTS = 3  # to put an entry in place while others do the same
+_ATTEMPTS = 3  # to publish an entry while other processes publish the same one
 
 
 @dataclass(frozen=True)
 class CachedConversion:
     """An MJCF in the cache.
 
-    ``sources`` maps each file that it was made of, as seen from the source's folder, to its sha256; ``fresh``
-    says that it was converted now.
+    ``sources`` maps each source file, relative to the source's folder, to its sha256. ``fresh`` is true if the file was
+    converted by this call.
     """
 
     output: Path
@@ -79,12 +81,12 @@ class CachedConversion:
 
     @property
     def meshes(self) -> tuple[Path, ...]:
-        """Return the mesh files that belong to the MJCF."""
+        """Mesh files of the MJCF."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
     def beside(self) -> tuple[Path, ...]:
-        """Return the networks of actuators and the ground's file, which lie beside the MJCF."""
+        """Networks of actuators and the terrain's file, next to the MJCF."""
         folders = (self.output.parent / name for name in (NETWORKS, GROUND))
         return tuple(sorted(path for folder in folders for path in folder.glob("**/*") if path.is_file()))
 
@@ -92,9 +94,9 @@ class CachedConversion:
 def source_digest(
     source: Path, variants: Mapping[str, str] | None = None, beside: Mapping[str, Path] | None = None
 ) -> dict[str, str]:
-    """Return the sha256 of every file that the robot is made of, by path as seen from the source's folder.
+    """Return the sha256 of every source file of the robot, by its path relative to the source's folder.
 
-    These are the layers of a USD stage, or a URDF and its meshes; and what lies beside (``beside.find_beside``).
+    Sources are the layers of a USD stage, or a URDF and its meshes; and the files of ``find_beside``.
 
     Raises:
         AssetError: the source cannot be read.
@@ -113,14 +115,14 @@ def convert_cached(
     cache_dir: Path,
     beside: Mapping[str, Path] | None = None,
 ) -> CachedConversion:
-    """Return the conversion of ``source``, from the cache when nothing that went into it has changed.
+    """Return the conversion of ``source``, from the cache if none of its inputs has changed.
 
-    The key holds the bytes of every layer or mesh in use, the options, and this converter with the libraries that it
-    stands on. A damaged entry is made again; several processes may do this at once. ``beside``, files by
-    their paths, are laid beside the MJCF.
+    The key is a hash of every layer or mesh in use, the options, this converter's code, and the versions of its
+    libraries. A damaged entry is replaced. Several processes may call this function at once. The files ``beside``, by
+    path, are copied next to the MJCF.
 
     Raises:
-        AssetError: the source cannot be read or holds no robot.
+        AssetError: the source cannot be read or contains no robot.
         WheellegError: the cache cannot be written.
     """
     source, chosen = Path(source), dict(variants or {})
@@ -147,7 +149,7 @@ def _key(source: Path, sources: Mapping[str, str], base: BaseMode, variants: Map
 
 @functools.cache
 def _converter_digest() -> str:
-    """Return the sha256 of this package's code, so that a changed converter never meets its old results."""
+    """Return the sha256 of this package's code, so that changed code never reads results of older code."""
     digest = hashlib.sha256()
     folder = Path(__file__).parent
     for path in sorted(folder.rglob("*.py")):
@@ -156,9 +158,9 @@ def _converter_digest() -> str:
 
 
 def _read(entry: Path) -> Report | None:
-    """Return an entry's report, None when the entry is absent or damaged."""
+    """Return the report of a cache entry, or None if the entry is missing or damaged."""
     try:
-        if not (entry / CONTENTS).is_file():  # nor a pipe
+        if not (entry / CONTENTS).is_file():  # false for a pipe, too
             return None
         contents = json_value((entry / CONTENTS).read_text(encoding="utf-8"))
         if MODEL not in contents or _hashes(entry) != contents:
@@ -192,7 +194,7 @@ def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:
-    """Move a finished entry into place; when another process was faster with a whole one, keep that."""
+    """Move a finished entry into place. If another process has published a complete entry first, keep that entry."""
     for attempt in range(_ATTEMPTS):
         try:
             draft.rename(entry)
@@ -203,4 +205,4 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
             if attempt == _ATTEMPTS - 1:
                 raise
             with suppress(FileNotFoundError):
-                entry.rename(scratch / f"damaged_{attempt}")  # which is removed with the scratch folder
+                entry.rename(scratch / f"damaged_{attempt}")  # removed with the scratch folder

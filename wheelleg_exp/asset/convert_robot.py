@@ -1,4 +1,4 @@
-"""Converts a USD or URDF file to an MJCF that appears whole or not at all."""
+"""Convert a USD or URDF file to an MJCF. The output appears completely or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_
 from wheelleg_exp.asset.mjcf.compile_mjcf import (
     ModelRefused,
     load,
-    told_by_mujoco,
+    mujoco_warnings,
     verify,
     with_force_gains,
     without_refused,
@@ -33,12 +33,12 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.files import temporary_folder
 from wheelleg_exp.machine import machine_memory, shown_bytes
 
-MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
+MESHES = "_meshes"  # suffix of an MJCF's mesh folder
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """The MJCF that was written, what it says, and how it came about."""
+    """The written MJCF, its robot description, and the report."""
 
     output: Path
     description: RobotDescription
@@ -48,44 +48,44 @@ class Conversion:
 def convert(
     source: Path, output: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None
 ) -> Conversion:
-    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` beside it.
+    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` next to it.
 
     Args:
-        source: a .usd, .usda, .usdc, .usdz or .urdf file.
-        output: the MJCF to write; an older one is replaced.
-        base: ``auto`` as authored, and floating where a URDF does not say; ``floating`` drops the fixed joint to the
+        source: a .usd, .usda, .usdc, .usdz, or .urdf file.
+        output: the MJCF to write; an existing one is replaced.
+        base: ``auto`` as authored, and floating if a URDF does not say; ``floating`` drops the fixed joint to the
             world; ``fixed`` removes the free joint.
-        variants: selections by variant set, in place of the authored ones; only USD has them.
+        variants: selections by variant set, in place of the authored ones; USD only.
 
     Raises:
-        AssetError: the source cannot be read or holds no robot, or the output cannot be written.
+        AssetError: the source cannot be read or contains no robot, or the output cannot be written.
     """
     source, output = Path(source), Path(output)
     _require_output(source, output)
-    with told_by_mujoco() as told, bounded_memory(source):
+    with mujoco_warnings() as logged, bounded_memory(source):
         robot, report = read(source, base, variants or {})
         _require_apart(source, report, output)
         try:
-            made, model = _made(robot, report, output)
+            robot, model = _write(robot, report, output)
         except ModelRefused:
             robot, report = without_refused(robot, report)
-            made, model = _made(robot, report, output)
-        sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(made, model)]
-    warnings = (*report.warnings, *(f"{text}; {UNITS}" for _, text in sizes if text), *dict.fromkeys(told))
+            robot, model = _write(robot, report, output)
+        sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
+    warnings = (*report.warnings, *(f"{text}; {UNITS}" for _, text in sizes if text), *dict.fromkeys(logged))
     findings = (*report.findings, *(item for item, text in sizes if text))
-    return Conversion(output, made, replace(report, values=values_of(made), warnings=warnings, findings=findings))
+    return Conversion(output, robot, replace(report, values=values_of(robot), warnings=warnings, findings=findings))
 
 
-def _made(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, mujoco.MjModel]:
+def _write(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, mujoco.MjModel]:
     robot = with_force_gains(robot)
     return robot, write(robot, report, output)
 
 
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
-    """Read a robot by the reader of its format, and say what was read, assumed and left out.
+    """Read a robot with the reader of its format.
 
     Raises:
-        AssetError: there is no such file, or it cannot be read or holds no robot.
+        AssetError: the file is missing, cannot be read, or contains no robot.
     """
     robot, report = read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
     robot, report = _rooted_at_mass(robot, report)
@@ -99,16 +99,16 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 
 
 def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) -> Report:
-    """Return the report, with a warning if the meshes take much memory from here on.
+    """Add a warning if the meshes take much memory from here on.
 
     Raises:
-        AssetError: the machine has less memory than that.
+        AssetError: the machine has less memory than the meshes need.
     """
-    points, there = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
+    points, available = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
     need = points * POINT_BYTES
     message = f"meshes with {points:,} points and triangles take about {shown_bytes(need)} of memory"
-    if need > there:
-        expected = f"less than the {shown_bytes(there)} of this machine: meshes with fewer triangles"
+    if need > available:
+        expected = f"less than the {shown_bytes(available)} of this machine: meshes with fewer triangles"
         raise AssetError(message, where=str(source), expected=expected)
     return replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
 
@@ -116,13 +116,13 @@ def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
     """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
 
-    Heights, velocities and the tilt of a robot are those of its root. Nothing moves: the massless links are welded to
-    the new root where they were.
+    Height, velocity, and tilt of a robot are those of its root. No link moves: the massless links are welded to the
+    new root at their old places.
     """
     root = next(robot.children(None), None)
     if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
         return robot, report
-    paths = [[root]]  # from the root through welds; it grows while it is searched
+    paths = [[root]]  # from the root through welds; the list grows during the search
     for path in paths:
         if path[-1].inertial.mass:
             break
@@ -138,20 +138,20 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
     turned.append(replace(path[-1], parent=None, floating=True, pose=frame.pose()))
     rule = "the root link has no mass: the first link with mass is the root"
     report = replace(report, assumptions=(*report.assumptions, Assumption(root.path, rule, path[-1].name)))
-    others = (body for body in robot.bodies if body not in path)
-    robot = replace(robot, bodies=(*reversed(turned), *others))
-    left, ordered = list(robot.children(None))[::-1], list[Body]()
-    while left:  # depth first, as the compiled model
-        ordered.append(left.pop())
-        left += list(robot.children(ordered[-1].name))[::-1]
+    unchanged = (body for body in robot.bodies if body not in path)
+    robot = replace(robot, bodies=(*reversed(turned), *unchanged))
+    stack, ordered = list(robot.children(None))[::-1], list[Body]()
+    while stack:  # depth first, as in the compiled model
+        ordered.append(stack.pop())
+        stack += list(robot.children(ordered[-1].name))[::-1]
     return replace(robot, bodies=tuple(ordered)), report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
-    """Return whether a file is a URDF and not a USD, by its ending.
+    """Return whether a file is a URDF (true) or a USD (false), by its suffix.
 
     Raises:
-        AssetError: its ending is neither's, or variants are chosen of a URDF.
+        AssetError: the suffix is neither, or variants are selected for a URDF.
     """
     suffix, where = source.suffix.lower(), str(source)
     if suffix in URDF:
@@ -160,15 +160,15 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
             raise AssetError("a URDF has no variants", key=f"--variant {choice}", where=where)
         return True
     if suffix == ".xacro":
-        message = f"'{source.name}' holds xacro macros, which are not carried out here"
-        raise AssetError(message, where=where, expected="a URDF: xacro IN -o OUT.urdf makes one")
+        message = f"'{source.name}' contains xacro macros, which this converter does not expand"
+        raise AssetError(message, where=where, expected="a URDF: xacro IN -o OUT.urdf")
     if suffix not in USD and source.is_file():
         raise AssetError(f"'{source.name}' is neither USD nor URDF", where=where, expected=", ".join((*USD, *URDF)))
     return False
 
 
 def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjModel:
-    """Write the MJCF and its meshes, after loading them in MuJoCo and comparing. Return the loaded model.
+    """Write the MJCF and its meshes after loading them in MuJoCo and comparing. Return the loaded model.
 
     Raises:
         AssetError: MuJoCo refuses the model, or the output cannot be written.
@@ -187,12 +187,12 @@ def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjMod
 
 
 def mesh_folder(output: Path) -> Path:
-    """Return the folder of the meshes that belong to an MJCF."""
+    """Return the mesh folder of an MJCF."""
     return output.with_name(output.stem + MESHES)
 
 
 def _require_output(source: Path, output: Path) -> None:
-    """Refuse an output that is no name for an MJCF, or stands where something else is."""
+    """Raise an error if the output is not a file name for an MJCF, or would replace something else."""
     try:
         str(output).encode()
         with suppress(FileNotFoundError):
@@ -209,17 +209,17 @@ def _problem_of(source: Path, output: Path) -> str | None:
     if output.is_dir():
         return f"'{output}' is a folder"
     if output.suffix.lower() != ".xml":
-        return f"'{output.name}' is no name for an MJCF"
+        return f"'{output.name}' is not an MJCF file name"
     if output.exists() and source.exists() and output.samefile(source):
         return f"'{output}' is the source itself"
     folder = output.parent
     if folder.name.endswith(MESHES) and folder.with_name(folder.name.removesuffix(MESHES) + ".xml").exists():
-        return f"'{folder}' holds the meshes of another MJCF"
+        return f"'{folder}' contains the meshes of another MJCF"
     return None
 
 
 def _require_apart(source: Path, report: Report, output: Path) -> None:
-    """Refuse an output whose folder of meshes holds some of what the robot is made of."""
+    """Raise an error if the output's mesh folder contains sources of the robot."""
     home, folder = source.resolve().parent, mesh_folder(output).resolve()
     for name in report.layers:
         if (home / name).resolve().is_relative_to(folder):
@@ -236,7 +236,7 @@ def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
 
 
 def _publish(draft: Path, output: Path, old: Path) -> None:
-    """Put a draft and its meshes in the place of older ones; when that is interrupted, the older ones stay."""
+    """Replace an older MJCF and its meshes. If interrupted, restore the older ones."""
     new, target = mesh_folder(draft), mesh_folder(output)
     _require_own_meshes(output)
     try:
@@ -254,10 +254,10 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
 
 
 def _require_own_meshes(output: Path) -> None:
-    """Refuse to replace a folder that holds anything but the meshes that the older MJCF names."""
+    """Raise an error if the mesh folder contains files that the older MJCF does not name."""
     folder = mesh_folder(output)
     text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
     foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
     if foreign:
-        message = f"'{folder}' holds other files than the meshes of '{output.name}', such as '{foreign[0]}'"
-        raise AssetError(message, key="-o", expected="another name, or that folder moved away")
+        message = f"'{folder}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
+        raise AssetError(message, key="-o", expected="another name, or move that folder away")
