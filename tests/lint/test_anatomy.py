@@ -68,7 +68,7 @@ def test_a_leg_that_ends_without_a_wheel_has_none():
     found = look(two_legged(hip="", wheel=point))
     assert (found.wheels, found.forward, found.support_height) == ((), None, None)
     assert found.others == ("l_hip", "l_knee", "l_axle", "r_hip", "r_knee", "r_axle")
-    assert "round about a line 100 mm beside its axis" in found.near["l_axle"]  # for its masses are a wheel's
+    assert "round about a line 100 mm off its axis" in found.near["l_axle"]  # for its masses are a wheel's
 
 
 @pytest.mark.parametrize("limits", ["-1e6 1e6", "-6.3 6.3"])
@@ -107,7 +107,7 @@ def test_a_mesh_is_a_wheel_when_it_is_round(corners):
 def test_a_mesh_beside_its_axis_is_no_wheel():
     found = look(with_mesh(64, x=0.05))
     assert found.wheels == ()
-    assert found.near["l_axle"] == "its colliders are round about a line 50 mm beside its axis"
+    assert found.near["l_axle"] == "its colliders are round about a line 50 mm off its axis"
 
 
 def test_a_square_collider_is_a_wheel_when_its_masses_say_so():

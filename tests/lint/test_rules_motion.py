@@ -169,7 +169,7 @@ def test_a_push_is_held_against_the_capture_point():
     # wheels: 0.4 N·m / 0.02 kg·m² · 0.1 m = 2 m/s², less than 0.8 · 10; over sqrt(10)/s: 0.6325 m/s
     (finding,) = found("push_size", push(0.8))
     assert finding.figures["limit"] == pytest.approx(2.0 / math.sqrt(10.0))
-    assert "more than it can take" in finding.message
+    assert "too much" in finding.message
     assert found("push_size", push(0.7)) == []  # 1.1 times the figure, which is on the safe side
     assert found("push_size", push(0.3, 4.0, frame="yaw")) == []  # sideways the track holds it
     (finding,) = found("push_size", push(0.3, 4.0))  # who has turned meets it from the front
@@ -225,6 +225,6 @@ def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
     (finding,) = found("late_average", case(average_iterations=10))  # 0.9 to the power of 20 - 10
     assert finding.figures == {"early_share": pytest.approx(0.34867844)}
     (finding,) = found("late_average", case(average_iterations=80))
-    assert finding.message == "100 % of what is played is of iterations 1 to 20 of 20"
+    assert finding.message == "100 % of the mean is from iterations 1 to 20 of 20"
     assert found("late_average", case(average_iterations=8)) == []  # 0.875 to the power of 12 is 0.20
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []

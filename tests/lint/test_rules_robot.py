@@ -165,14 +165,14 @@ def test_links_that_may_not_touch_are_only_noted(tmp_path):
     text = pack(0.012).replace('name="pack" type', 'name="pack" contype="0" type')
     case = patient(tmp_path, text.replace('name="l_thigh" type', 'name="l_thigh" contype="0" type'))
     assert all_findings(case) == []
-    assert any("self_collisions: true would begin with 1 pair" in note and "12 mm" in note for note in notes_on(case))
+    assert any("self_collisions: true would start with 1 pair" in note and "12 mm" in note for note in notes_on(case))
 
 
 def test_a_link_deep_inside_the_one_that_it_hangs_on(tmp_path):
     text = seeded(('name="l_thigh" type="capsule" fromto="0 0 -0.05 0 0 -0.25" size="0.02" mass="0.1"',
                    'name="l_thigh" type="sphere" size="0.25" pos="0 -0.2 0" mass="0.1"'))  # fmt: skip
     told = found("overlapping_bodies", patient(tmp_path, text))
-    (finding,) = [finding for finding in told if "'l_thigh' lies" in finding.message]
+    (finding,) = [finding for finding in told if "'l_thigh' is" in finding.message]
     assert finding.figures["depth_m"] == pytest.approx(0.25 + 0.05)  # out through the top
 
 
@@ -238,7 +238,7 @@ def test_wheels_within_limits(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('name="r_thigh" pos="0 -0.2 0"', 'name="r_thigh" pos="0.02 -0.2 0"', "20 mm and 0° off, nor are 2 more pairs"),
+        ('name="r_thigh" pos="0 -0.2 0"', 'name="r_thigh" pos="0.02 -0.2 0"', "20 mm and 0° off; nor are 2 more pairs"),
         ('name="r_shank" type="capsule" fromto="0 0 -0.05 0 0 -0.15" size="0.02" mass="0.1"',
          'name="r_shank" type="capsule" fromto="0 0 -0.05 0 0 -0.15" size="0.02" mass="0.2"',
          "'l_shank' weighs 0.1 kg and 'r_shank' 0.2 kg"),
@@ -255,7 +255,7 @@ def test_a_joint_without_limits_and_one_without_motion(tmp_path):
     free = HEALTHY.replace(' range="-2 0"', "")
     assert "'l_knee', 'r_knee' have no limits" in only("joint_limits", patient(tmp_path, free))
     locked = HEALTHY.replace('range="-1 1"', 'range="0.4 0.4001"')
-    assert "'l_hip', 'r_hip' leave no motion" in only("joint_limits", patient(tmp_path, locked))
+    assert "'l_hip', 'r_hip' allow no motion" in only("joint_limits", patient(tmp_path, locked))
 
 
 @pytest.mark.parametrize(
@@ -368,14 +368,14 @@ def test_what_the_file_does_not_give(tmp_path):
     for rule in ("missing_files", "assumed_masses", "lost_in_conversion"):
         assert found(rule, whole) == []
     (finding,) = found("missing_files", read_urdf(tmp_path, shape='<mesh filename="gone.stl"/>'))
-    assert finding.message == "colliders are missing: gone.stl (the file is not there)"
+    assert finding.message == "colliders are missing: gone.stl (the file is missing)"
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial=""))
     assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # of water
     assert "of 28 kg are assumed (96 %)" in finding.message
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial='<inertial><mass value="2"/></inertial>'))
     assert "1 link has a mass and no inertia" in finding.message
     idle = read_urdf(tmp_path, effort=0)
-    assert "'j' has a largest effort or speed of 0 in the file" in found("placeholder_limits", idle)[0].message
+    assert "'j' has an effort or velocity limit of 0 in the file" in found("placeholder_limits", idle)[0].message
     assert found("placeholder_limits", replace(idle, config={**idle.config, "task": {}})) == []
     (finding,) = found("lost_in_conversion", read_urdf(tmp_path, low=2))
     assert "wrong way round" in finding.message

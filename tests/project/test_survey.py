@@ -19,10 +19,9 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.project.create import create
-from wheelleg_exp.project.robot_yaml import leg_gains, robot_yaml, spawn_height, wheel_gains
+from wheelleg_exp.project.robot_yaml import leg_gains, names, number, robot_yaml, spawn_height, wheel_gains
 from wheelleg_exp.project.survey import survey
 from wheelleg_exp.project.task_yaml import config_files
-from wheelleg_exp.project.yaml_text import names, number
 
 
 def surveyed(source):
@@ -313,7 +312,7 @@ def with_lost_meshes(folder: Path, content: str | None) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("content", "why"), [(None, "the file is not there"), (POINTER, "git lfs pull")])
+@pytest.mark.parametrize(("content", "why"), [(None, "the file is missing"), (POINTER, "git lfs pull")])
 def test_wheels_whose_meshes_are_missing_make_no_project_unless_allowed(content, why, tmp_path, capsys):
     source = with_lost_meshes(tmp_path / "file", content)
     with pytest.raises(AssetError, match=r"colliders are missing: wheel\.stl") as refused:

@@ -22,23 +22,23 @@ class Wheel:
     """A wheel that can carry the robot.
 
     Attributes:
-        joint: the hinge that it turns on.
+        joint: the hinge that the wheel turns on.
         body: the link that the hinge moves.
         bodies: that link and those fixed to it.
         axis: of the hinge, a unit vector.
         centre: of the collider, on the axis, m.
-        radius: largest reach of the colliders across the axis, m.
+        radius: largest extent of the colliders across the axis, m.
         width: of the colliders along the axis, m.
-        roundness: least reach across the axis over the largest; 1 for a body of revolution about the axis.
+        roundness: smallest extent across the axis over the largest; 1 for a body of revolution.
         contact: the point that touches level ground, m.
-        side: of the robot's middle, seen along its forward axis.
-        sign: +1 when positive speed rolls the robot forwards, -1 backwards, 0 when it does not roll that way.
-        driven: whether something drives it; a caster is not.
-        stands: whether it is as low as the lowest, and so carries the robot on level ground.
-        steered: whether the joint right above turns without limits about an upright axis, as that of a swerve drive.
-        caster: whether the wheel is steered, trails its steering axis, and nothing drives that axis. False for all
-            wheels of a robot that has no others.
-        why: how it is known, with the figures.
+        side: relative to the robot's middle, seen along its forward axis.
+        sign: +1 if positive speed rolls the robot forwards, -1 backwards, 0 if the wheel rolls another way.
+        driven: whether a motor drives the wheel; false for a caster.
+        stands: whether the wheel is as low as the lowest wheel, and so carries the robot on level ground.
+        steered: whether its parent joint turns without limits about an upright axis, as in a swerve drive.
+        caster: whether the wheel is steered and trails a steering axis without motor. False for all wheels of a robot
+            that has no other wheels.
+        why: the reason with its figures.
     """
 
     joint: str
@@ -65,9 +65,9 @@ class Leg:
 
     Attributes:
         wheel: the wheel's joint.
-        joints: of the chain, from the base on, without the wheel's.
-        passive: those of ``joints`` that nothing drives.
-        beside: joints of the same limb on no wheel's chain: the other half of a closed loop, most often.
+        joints: the chain from the base on, without the wheel's joint.
+        passive: those of ``joints`` without a motor.
+        beside: joints of the same limb on no wheel's chain: usually the other half of a closed loop.
         loops: names of the equality constraints that close loops in the limb.
     """
 
@@ -80,7 +80,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class MirroredPair:
-    """Two joints that are mirror images, or one that is its own.
+    """Two joints that are mirror images, or one joint that is its own.
 
     Attributes:
         left: the joint on the left, or in the middle.
@@ -103,22 +103,22 @@ class Anatomy:
 
     Attributes:
         base: the root link.
-        floating: whether it moves freely.
+        floating: whether the base moves freely.
         size: longest edge of the box, along the base's axes, around all colliders and joints, m.
         wheels: in the order of the model.
         legs: one for each wheel.
         others: joints of no leg and no wheel: arms, or the legs of a robot without wheels.
-        forward: the level direction in which the wheels roll; None without wheels, or if their axles are not parallel.
-            Casters do not count.
+        forward: the level direction in which the wheels roll, casters ignored; None without wheels, or if their axles
+            are not parallel.
         left: the level direction to the left of ``forward``.
         up: against gravity.
         middle: a point of the plane between left and right, m.
-        mirrored: mirrored joints; a pair once, with the left one first.
+        mirrored: mirrored joints; each pair once, the left one first.
         unmatched: joints without a mirror image.
-        support_height: of the wheels' contacts under the base's origin, m (negative: below); None without wheels.
+        support_height: of the wheels' contacts relative to the base's origin, m (negative: below); None without wheels.
         support_width: between the outermost contacts across ``forward``, m.
-        support_length: between the outermost contacts along ``forward``, m; next to 0 on one axle.
-        near: joints that lack one thing to be a wheel's, and what.
+        support_length: between the outermost contacts along ``forward``, m; almost 0 on one axle.
+        near: joints that lack one property of a wheel, and which.
     """
 
     base: str
@@ -140,7 +140,7 @@ class Anatomy:
 
     @property
     def wheel_joints(self) -> list[str]:
-        """Names of the joints that wheels turn on."""
+        """Names of the wheels' joints."""
         return [wheel.joint for wheel in self.wheels]
 
     @property
@@ -150,7 +150,7 @@ class Anatomy:
 
     @property
     def one_axle(self) -> bool:
-        """Whether all wheels that carry the robot turn about the same line, so that it has to balance."""
+        """Whether all wheels that carry the robot share one axle, so that the robot must balance."""
         return bool(self.wheels) and self.support_length < min(wheel.radius for wheel in self.standing) / 2
 
 
@@ -165,7 +165,7 @@ class Tree:
     """A robot in its model, at one pose.
 
     Attributes:
-        model: the compiled robot, perhaps in its scene.
+        model: the compiled robot, with or without its scene.
         data: its pose, with positions and axes computed.
         base: the root body.
     """
@@ -176,12 +176,12 @@ class Tree:
 
     @cached_property
     def bodies(self) -> list[int]:
-        """The base and all that hangs on it, in the model's order."""
+        """The base and all bodies below it, in the model's order."""
         return self.below(self.base)
 
     @cached_property
     def joints(self) -> list[int]:
-        """Hinges, slides and balls of the robot, in the model's order."""
+        """Hinges, slides, and balls of the robot, in the model's order."""
         model, bodies = self.model, set(self.bodies)
         return [
             joint
@@ -196,25 +196,25 @@ class Tree:
         return any(model.jnt_type[joint] == _JOINT.mjJNT_FREE for joint in self.joints_of(self.base))
 
     def below(self, body: int) -> list[int]:
-        """Return a body and those that hang on it."""
+        """Return a body and all bodies below it."""
         found = {body}
-        for other in range(body + 1, self.model.nbody):  # parents stand before their children
+        for other in range(body + 1, self.model.nbody):  # parents come before their children
             if int(self.model.body_parentid[other]) in found:
                 found.add(other)
         return sorted(found)
 
     def fixed_to(self, body: int) -> list[int]:
-        """Return a body and those below it that do not move against it."""
+        """Return a body and the bodies below that are welded to it."""
         weld = self.model.body_weldid
         return [other for other in self.below(body) if weld[other] == weld[body]]
 
     def joints_of(self, body: int) -> list[int]:
-        """Return the joints that move a body against its parent."""
+        """Return the joints between a body and its parent."""
         start = int(self.model.body_jntadr[body])
         return list(range(start, start + int(self.model.body_jntnum[body])))
 
     def chain(self, body: int) -> list[int]:
-        """Return the joints from the base to a body, its own last; those of the base itself are left out."""
+        """Return the joints from the base to a body, the body's last, without the joints of the base."""
         found: list[int] = []
         while body not in (self.base, 0):
             found = self.joints_of(body) + found
@@ -222,7 +222,7 @@ class Tree:
         return found
 
     def is_hinge(self, joint: int) -> bool:
-        """Return whether a joint turns about one axis."""
+        """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[joint] == _JOINT.mjJNT_HINGE)
 
     def turns(self, joint: int) -> float:
@@ -231,11 +231,11 @@ class Tree:
         return float(high - low) if self.model.jnt_limited[joint] else float("inf")
 
     def joint_name(self, joint: int) -> str:
-        """Return a joint's name, or its number where it has none."""
+        """Return a joint's name, or its number without a name."""
         return mujoco.mj_id2name(self.model, _OBJECT.mjOBJ_JOINT, joint) or f"#{joint}"
 
     def body_name(self, body: int) -> str:
-        """Return a body's name, or its number where it has none."""
+        """Return a body's name, or its number without a name."""
         return mujoco.mj_id2name(self.model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
 
     @cached_property
@@ -245,20 +245,20 @@ class Tree:
         return rotation
 
     def point(self, world: Array) -> Array:
-        """Return a point of the world in the base's frame, m."""
+        """Return a world point in the base's frame, m."""
         found: Array = self.to_base @ (world - self.data.xpos[self.base])
         return found
 
     @cached_property
     def up(self) -> Array:
-        """The direction against gravity in the world; z where there is no gravity."""
+        """The direction against gravity in the world; z without gravity."""
         gravity = self.model.opt.gravity
         size = float(np.linalg.norm(gravity))
         return -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
 
 def find_base(model: mujoco.MjModel) -> int:
-    """Return the body on the world with the most joints below it: the robot's, beside loose things.
+    """Return the robot's root: the body on the world with the most joints below it.
 
     Raises:
         ValueError: the model has no bodies.

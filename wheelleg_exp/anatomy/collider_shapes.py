@@ -17,7 +17,7 @@ _GEOM = mujoco.mjtGeom
 
 
 def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the colliding shapes of bodies; what has no end, such as a plane, is left out."""
+    """Return the colliding shapes of bodies, without infinite ones such as planes."""
     wanted = set(bodies)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return [
@@ -28,13 +28,13 @@ def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> float:
-    """Return the world height of the lowest point of the bodies' colliding shapes, m; inf without one."""
+    """Return the world height of the lowest point of the bodies' colliding shapes, m; inf without shapes."""
     down = np.array([[0.0, 0.0, -1.0]])
     return -float(reach(model, data, colliders(model, bodies), np.zeros(3), down)[0])
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return how far shapes reach from a point: their support function.
+    """Return how far shapes extend from a point (support function).
 
     Args:
         model: the robot.
@@ -69,7 +69,7 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # its vertices say, see _extent
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # from its vertices, see _extent
 }
 
 
@@ -79,9 +79,9 @@ class Overlap:
 
     Attributes:
         bodies: their names, the parent first.
-        depth: how far one has to move to come free, m.
-        neighbours: whether one hangs on the other by a joint.
-        acts: whether the model lets them push each other apart.
+        depth: the shortest motion that separates them, m.
+        neighbours: whether a joint connects them.
+        acts: whether contacts between them are enabled in the model.
     """
 
     bodies: tuple[str, str]
@@ -93,10 +93,10 @@ class Overlap:
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
     """Return the pairs of a robot's bodies that overlap at a pose, the deepest first.
 
-    Bodies that are fixed to each other, or that the model excludes by name, are left out.
+    Bodies that are welded together, or that the model excludes by name, are left out.
 
     Args:
-        model: the robot, perhaps in its scene.
+        model: the robot, with or without its scene.
         qpos: the pose, (nq,).
         names: the robot's bodies.
     """
@@ -113,7 +113,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
 
 
 def _all_touching(model: mujoco.MjModel, bodies: set[int]) -> mujoco.MjModel:
-    """Return the model with every collider of the robot able to touch every other, and nothing else."""
+    """Return the model with contacts enabled between all colliders of the robot, and no others."""
     free = copy.copy(model)
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
@@ -133,11 +133,11 @@ def _depths(model: mujoco.MjModel, qpos: np.ndarray, bodies: set[int]) -> dict[t
 
 
 def overlap_depths(model: mujoco.MjModel, data: mujoco.MjData, bodies: Collection[int]) -> dict[tuple[int, int], float]:
-    """Return how deep bodies lie inside one another where the model lets them touch, m, by pair of their ids.
+    """Return the overlap depth, m, of each pair of body ids with contacts in the model.
 
     Args:
-        model: the robot, perhaps in its scene.
-        data: its pose, with the contacts found.
+        model: the robot, with or without its scene.
+        data: its pose, with contacts computed.
         bodies: ids of the robot's bodies.
     """
     found: dict[tuple[int, int], float] = {}

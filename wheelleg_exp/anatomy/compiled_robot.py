@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,8 +17,14 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.sim.actuators import IdealPDActuator
 from wheelleg_exp.sim.robot import Robot
+
+LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
+_MOST_FILES = 4  # files in one message
+_INSIDE = 0.25  # share of a joint's range between a corrected default position and the exceeded limit
+_OFF = 0.02  # share of a joint's range between a position of the file and the limits
 
 
 @dataclass(frozen=True)
@@ -25,8 +33,8 @@ class Drive:
 
     Attributes:
         group: the actuator group.
-        stiffness: kp, N·m/rad; NaN where the drive is learned.
-        damping: kd, N·m·s/rad; likewise.
+        stiffness: kp, N·m/rad; NaN for a learned drive.
+        damping: kd, N·m·s/rad; NaN for a learned drive.
         effort: largest torque, N·m.
         velocity: largest speed, rad/s.
         explicit: whether the torque is computed from the state before each physics step.
@@ -50,8 +58,8 @@ class Joint:
         low: lower limit, rad, or -inf.
         high: upper limit, rad, or inf.
         armature: kg·m².
-        inertia: of what hangs on the joint, about its axis, kg·m², without armature.
-        effective: inertia that a torque on the joint meets while everything else is free to move, with armature.
+        inertia: of the joint's load about its axis, kg·m², without armature.
+        effective: inertia that a torque accelerates while all other joints are free, with armature.
         hold: torque that carries the weight at rest, N·m.
         drive: its actuator, or None.
     """
@@ -77,11 +85,11 @@ class Balance:
     """A robot on one axle as an inverted pendulum.
 
     Attributes:
-        mass: of all but the wheels, kg.
+        mass: without the wheels, kg.
         height: of its centre of mass over the axle, m.
-        inertia: of all but the wheels about the axle, kg·m².
-        pole: rate at which it falls while the wheels are held against the body and roll, rad/s.
-        pendulum: sqrt(m g h / I): rate at which it falls over a fixed axle, rad/s.
+        inertia: without the wheels, about the axle, kg·m².
+        pole: rate of the fall with wheels locked to the body and rolling, rad/s.
+        pendulum: sqrt(m g h / I): rate of the fall over a fixed axle, rad/s.
     """
 
     mass: float
@@ -99,13 +107,13 @@ class RobotFacts:
         mass: kg.
         gravity: m/s².
         joints: by name, in the robot's order.
-        wheels: names of the joints that wheels turn on.
+        wheels: names of the wheels' joints.
         wheel_radius: m; 0 without wheels.
         track: distance between the outermost wheels, m.
-        standing_height: of the root over the ground while the lowest point of the default pose touches it, m.
-        clearance: of the lowest point over the ground where episodes begin, m; negative inside the ground.
+        standing_height: of the root over the ground when the lowest point of the default pose touches the ground, m.
+        clearance: of the lowest point over the ground at the start of episodes, m; negative inside the ground.
         friction: effective coefficient between wheels and ground.
-        balance: None when the robot does not balance on one axle.
+        balance: None if the robot does not balance on one axle.
     """
 
     mass: float
@@ -126,12 +134,12 @@ class RobotFacts:
 
     @property
     def wheel_load(self) -> float:
-        """Weight on each wheel when all carry alike, N; the whole weight without wheels."""
+        """Weight per wheel, N; the whole weight without wheels."""
         return self.weight / max(1, len(self.wheels))
 
     @property
     def top_speed(self) -> float:
-        """Speed at the wheels' velocity limit, m/s; 0 when nothing drives a wheel."""
+        """Speed at the wheels' velocity limit, m/s; 0 without driven wheels."""
         speeds = [drive.velocity for name in self.wheels if (drive := self.joints[name].drive) is not None]
         return min(speeds) * self.wheel_radius if speeds else 0.0
 
@@ -142,7 +150,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
     Args:
         model: the compiled scene.
         robot: the robot that the scene was compiled with.
-        anatomy: what its parts are for, where that is known already.
+        anatomy: its anatomy, if known already.
     """
     data = at_default(model, robot)
     anatomy = anatomy or anatomy_of(model, data.qpos)
@@ -166,7 +174,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
 
 
 def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
-    """Return a robot where its episodes begin, with everything computed that follows from its pose."""
+    """Return a robot at the start of its episodes, with all derived quantities computed."""
     data = mujoco.MjData(model)
     if robot.floating:
         data.qpos[0:3] = robot.default_root_pos.numpy()
@@ -248,7 +256,7 @@ def _balance(
     anatomy: Anatomy,
     gravity: float,
 ) -> Balance | None:
-    """Return the robot as a pendulum over its axle; None without wheels or when they do not share one axle."""
+    """Return the robot as a pendulum over its axle; None without wheels or with several axles."""
     if not anatomy.one_axle:
         return None
     radius = max(wheel.radius for wheel in anatomy.standing)
@@ -284,11 +292,11 @@ class CompiledRobot:
 
     Attributes:
         model: the compiled scene.
-        data: the robot where episodes begin, with everything computed that follows from its pose.
+        data: the robot at the start of episodes, with all derived quantities computed.
         bodies: its links.
-        drawn: its anatomy in the pose that the file draws, all joints at their zero.
-        anatomy: its anatomy where episodes begin.
-        report: what its conversion read, assumed and left out; None of an MJCF.
+        drawn: its anatomy in the pose that the file draws, with all joints at zero.
+        anatomy: its anatomy at the start of episodes.
+        report: of its conversion; None for an MJCF.
     """
 
     model: mujoco.MjModel
@@ -299,18 +307,18 @@ class CompiledRobot:
     report: Report | None
 
     def position(self, joint: str) -> float:
-        """Return where a joint begins, rad (m)."""
+        """Return a joint's position at the start, rad (m)."""
         return float(self.data.qpos[self.model.joint(joint).qposadr[0]])
 
     def zero(self, joint: str) -> float:
-        """Return where the file draws a joint, rad (m)."""
+        """Return a joint's position in the file's drawing, rad (m)."""
         return float(self.model.qpos0[self.model.joint(joint).qposadr[0]])
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a model with the limits that its URDF writes at continuous joints, which never act.
+    """Return a copy of a model with the limits that its URDF writes at continuous joints.
 
-    The last joint of a chain has none: it may be a wheel.
+    These limits have no effect in the model itself. The last joint of a chain gets none: it can be a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -340,3 +348,78 @@ def compiled_robot(
     drawn = anatomy_of(limited, drawn_pose, driven)
     found = CompiledRobot(model, data, tuple(robot.body_names), drawn, anatomy, report)
     return found, measure(model, robot, anatomy)
+
+
+def name_expression(name: str) -> str:
+    """Return the expression that matches only this name."""
+    return name if re.fullmatch(r"[\w /:-]*", name) else re.escape(name)
+
+
+def default_position(dof: Dof) -> float:
+    """Return a position inside the limits: the saved one, else the drive's target, else the drawn one."""
+    target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
+    value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
+    if dof.range is None:
+        return value
+    low, high = dof.range
+    margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
+    return _short(min(max(value, low + margin), high - margin), low, high)
+
+
+def _short(value: float, low: float, high: float) -> float:
+    """Return a number with few digits, if that does not exceed a limit."""
+    rounded = float(f"{value:.4g}")
+    return rounded if low <= rounded <= high else value
+
+
+def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
+    """Return an ``env.robot`` section without actuators, over the origin.
+
+    Args:
+        name: the robot's name.
+        rotation: of the root link, (w, x, y, z).
+        positions: default positions, rad (m), by joint.
+    """
+    state = {
+        "pos": [0.0, 0.0, 0.0],
+        "rot": list(rotation),
+        "joint_pos": {name_expression(joint): value for joint, value in positions.items()},
+        "joint_vel": {},
+    }
+    return {
+        "profile": "survey",
+        "asset": name,
+        "base": "auto",
+        "init_state": state,
+        "joint_order": None,
+        "soft_joint_pos_limit_factor": 1.0,
+        "friction_source": "static",
+        "actuators": {},
+    }
+
+
+def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
+    """Return which colliders are missing because of missing or damaged files, and which wheels they belong to.
+
+    Args:
+        report: of the conversion.
+        model: the compiled robot.
+
+    Returns:
+        The message, the same for every command; empty if no collider is known to be missing.
+    """
+    files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
+    bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
+    if any(item.kind == "no_colliders" for item in report.findings):
+        ends = zip(model.jnt_bodyid, model.jnt_dofadr, strict=True)
+        bare = [model.body(int(body)).name for body, dof in ends if dof not in model.dof_parentid]
+    layers = [item for item in report.findings if item.kind == "layer_not_found" and not item.numbers["looks"]]
+    files |= {item.subject: "the layer is missing" for item in layers if bare}
+    if not files:
+        return ""
+    hinges = [int(model.body(name).jntadr[0]) for name in bare if model.body(name).jntnum[0] == 1]
+    endless = [j for j in hinges if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE and not model.jnt_limited[j]]
+    wheels = [repr(model.joint(j).name) for j in endless]
+    named = [f"{name} ({reason})" for name, reason in files.items()]
+    text = "colliders are missing: " + ", ".join(named[:_MOST_FILES]) + (", ..." if len(named) > _MOST_FILES else "")
+    return text + (f"; {', '.join(wheels)} turn without limits as wheels do, but have no collider" if wheels else "")

@@ -12,33 +12,33 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # rad: a range beyond one and a half turns is none
+TURNS = 3 * math.pi  # rad: a larger range, beyond one and a half turns, counts as unlimited
 LEVEL = 0.5  # largest upright part of an axle
-_ROUND = 0.9  # least reach across the axle over the largest; that of a hull of seven corners
-_ROUGH = 0.6  # the same, of a square box, where the masses lie as those of a wheel
-_LOW = 0.4  # of the robot's height: where wheels end above its lowest point
-_BESIDE = 0.05  # of the reach: from here on a wheel's shape lies beside its axis
+_ROUND = 0.9  # smallest roundness; a hull of seven corners has this value
+_ROUGH = 0.6  # smallest roundness if the masses are distributed as a wheel's; a square box has this value
+_LOW = 0.4  # share of the robot's height: the lowest point of a wheel is below
+_BESIDE = 0.05  # share of the radius: a larger offset of the shape from the axis is an error
 _SMALLEST = 1e-3  # m, radius
-_EQUAL = 0.1  # of the larger: between two moments of inertia that count as equal
-_CENTRED = 0.1  # of the radius: from the axle to the centre of mass
-_HALF_TURN = math.pi  # rad: from here on the limits of a round thing are worth a word
+_EQUAL = 0.1  # relative difference of two moments of inertia that count as equal
+_CENTRED = 0.1  # share of the radius: largest distance from the axle to the centre of mass
+_HALF_TURN = math.pi  # rad: a round part with a larger range is reported as almost a wheel
 _AROUND = 48
 
 
 @dataclass(frozen=True)
 class Found:
-    """A hinge that a wheel turns on; world frame, m.
+    """A wheel's hinge and shape; world frame, m.
 
     Attributes:
         joint: its number.
         bodies: the bodies that it moves.
         axis: unit vector.
         centre: of the colliders, on the axis.
-        radius: largest reach across the axis.
+        radius: largest extent across the axis.
         width: extent along the axis.
-        roundness: least reach across the axis over the largest.
-        beside: distance from the axis to the line that the colliders are round about; 0 where there is none.
-        why: how it is known.
+        roundness: smallest extent across the axis over the largest.
+        beside: distance from the hinge's axis to the axis that the colliders are round about; 0 without such an axis.
+        why: the reason with its figures.
     """
 
     joint: int
@@ -53,7 +53,7 @@ class Found:
 
 
 def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the hinges that wheels turn on, and those that lack one thing to be one, with what."""
+    """Return the hinges of wheels; and the joints that lack one property of a wheel, with this property."""
     found, near = [], {}
     bottom, top = _height(tree)
     for joint in tree.joints:
@@ -91,7 +91,7 @@ def _may_roll(tree: Tree, joint: int) -> bool:
 
 
 def _height(tree: Tree) -> tuple[float, float]:
-    """Return how low and how high the robot's colliders reach, m in the world."""
+    """Return the lowest and highest point of the robot's colliders, m in the world."""
     solid = colliders(tree.model, tree.bodies)
     down, up = reach(tree.model, tree.data, solid, np.zeros(3), np.array([-tree.up, tree.up]))
     return (-float(down), float(up)) if solid else (0.0, 0.0)
@@ -118,21 +118,21 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
         width=float(there + back),
         roundness=roundness,
         beside=_beside(outline, angles),
-        why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
+        why=f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
         f"from the axis all round, within {100 * (1 - roundness):.1f} %",
     )
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Return what is wrong with colliders on a joint whose masses lie about it as a wheel's."""
+    """Return what is wrong with the colliders of a joint whose masses are distributed as a wheel's."""
     if shape.beside > _BESIDE * shape.radius:
-        return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm beside its axis"
-    reach_of = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
-    return f"its colliders, unlike its masses, do not lie about its axis as a wheel's: they reach {reach_of} from it"
+        return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
+    extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
+    return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
 
 
 def _beside(outline: Array, angles: Array) -> float:
-    """Return how far from the axis lies the line that an outline is round about, m; 0 where there is none."""
+    """Return the distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round."""
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -145,7 +145,7 @@ def _is_round(tree: Tree, shape: Found) -> bool:
 
 
 def _spins_freely(tree: Tree, shape: Found) -> bool:
-    """Return whether masses lie about an axis as a wheel's: centred on it, equal moments across it."""
+    """Return whether masses are distributed about an axis as a wheel's: centred, with equal moments across the axis."""
     model, data = tree.model, tree.data
     bodies = list(shape.bodies)
     mass = model.body_mass[bodies]
@@ -161,14 +161,14 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two directions across the axis
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two unit vectors across the axis
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints that an actuator of the model turns; all but followers where it has none."""
+    """Return the joints that an actuator of the model turns; without actuators, all joints except followers."""
     followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
     through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
@@ -184,8 +184,8 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
 
     Args:
         tree: the robot.
-        wheels: the joints that wheels turn on.
-        driven: the joints that something drives.
+        wheels: the joints of wheels.
+        driven: the joints with a motor.
     """
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
@@ -209,7 +209,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
 
 
 def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
-    """Return the equality constraints that hold two bodies of the robot together: name, bodies."""
+    """Return the equality constraints between two bodies of the robot: name, bodies."""
     model, found = tree.model, []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
@@ -223,7 +223,7 @@ def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
 
 
 def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int]]:
-    """Return, for each body that is not fixed to the base, the bodies that hang together without the base."""
+    """Return the connected bodies without the base, for each body that is not fixed to the base."""
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -235,7 +235,7 @@ def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int
     return limbs
 
 
-_APART = 0.15  # of the robot's size: farther off is no image
+_APART = 0.15  # share of the robot's size: largest distance from a mirror image
 _TILTED = math.radians(30)
 _MIDDLE = 0.01  # of the robot's size: how near to the plane the middle is
 
@@ -247,10 +247,10 @@ def find_mirrored(
 
     Args:
         tree: the robot.
-        left: unit normal of the mirror's plane, to the left, in the world, (3,).
+        left: unit normal of the mirror plane, to the left, in the world, (3,).
         middle: a point of the plane, m, (3,).
         size: of the robot, m.
-        wheels: the centres of wheels, m, by joint: their colliders say better where they are than their anchors.
+        wheels: the centres of wheels, m, by joint: these are more precise than the joints' anchors.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -281,7 +281,7 @@ def find_mirrored(
 def _turn(tree: Tree, flip: Array, joint: int, other: int) -> tuple[float, int]:
     """Return the angle between a joint's mirrored axis and another's, rad, and the sign of its motion.
 
-    A mirror turns the axis of a rotation about: the image of a turn by q about a is one by q about -M a.
+    A mirror reverses rotations: the image of a turn by q about a is a turn by q about -M a.
     """
     image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
     cosine = float(image @ tree.data.xaxis[other])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from statistics import median
 
 import mujoco
@@ -13,130 +14,127 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # share of the axles that lie along one line, from which on they have a direction
-_ROLLS = 0.5  # cosine between a wheel's rolling and the forward axis, below which it rolls another way
-_MIDDLE = 0.05  # of the widest track: how far off the middle a wheel still is in it
-_LEVEL_WITH = 0.03  # of the robot's size, above the lowest contact: a wheel this low stands on the ground
-_AHEAD = 0.3  # of a level direction: from here on its sign follows the base's x, else its y
-_TRAILS = 0.1  # of a wheel's radius: a caster's contact is at least this far from its steering axis
+_PARALLEL = 0.9  # smallest share of parallel axles that defines a direction
+_ROLLS = 0.5  # smallest cosine between a wheel's rolling direction and the forward axis
+_IN_THE_MIDDLE = 0.05  # share of the widest track: largest distance of a middle wheel from the middle
+_LEVEL_WITH = 0.03  # share of the robot's size: largest height of a standing wheel above the lowest contact
+_AHEAD = 0.3  # smallest x (else y) component of a direction that decides its sign
+_TRAILS = 0.1  # share of a wheel's radius: smallest distance of a caster's contact from its steering axis
 
 
 def anatomy_of(
     model: mujoco.MjModel, qpos: Array | Sequence[float] | None = None, driven: Collection[str] | None = None
 ) -> Anatomy:
-    """Find out what a robot's parts are for.
+    """Find the parts of a robot.
 
-    A wheel turns on a hinge without limits (or with more than one and a half turns between them), about a level axis,
-    the last of its chain; its colliders are round about that axis, or nearly so with the masses of a wheel, and lie
-    low enough to stand on.
+    A wheel turns on a hinge without limits, or with more than one and a half turns between them. The hinge is level and
+    the last of its chain. Its colliders are round about its axis (or nearly round, if the masses are distributed as a
+    wheel's), and low enough to stand on.
 
     Args:
-        model: the compiled robot, perhaps in its scene.
-        qpos: the pose to look at, (nq,); by default the model's own.
-        driven: joints that something drives; by default those with actuators in the model, or, where it has none, all.
-            Without either, a caster is recognised by its geometry alone.
+        model: the compiled robot, with or without its scene.
+        qpos: the pose, (nq,); by default the model's own.
+        driven: joints with a motor; by default those with actuators in the model, or all joints if it has none. Without
+            either, a caster is recognised by its geometry alone.
 
     Raises:
         ValueError: the model has no bodies.
     """
+    tree = _tree_at(model, qpos)
+    moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
+    motors = moved if driven is not None or model.nu else set()
+    found, near = find_wheels(tree)
+    axles = _axles(tree, found, motors)
+    legs = find_legs(tree, [wheel.joint for wheel in found], moved)
+    middle, mirrored, unmatched = _mirrored(tree, found, axles.left, axles.size)
+    taken = {name for leg in legs for name in (leg.wheel, *leg.joints, *leg.beside)}
+    ground = list(itertools.compress(axles.contacts, axles.stands))
+    heights = [float((contact - tree.data.xpos[tree.base]) @ tree.up) for contact in axles.contacts]
+    return Anatomy(
+        base=tree.body_name(tree.base),
+        floating=tree.floating,
+        size=axles.size,
+        wheels=tuple(_wheel(tree, found, axles, number, moved) for number in range(len(found))),
+        legs=tuple(legs),
+        others=tuple(name for name in map(tree.joint_name, tree.joints) if name not in taken),
+        forward=None if axles.forward is None else _vec(tree.to_base @ axles.forward),
+        left=None if axles.left is None else _vec(tree.to_base @ axles.left),
+        up=_vec(tree.to_base @ tree.up),
+        middle=_vec(tree.point(middle)),
+        mirrored=tuple(mirrored),
+        unmatched=tuple(unmatched),
+        support_height=min(heights, default=None),
+        support_width=_span(ground, axles.left),
+        support_length=_span(ground, axles.forward),
+        near={tree.joint_name(joint): why for joint, why in near.items()},
+    )
+
+
+@dataclass(frozen=True)
+class _Axles:
+    """Directions and contacts of all wheels, in the world frame; lists in the order of the wheels."""
+
+    size: float
+    forward: Array | None
+    left: Array | None
+    contacts: list[Array]
+    stands: list[bool]
+    steering: list[int | None]
+    casters: list[bool]
+
+
+def _tree_at(model: mujoco.MjModel, qpos: Array | Sequence[float] | None) -> Tree:
     data = mujoco.MjData(model)
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    tree = Tree(model, data, find_base(model))
-    moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
-    motors = moved if driven is not None or model.nu else set()
-    found, near = find_wheels(tree)
+    return Tree(model, data, find_base(model))
+
+
+def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
     casters = _casters(tree, found, [None if joint in motors else joint for joint in steering])
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
-    middle, mirrored, unmatched = _mirrored(tree, found, left, size)
     lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
     stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
-    ground = list(itertools.compress(contacts, stands))
-    width, length = _span(ground, left), _span(ground, forward)
-    wheels = [
-        _wheel(
-            tree,
-            wheel,
-            contact,
-            forward,
-            side=_side(wheel.centre, found, left),
-            driven=wheel.joint in moved,
-            stands=stood,
-            steered=joint is not None,
-            caster=caster,
-        )
-        for wheel, contact, stood, joint, caster in zip(found, contacts, stands, steering, casters, strict=True)
-    ]
-    legs = find_legs(tree, [wheel.joint for wheel in found], moved)
-    taken = {name for leg in legs for name in (leg.wheel, *leg.joints, *leg.beside)}
-    return Anatomy(
-        base=tree.body_name(tree.base),
-        floating=tree.floating,
-        size=size,
-        wheels=tuple(wheels),
-        legs=tuple(legs),
-        others=tuple(name for name in map(tree.joint_name, tree.joints) if name not in taken),
-        forward=None if forward is None else _vec(tree.to_base @ forward),
-        left=None if left is None else _vec(tree.to_base @ left),
-        up=_vec(tree.to_base @ tree.up),
-        middle=_vec(tree.point(middle)),
-        mirrored=tuple(mirrored),
-        unmatched=tuple(unmatched),
-        support_height=min(float((c - data.xpos[tree.base]) @ tree.up) for c in contacts) if contacts else None,
-        support_width=width,
-        support_length=length,
-        near={tree.joint_name(joint): why for joint, why in near.items()},
-    )
+    return _Axles(size, forward, left, contacts, stands, steering, casters)
 
 
-def _wheel(
-    tree: Tree,
-    found: Found,
-    contact: Array,
-    forward: Array | None,
-    *,
-    side: Side,
-    driven: bool,
-    stands: bool,
-    steered: bool,
-    caster: bool,
-) -> Wheel:
-    rolling = float(np.cross(found.axis, tree.up) @ forward) if forward is not None else 0.0
-    body = int(tree.model.jnt_bodyid[found.joint])
+def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, moved: Collection[int]) -> Wheel:
+    found = wheels[number]
+    rolling = float(np.cross(found.axis, tree.up) @ axles.forward) if axles.forward is not None else 0.0
     return Wheel(
         joint=tree.joint_name(found.joint),
-        body=tree.body_name(body),
+        body=tree.body_name(int(tree.model.jnt_bodyid[found.joint])),
         bodies=tuple(map(tree.body_name, found.bodies)),
         axis=_vec(tree.to_base @ found.axis),
         centre=_vec(tree.point(found.centre)),
         radius=found.radius,
         width=found.width,
         roundness=found.roundness,
-        contact=_vec(tree.point(contact)),
-        side=side,
+        contact=_vec(tree.point(axles.contacts[number])),
+        side=_side(found.centre, wheels, axles.left),
         sign=0 if abs(rolling) < _ROLLS else (1 if rolling > 0 else -1),
-        driven=driven,
-        stands=stands,
-        steered=steered,
-        caster=caster,
+        driven=found.joint in moved,
+        stands=axles.stands[number],
+        steered=axles.steering[number] is not None,
+        caster=axles.casters[number],
         why=found.why,
     )
 
 
 def _down(axis: Array, up: Array) -> Array:
-    """Return the direction from a wheel's centre to the ground: straight down, in the wheel's plane."""
+    """Return the direction from a wheel's centre to the ground: down, in the wheel's plane."""
     down = -up + (up @ axis) * axis
     unit: Array = down / np.linalg.norm(down)
     return unit
 
 
 def _steering_joint(tree: Tree, wheel: int) -> int | None:
-    """Return the joint right above a wheel's if it is an upright hinge without limits, else None."""
+    """Return a wheel's parent joint if it is an upright hinge without limits, else None."""
     for joint in tree.chain(int(tree.model.jnt_bodyid[wheel]))[-2:-1]:
         upright = abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2
         if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
@@ -145,19 +143,19 @@ def _steering_joint(tree: Tree, wheel: int) -> int | None:
 
 
 def _casters(tree: Tree, wheels: Sequence[Found], hinges: Sequence[int | None]) -> list[bool]:
-    """Return which wheels trail their passive steering hinge; none of them if all do."""
+    """Return which wheels trail their passive steering hinge; none if all wheels do."""
     casters = [hinge is not None and _trails(tree, wheel, hinge) for wheel, hinge in zip(wheels, hinges, strict=True)]
     return [caster and not all(casters) for caster in casters]
 
 
 def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
-    """Return whether a wheel touches the ground beside its steering axis, along its own rolling direction."""
+    """Return whether a wheel's contact is off its steering axis, along its rolling direction."""
     offset = (wheel.centre - tree.data.xanchor[steering]) @ np.cross(wheel.axis, tree.up)
     return abs(float(offset)) > _TRAILS * wheel.radius
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return the level direction across the axles, along the base's x rather than against it; None unless parallel."""
+    """Return the level direction across the axles, with positive x of the base if possible; None unless parallel."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
@@ -177,7 +175,7 @@ def _side(centre: Array, wheels: Sequence[Found], left: Array | None) -> Side:
         return "middle"
     places = [float(wheel.centre @ left) for wheel in wheels]
     offset = float(centre @ left) - (max(places) + min(places)) / 2
-    if abs(offset) <= _MIDDLE * (max(places) - min(places)):
+    if abs(offset) <= _IN_THE_MIDDLE * (max(places) - min(places)):
         return "middle"
     return "left" if offset > 0 else "right"
 
@@ -204,10 +202,10 @@ def _size(tree: Tree) -> float:
 def _mirrored(
     tree: Tree, wheels: Sequence[Found], left: Array | None, size: float
 ) -> tuple[Array, list[MirroredPair], list[str]]:
-    """Match joints across the base's own middle or that between the wheels, whichever shows the better images.
+    """Match joints across the base's middle or the middle between the wheels; the better match wins.
 
     Returns:
-        A point of the mirror's plane in the world, m, (3,), the pairs, and the joints without an image.
+        A point of the mirror plane in the world, m, (3,), the pairs, and the joints without an image.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
     middles = [origin]

@@ -18,30 +18,30 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # random poses that the search begins from, beside the given one
-_STEPS = 40  # of the search, from each
-_MARGIN = 0.08  # share of a joint's range that is kept from its limits
-_STRETCHED, _CROUCHED = 0.93, 0.35  # of the largest height: legs beyond these begin nearer to the middle
-_STANDS = (0.8, 0.55)  # of the largest height: where stretched and crouched legs begin
-_CLEARANCE = 0.5  # of a wheel's radius: how far all but the wheels keep off the ground
-_REACH = math.pi  # rad that an unlimited joint is searched over, to both sides
-_BALANCED = 5e-3  # of the robot's size: mass this near to the axle is balanced
-_TOUCHES = 2e-3  # of the robot's size above the lowest wheel: a wheel this low touches the ground
+_STARTS = 10  # random starts of the search, in addition to the given pose
+_STEPS = 40  # iterations from each start
+_MARGIN = 0.08  # share of a joint's range: smallest distance from its limits
+_STRETCHED, _CROUCHED = 0.93, 0.35  # share of the largest height: legs beyond these are moved to _STANDS
+_STANDS = (0.8, 0.55)  # share of the largest height: target of stretched and of crouched legs
+_CLEARANCE = 0.5  # share of a wheel's radius: smallest height of all other parts over the ground
+_REACH = math.pi  # rad: search range of an unlimited joint, to both sides
+_BALANCED = 5e-3  # share of the robot's size: largest offset of a balanced mass from the axle
+_TOUCHES = 2e-3  # share of the robot's size: largest height of a touching wheel above the lowest one
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A pose.
+    """A standing pose.
 
     Attributes:
         positions: of the legs' joints, rad (m), by name.
         height: of the hips over the wheels' centres, m.
         offset: of the centre of mass before the middle of the wheels' contacts, m; negative behind.
-        lean: pitch of the base that would bring the rest of ``offset`` over the contacts, rad; positive forwards down.
-            0 for a robot on several axles.
-        tallest: the largest such height that was found, m.
-        balanced: whether ``offset`` is next to nothing.
+        lean: pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot
+            on several axles.
+        tallest: the largest height that was found, m.
+        balanced: whether ``offset`` is almost zero.
         grounded: whether every wheel of the problem touches level ground.
     """
 
@@ -57,17 +57,17 @@ class Stance:
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find the standing pose next to a given one.
 
-    The base keeps its orientation and all joints but the legs' their positions. A nonlinear least-squares problem is
-    solved from several starts by ``mujoco.minimize``. First all wheels are put on the ground. If they cannot all reach
-    it, only those that stand at the given pose are.
+    The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
+    problem from several starts. First all wheels must touch the ground. If not all can, only the wheels that stand at
+    the given pose must.
 
     Args:
-        model: the compiled robot, perhaps in its scene.
-        anatomy: what its parts are for.
-        qpos: the pose that is preferred, (nq,).
+        model: the compiled robot, with or without its scene.
+        anatomy: its anatomy.
+        qpos: the preferred pose, (nq,).
 
     Returns:
-        The pose, or None for a robot without wheels that roll, or without joints in its legs.
+        The pose, or None for a robot without rolling wheels, or without joints in its legs.
     """
     if anatomy.forward is None:
         return None
@@ -87,7 +87,7 @@ def _solved(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Arr
 
 
 class _Problem:
-    """The least-squares problem: what a pose costs, over the positions of the legs' joints."""
+    """The least-squares problem: the cost of a pose, as function of the positions of the legs' joints."""
 
     def __init__(self, model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> None:
         self.model, self.anatomy = model, anatomy
@@ -123,9 +123,7 @@ class _Problem:
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
         self.pairs = self._pairs()
-        self.rest = overlap_depths(
-            model, self.data, self.bodies
-        )  # what overlaps whatever the legs do is no pose's fault
+        self.rest = overlap_depths(model, self.data, self.bodies)  # overlaps of the preferred pose are allowed
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -136,13 +134,13 @@ class _Problem:
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def _pairs(self) -> list[tuple[int, int, float]]:
-        """Return mirrored joints among those that move, as indices and sign, where they are images of each other."""
+        """Return mirrored pairs of moving joints, as indices and sign."""
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         return [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
 
     def at(self, positions: Array) -> mujoco.MjData:
-        """Return the robot in a pose, its contacts included."""
+        """Return the robot in a pose, with contacts."""
         self.data.qpos[self.places] = positions
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.data
@@ -158,7 +156,7 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Keep the height of the preferred pose, unless its legs are stretched or fully folded."""
+        """Use the height of the preferred pose, unless its legs are stretched or fully folded."""
         self.at(self.preferred)
         now = self._height()
         heights = []
@@ -172,7 +170,7 @@ class _Problem:
         self.wanted = factor * self.tallest
 
     def random_poses(self, count: int) -> list[Array]:
-        """Return poses within the limits, alike on both sides."""
+        """Return poses within the limits, symmetric in left and right."""
         poses = np.random.default_rng(0).uniform(self.low, self.high, (count, len(self.joints)))
         for left, right, sign in self.pairs:
             poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
@@ -184,7 +182,7 @@ class _Problem:
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
     def offset(self) -> float:
-        """Return how far the centre of mass stands before the middle of the wheels, m."""
+        """Return the distance of the centre of mass before the middle of the wheels, m."""
         places = self._centres() @ self.forward
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
@@ -218,7 +216,7 @@ class _Problem:
         return lows - lows.mean()
 
     def _askew(self, centres: Array) -> float:
-        """Return how far the left wheels are before the right ones, m."""
+        """Return the distance of the left wheels before the right ones, m."""
         sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
         if any(len(places) == 0 for places in sides.values()):
             return 0.0
@@ -229,7 +227,7 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return the nearest pose of least cost."""
+        """Return a local minimum near a start."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)
@@ -240,7 +238,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a pose with mirrored joints exactly alike, where that costs nothing."""
+        """Return a pose with exactly symmetric joints, if this increases the cost only slightly."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -250,7 +248,7 @@ class _Problem:
         return alike if fits and self.cost(alike) < self.cost(positions) + 0.05 else np.round(positions, 5)
 
     def stance(self, positions: Array) -> Stance:
-        """Return what there is to say of a pose."""
+        """Return the stance of a pose."""
         self.at(positions)
         offset = self.offset()
         above = float((self.data.subtree_com[self.base] - self._centres().mean(axis=0)) @ self.up)
@@ -267,7 +265,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Weight:
-    """The centre of mass of all but the wheels, against the middle of the axle.
+    """The centre of mass without the wheels, relative to the middle of the axle.
 
     Attributes:
         ahead: along the forward axis, m.
@@ -281,12 +279,12 @@ class Weight:
 
     @property
     def lean(self) -> float:
-        """Angle from the upright to the line from the axle to the centre of mass, rad; positive to the front."""
+        """Angle from the vertical to the line from the axle to the centre of mass, rad; positive to the front."""
         return math.atan2(self.ahead, self.above)
 
 
 def weight_over_axle(robot: CompiledRobot) -> Weight:
-    """Return where the weight lies as episodes begin; of a robot with wheels that roll one way."""
+    """Return the centre of mass at the start of episodes, for a robot with a forward direction."""
     model, anatomy = robot.model, robot.anatomy
     data = robot.data
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
@@ -301,7 +299,7 @@ def weight_over_axle(robot: CompiledRobot) -> Weight:
 
 
 def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
-    """Return leg positions that put the weight over the axle while the base stays level; None when there are none."""
+    """Return leg positions that put the centre of mass over the axle with a level base; None if none exist."""
     model = with_written_limits(robot.model, robot.report)
     stance = solve_stance(model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None

@@ -19,7 +19,14 @@ import numpy as np
 import torch
 
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
-from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, Drive, at_default, compiled_robot
+from wheelleg_exp.anatomy.compiled_robot import (
+    CompiledRobot,
+    Drive,
+    at_default,
+    compiled_robot,
+    default_position,
+    provisional_robot,
+)
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.robot_description import Dof
@@ -30,16 +37,15 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.physics_check import RULES, examine, facts_rows
 from wheelleg_exp.lint.rule import Case, Finding
 from wheelleg_exp.managers import SceneManager
-from wheelleg_exp.project.survey import default_position, provisional_robot
 
 _ENVS, _SECONDS = 32, 2.0
 
 
 def random_rewards(composed: Composed) -> Mapping[str, float]:
-    """Return the mean of each reward term while the actions are standard normal, by name, per second.
+    """Return the mean of each reward term under standard normal actions, by name, per second.
 
     Args:
-        composed: a config without mistakes. It is run with 32 environments for two seconds.
+        composed: a config without mistakes. It runs with 32 environments for two seconds.
 
     Raises:
         WheellegError: the environment cannot be built.
@@ -59,18 +65,18 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
 
 _MJCF = (".xml", ".mjcf")
-_ENDLESS = 1e6  # from here on a limit is none
+_ENDLESS = 1e6  # larger limits mean unlimited
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
 def case_of_file(source: Path) -> Case:
-    """Return a robot's file as rules look at it, with its own default pose and drives, standing on level ground.
+    """Return the case of a robot's file, with its own default pose and drives, standing on level ground.
 
     Args:
-        source: a USD, URDF or MJCF file.
+        source: a USD, URDF, or MJCF file.
 
     Raises:
-        AssetError: the file cannot be read, or holds no robot with joints.
+        AssetError: the file cannot be read, or contains no robot with joints.
     """
     stock = compose(["task=stand"]).config["env"]
     env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
@@ -78,16 +84,16 @@ def case_of_file(source: Path) -> Case:
         if source.suffix.lower() in _MJCF:
             model = _model(source)
             drives = _drives_of_mjcf(model)
-            return _looked_at(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
+            return _file_case(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
         described = conversion.description
         robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
-        return _looked_at(source, env, conversion.output, robot, conversion, drives, described.driven)
+        return _file_case(source, env, conversion.output, robot, conversion, drives, described.driven)
 
 
-def _looked_at(
+def _file_case(
     source: Path,
     env: Mapping[str, Any],
     mjcf: Path,
@@ -119,7 +125,7 @@ def _grouped(drive: Drive | None, wheels: set[str], name: str) -> Drive | None:
 
 
 def _drive(dof: Dof) -> Drive | None:
-    """Return a joint's drive as its file gives it; what the file leaves out limits nothing."""
+    """Return a joint's drive from its file; missing values mean unlimited."""
     effort = effort_of(dof)
     if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
@@ -146,7 +152,7 @@ def _model(source: Path) -> mujoco.MjModel:
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Return an ``env.robot`` section for an MJCF in its first saved state, or its own zero."""
+    """Return an ``env.robot`` section for an MJCF in its first saved state, or at zero."""
     qpos = model.key_qpos[0] if model.nkey else model.qpos0
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     scalar = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
@@ -163,7 +169,7 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
-    """Return the drives of joints with actuators of their own: these add up, and the joint may limit their sum."""
+    """Return the drives of joints with actuators: their efforts add up, and the joint can limit the sum."""
     drives: dict[str, Drive | None] = {}
     for joint in range(model.njnt):
         own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
@@ -191,7 +197,7 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# What is to be mended first stands first: nothing that follows means much before it.
+# The most urgent rules come first: later findings are unreliable before earlier ones are fixed.
 OF_ROBOT = (
     "no_colliders",
     "missing_files",
@@ -233,14 +239,14 @@ OF_TASK = (
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """The diagnosis of one robot.
 
     Attributes:
         subject: the file or the task.
-        case: what was looked at.
-        findings: the most urgent first; those that the task silences are left out.
+        case: the inspected case.
+        findings: the most urgent first, without those that the task silences.
         silenced: findings that the task silences, with its reasons.
-        notes: what is no fault and good to know.
+        notes: facts that are not faults and worth knowing.
     """
 
     subject: str
@@ -251,9 +257,9 @@ class Diagnosis:
 
     @property
     def first(self) -> str:
-        """The one line to act on first."""
+        """The most urgent finding on one line."""
         if not self.findings:
-            return f"{self.subject}: nothing to mend"
+            return f"{self.subject}: nothing to fix"
         finding = self.findings[0]
         return f"first: {finding.message}; {finding.hint}"
 
@@ -262,7 +268,7 @@ class Diagnosis:
         return facts_rows(self.case.facts)
 
     def document(self) -> dict[str, Any]:
-        """Return all of it for scripts."""
+        """Return the diagnosis for scripts."""
         robot = self.case.robot
         return {
             "subject": self.subject,
@@ -276,25 +282,25 @@ class Diagnosis:
 
 
 def diagnose_file(source: Path) -> Diagnosis:
-    """Look at a robot's file.
+    """Diagnose a robot's file.
 
     Args:
-        source: a USD, URDF or MJCF file.
+        source: a USD, URDF, or MJCF file.
 
     Raises:
-        AssetError: the file cannot be read, or holds no robot with joints.
+        AssetError: the file cannot be read, or contains no robot with joints.
     """
     return diagnose_case(str(source), case_of_file(source))
 
 
 def diagnose_case(subject: str, case: Case) -> Diagnosis:
-    """Look at a robot without a task; see ``case_of_file``."""
+    """Diagnose a robot without a task; see ``case_of_file``."""
     found = [finding for name in OF_ROBOT for finding in RULES[name](case)]
     return Diagnosis(subject, case, tuple(found), (), tuple(notes_on(case)))
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Look at a task's robot, its start and its drives.
+    """Diagnose a task's robot, its start, and its drives.
 
     Args:
         composed: a config without mistakes.
@@ -314,22 +320,22 @@ def diagnose_task(composed: Composed) -> Diagnosis:
 
 
 def known_by(finding: Finding) -> str:
-    """Return what a rule's finding rests on: the source that its text names."""
+    """Return the source that a rule's text names."""
     _, _, source = RULES[finding.rule].text.partition("Source: ")
     return " ".join(source.split()).rstrip(".")
 
 
 def notes_on(case: Case) -> list[str]:
-    """Return what is no fault and good to know of a robot."""
+    """Return facts of a robot that are not faults and worth knowing."""
     robot = case.robot
     if robot is None:
         return []
     anatomy = robot.anatomy
-    notes = [_way(robot)]
+    notes = [_wheels_note(robot)]
     notes += [f"{w.joint}: a wheel, {w.side}, because it {w.why}" for w in anatomy.wheels]
     loops = sum(len(leg.loops) for leg in anatomy.legs)
     if loops:
-        notes.append(f"{loops} closed loops in the legs: their joints share the load, and move together")
+        notes.append(f"{loops} closed loops in the legs: their joints share the load and move together")
     if anatomy.forward is not None and anatomy.one_axle:
         weight = weight_over_axle(robot)
         notes.append(
@@ -340,22 +346,22 @@ def notes_on(case: Case) -> list[str]:
     return notes + _self_collisions(robot)
 
 
-def _way(robot: CompiledRobot) -> str:
+def _wheels_note(robot: CompiledRobot) -> str:
     anatomy = robot.anatomy
     if not anatomy.wheels:
-        return "no wheels: no hinge without limits turns something round about a level axis, low and last of its chain"
+        return "no wheels: no low hinge without limits at the end of a chain turns a round part about a level axis"
     count = f"{len(anatomy.wheels)} {'wheel' if len(anatomy.wheels) == 1 else 'wheels'}"
     if anatomy.forward is None:
-        return f"{count}, which roll along no common line"
+        return f"{count}, which do not roll in one direction"
     x, y, z = anatomy.forward
-    return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) of the base '{anatomy.base}'"
+    return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) in the base '{anatomy.base}'"
 
 
 def _opposite(robot: CompiledRobot) -> list[str]:
     signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
     backwards = [name for name, sign in signs.items() if sign < 0]
     if backwards and len(backwards) < len(signs):
-        return [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight on"]
+        return [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
     return []
 
 
@@ -367,13 +373,13 @@ def _self_collisions(robot: CompiledRobot) -> list[str]:
     one, other = hidden[0].bodies
     count = "1 pair of bodies" if len(hidden) == 1 else f"{len(hidden)} pairs of bodies"
     return [
-        f"self_collisions: true would begin with {count} inside one another, the deepest '{one}' and '{other}' by "
+        f"self_collisions: true would start with {count} that overlap, the deepest '{one}' and '{other}' by "
         f"{1e3 * hidden[0].depth:.3g} mm"
     ]
 
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:
-    """Return findings in words: rule, key, place, what, what to write, how it is known (or why it is silenced)."""
+    """Return findings as text: rule, key, place, message, hint, and source (or why it is silenced)."""
     return [
         (f.rule, f.key, f.where or "", f.message, f.hint, (reasons or {}).get(f.rule) or known_by(f)) for f in findings
     ]

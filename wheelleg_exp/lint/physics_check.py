@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, RobotFacts, compiled_robot
-from wheelleg_exp.asset.cache import REPORT
+from wheelleg_exp.asset.conversion_cache import REPORT
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.config.checking.check_robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
@@ -59,13 +59,13 @@ _MODULES = (
     rules_symmetry,
 )
 
-# In the order of their names, as the schema lists them.
+# In alphabetical order, as in the schema.
 RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """What ``check --physics`` says.
+    """The report of ``check --physics``.
 
     Attributes:
         case: the config and the robot's facts.
@@ -89,16 +89,16 @@ class PhysicsReport:
 
     @property
     def unused(self) -> list[str]:
-        """The silences that silence nothing."""
+        """The silences without a finding."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
     def facts_table(self) -> list[tuple[str, str, str]]:
-        """Return the robot's facts in words: name, value, unit."""
+        """Return the robot's facts as text: name, value, unit."""
         return facts_rows(self.case.facts)
 
     def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
-        """Return each reward: name, weight, tolerance, per step, per episode, share of what a perfect robot earns."""
+        """Return each reward: name, weight, tolerance, per step, per episode, share of a perfect robot's reward."""
         found = contributions(self.case)
         best = earned_per_second(found) * self.case.episode_s
         return [_reward_row(self.case, item, best) for item in found]
@@ -136,7 +136,7 @@ def examine(composed: Composed) -> PhysicsReport:
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
     """Return a config's robot, compiled as for training, and its facts."""
     env = composed.config["env"]
-    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}  # a model is looked at, not stepped
+    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}  # the model is not stepped
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene
     return compiled_robot(scene.spec.compile(), scene.robot, _report(mjcf))
@@ -165,7 +165,7 @@ def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
         ("track", f"{1e3 * facts.track:.4g}", "mm"),
         ("standing height", f"{1e3 * facts.standing_height:.4g}", "mm"),
         ("start above the ground", f"{1e3 * facts.clearance:.3g}", "mm"),
-        ("friction before it is drawn", f"{facts.friction:.3g}", ""),
+        ("friction before randomisation", f"{facts.friction:.3g}", ""),
         ("slips at", f"{facts.friction * facts.wheel_load * facts.wheel_radius:.3g}", "N·m"),
         ("top speed", f"{facts.top_speed:.3g}", "m/s"),
     ]

@@ -1,4 +1,4 @@
-"""What each reward term is worth when the robot is off by a stated tolerance."""
+"""The value of each reward term if the robot is off by a stated tolerance."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
-ANGLE = 0.1  # rad: 6 degrees
+ANGLE = 0.1  # rad, 6 degrees
 SHARE = 0.1  # of a natural size: height, speed, effort, command
-ACTION = 0.5  # change of a raw action: half of one unit
+ACTION = 0.5  # change of a raw action
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -30,10 +30,10 @@ class Contribution:
     Attributes:
         term: the term.
         weight: its weight.
-        tolerance: the error in words; empty when nothing is known of the term.
-        value: the term's value at the tolerance, before weight; None when nothing is known.
-        cost: how far the value is from that of a perfect robot, before weight.
-        once: whether it comes once in an episode instead of at each step.
+        tolerance: the error in words; empty if the term is unknown.
+        value: the term's value at the tolerance, before weight; None if unknown.
+        cost: difference of the value from that of a perfect robot, before weight.
+        once: whether it counts once per episode instead of at each step.
     """
 
     term: TermView
@@ -49,11 +49,11 @@ class Contribution:
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
-        """Return what one control step adds: weight times value times the control step."""
+        """Return the reward of one control step: weight times value times the control step."""
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
-        """Return what a whole episode adds."""
+        """Return the reward of a whole episode."""
         return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
 
 
@@ -63,7 +63,7 @@ def contributions(case: Case) -> list[Contribution]:
 
 
 def earned_per_second(found: list[Contribution]) -> float:
-    """Return what a perfect robot earns: the sum of the terms with positive weight at their best value."""
+    """Return the reward of a perfect robot: the sum of the terms with positive weight at their best value."""
     return sum(c.weight * c.best for c in found if c.weight > 0.0 and not c.once)
 
 
@@ -99,20 +99,20 @@ def _kernel(case: Case, term: TermView, weight: float) -> Contribution:
 
 
 def _bell(error: float, term: TermView) -> float:
-    """Return exp(-(error / std)^2); 0 where the square is too large for a number."""
+    """Return exp(-(error / std)^2); 0 if the square overflows."""
     ratio = error / float(term.node["std"])
     return math.exp(-ratio * ratio)
 
 
 def tracking_tolerance(case: Case, term: TermView) -> tuple[float, str]:
-    """Return a tenth of the largest command, in words as well."""
+    """Return a tenth of the largest command, as number and in words."""
     unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
     error = SHARE * command_size(case, term)
     return error, f"{error:.3g} {unit}, a tenth of the command"
 
 
 def command_size(case: Case, term: TermView) -> float:
-    """Return the largest command that a tracking term looks at, m/s or rad/s."""
+    """Return the largest command of a tracking term, m/s or rad/s."""
     command = case.env["commands"].get(str(term.node["command_name"]), {})
     ranges = command.get("ranges") if isinstance(command, Mapping) else None
     axes = ("lin_vel_x", "lin_vel_y") if TRACKING[term.kind] == "lin" else ("ang_vel_z",)
@@ -120,7 +120,7 @@ def command_size(case: Case, term: TermView) -> float:
 
 
 def _speed(case: Case) -> float:
-    """Return the natural speed sqrt(g h) of a body that stands at height h, m/s."""
+    """Return the natural speed sqrt(g h) of a body at height h, m/s."""
     return math.sqrt(case.facts.gravity * _body_height(case))
 
 
@@ -130,7 +130,7 @@ def _rate(case: Case) -> float:
 
 
 def _body_height(case: Case) -> float:
-    """Return the standing height, m; at least 1 cm, because an arm's base may lie on the ground."""
+    """Return the standing height, m; at least 1 cm, because an arm's base can be on the ground."""
     return max(case.facts.standing_height, 0.01)
 
 
@@ -175,7 +175,7 @@ def _action_rate(case: Case, _term: TermView) -> tuple[str, float]:
 
 def _travel(case: Case, term: TermView) -> tuple[str, float]:
     most = case.env["commands"].get(str(term.node["command_name"]), {}).get("max_travel_error", 0.0)
-    return f"{1e3 * SHARE * most:.3g} mm, a tenth of what is summed up", (SHARE * most) ** 2
+    return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
 def _one(_case: Case, _term: TermView) -> tuple[str, float]:

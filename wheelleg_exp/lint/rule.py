@@ -25,8 +25,8 @@ class TermView:
     Attributes:
         name: its name.
         path: its key.
-        kind: its target below the library's ``mdp``, such as ``rewards.is_alive`` whatever alias the config uses;
-            another package's target keeps its full name.
+        kind: its target below the library's ``mdp``, such as ``rewards.is_alive``, for every alias; a target of another
+            package has its full name.
         node: its settings.
     """
 
@@ -43,8 +43,8 @@ class Case:
     Attributes:
         config: the composed tree, plain and free of mistakes.
         facts: the robot's facts.
-        robot: the robot itself; None where only its facts are at hand.
-        trial: the mean of each reward under random actions, by name, per second; None where nobody tried.
+        robot: the robot itself; None if only its facts are known.
+        trial: the mean of each reward under random actions, by name, per second; None without a trial.
     """
 
     config: Mapping[str, Any]
@@ -94,7 +94,7 @@ class Case:
                 yield view
 
     def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:
-        """Return the joints that a term looks at: those of its entity, or those of its ``joint_names``, or all."""
+        """Return the joints of a term: those of its entity, or of its ``joint_names``, or all."""
         entity = node.get(name)
         expressions = entity.get("joint_names") if isinstance(entity, Mapping) else node.get("joint_names")
         joints = self.facts.joints
@@ -104,13 +104,13 @@ class Case:
         return {joint: joints[joint] for joint in found}
 
     def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
-        """Spread a number, or a mapping of joint expressions to values, over joints."""
+        """Return a value for each joint, from one value or a mapping of joint expressions to values."""
         spread = values_by_name(values, list(names), default, key="values", what="joint")
         return dict(zip(names, spread, strict=True))
 
 
 def kind_of(target: str, path: str) -> str:
-    """Return a target by its own name, whatever alias names it, without the library's prefix and inner modules."""
+    """Return a target's own name, without the library's prefix and inner modules, for every alias."""
     found = resolve_target(target, path)
     module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
     if module.startswith(_LIBRARY):
@@ -119,7 +119,7 @@ def kind_of(target: str, path: str) -> str:
 
 
 def largest(pair: Any) -> float:
-    """Return the largest size of a number in [low, high]; 0 when there is no range."""
+    """Return the largest absolute value of a range [low, high]; 0 without a range."""
     return max((abs(float(value)) for value in pair), default=0.0) if pair is not None else 0.0
 
 
@@ -128,12 +128,12 @@ class Finding:
     """One finding.
 
     Attributes:
-        key: the config key that it speaks of.
-        message: what is the matter, with the figures.
+        key: the config key that it is about.
+        message: the problem, with its figures.
         hint: what to do.
         figures: the figures by name, SI units.
-        advice: settings, values by config key, each of which ends the finding; empty where the hint names no number.
-        rule: the rule's name, filled in by the registry.
+        advice: settings, values by config key, each of which removes the finding; empty if the hint names no number.
+        rule: the rule's name, set by the registry.
         where: the file and line, or the override, that set the key.
     """
 
@@ -156,7 +156,7 @@ RuleFunction = Callable[[Case], Iterator[Finding]]
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule: its name and what it finds, the first line of its docstring; ``text`` is the whole of it."""
+    """A rule: its name and the first line of its docstring as summary; ``text`` is the whole docstring."""
 
     name: str
     summary: str
@@ -172,11 +172,11 @@ RULES: dict[str, Rule] = {}
 
 
 def rule(function: RuleFunction) -> RuleFunction:
-    """Register a rule under its function's name, by which ``check.silence`` silences it."""
+    """Register a rule under its function's name, which ``check.silence`` uses."""
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
-    text = inspect.getdoc(function) or name.replace("_", " ")  # Python may run without docstrings
+    text = inspect.getdoc(function) or name.replace("_", " ")  # python -OO has no docstrings
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function)
     return function
 
@@ -185,27 +185,27 @@ DIGITS = 2
 
 
 def at_least(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest number of so many digits that is not below ``value``."""
+    """Return the smallest number with this many digits that is not below ``value``."""
     return float(_rounded(value, digits, ROUND_CEILING))
 
 
 def at_most(value: float, digits: int = DIGITS) -> float:
-    """Return the largest number of so many digits that is not above ``value``."""
+    """Return the largest number with this many digits that is not above ``value``."""
     return float(_rounded(value, digits, ROUND_FLOOR))
 
 
 def above(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest number of so many digits above ``value``, or the next one."""
+    """Return the smallest number with this many digits above ``value``, or the next one."""
     return float(_rounded(value, digits, ROUND_FLOOR) + _last_place(value, digits))
 
 
 def below(value: float, digits: int = DIGITS) -> float:
-    """Return the largest number of so many digits below ``value``, or the next one."""
+    """Return the largest number with this many digits below ``value``, or the next one."""
     return float(_rounded(value, digits, ROUND_CEILING) - _last_place(value, digits))
 
 
 def _rounded(value: float, digits: int, rounding: str) -> Decimal:
-    exact = Decimal(repr(float(value)))  # 0.03 is three hundredths here, and nothing more
+    exact = Decimal(repr(float(value)))  # 0.03 becomes exactly three hundredths
     return exact.quantize(_last_place(value, digits), rounding=rounding) if exact.is_finite() else exact
 
 

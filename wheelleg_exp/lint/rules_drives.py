@@ -1,4 +1,4 @@
-"""Drives: armature, effort, gains against the time step, and speed against the fall."""
+"""Rules about drives: armature, effort, gains versus the time step, and speed versus the fall."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
-_ARMATURE = 10.0  # times the inertia of what hangs on the joint
-_TRACTION = 10.0  # times the torque at which a wheel slips
-_PUSH = 0.1  # of the weight: what wheels have to push with
-_RESERVE = 1.5  # times the torque that holds the default pose
-_SAG = 0.1  # rad of static error under the robot's own weight
+_ARMATURE = 10.0  # largest armature, as multiple of the load's inertia
+_TRACTION = 10.0  # largest effort, as multiple of the torque at which a wheel slips
+_PUSH = 0.1  # share of the weight: smallest force of the wheels
+_RESERVE = 1.5  # smallest effort, as multiple of the torque that holds the default pose
+_SAG = 0.1  # rad: largest static error under the robot's own weight
 _SAMPLES = 5.0  # control steps in one time constant of the fall
 _IMPLICIT = ("implicit", "implicitfast")
 
@@ -36,8 +36,8 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 def armature_ratio(case: Case) -> Iterator[Finding]:
     """An armature far beyond the inertia that it moves.
 
-    A rotor behind a gear of ratio n weighs n² times its own inertia at the joint: for the motors of legged robots
-    about as much as the link, seldom ten times. More is a robot that cannot be built: it is slow, forgiving, and
+    A rotor behind a gear of ratio n acts at the joint as n² times its inertia. For motors of legged robots this is
+    about the link's inertia, rarely ten times as much. A robot with more cannot be built: it is slow and stable, and
     its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
@@ -50,19 +50,19 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
             figures |= {"pitch_inertia": balance.inertia, "pitch_ratio": joint.armature / balance.inertia}
             figures["translation_kg"] = joint.armature / case.facts.wheel_radius**2
             extra = (
-                f", {figures['pitch_ratio']:.0f} times the pitch inertia of all that rests on the wheels "
-                f"({balance.inertia:.3g}), and as heavy as {figures['translation_kg']:.0f} kg of translation"
+                f", {figures['pitch_ratio']:.0f} times the pitch inertia of the parts above the wheels "
+                f"({balance.inertia:.3g}), and equivalent to {figures['translation_kg']:.0f} kg of translation"
             )
         yield Finding(
             f"env.robot.actuators.{group}.armature",
-            f"{joint.armature:g} kg·m² is {ratio:.0f} times the {joint.inertia:.3g} kg·m² that hang on '{name}'{extra}",
+            f"{joint.armature:g} kg·m² is {ratio:.0f} times the load of {joint.inertia:.3g} kg·m² on '{name}'{extra}",
             "n² times the rotor's inertia; robot=physical has armatures of geared motors of this size",
             figures,
         )
 
 
 def wheel_friction(case: Case) -> float:
-    """Return the largest friction that wheels can have: of randomised materials, else of the model."""
+    """Return the largest friction of the wheels: of randomised materials, else of the model."""
     found: list[float] = []
     source = str(case.env["robot"].get("friction_source", "static"))
     ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
@@ -73,10 +73,10 @@ def wheel_friction(case: Case) -> float:
 
 @rule
 def effort_against_traction(case: Case) -> Iterator[Finding]:
-    """A wheel drive that could spin its wheel many times over.
+    """A wheel drive with many times the torque at which its wheel slips.
 
-    A wheel slips at the torque friction · load · radius. An effort limit far above it never limits anything, and
-    says that the motor is not that of a robot of this weight. Source: Coulomb friction.
+    A wheel slips at the torque friction · load · radius. A much larger effort limit has no effect, and the motor does
+    not fit a robot of this weight. Source: Coulomb friction.
     """
     facts = case.facts
     for group, joints in _groups(case).items():
@@ -103,9 +103,9 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
 def weak_wheels(case: Case) -> Iterator[Finding]:
     """Wheel drives too weak or too slow to catch a robot that balances on one axle.
 
-    A robot that leans by an angle is caught by wheels that accelerate it with g times that angle: wheels that push
-    with less than a tenth of the weight cannot get under a lean of 0.1 rad. Nor can wheels whose rim is slower than
-    0.1 rad times the height of the mass times the rate of the fall. Source: the inverted pendulum on wheels.
+    Wheels catch a lean if they accelerate with g times its angle: with a force below a tenth of the weight they cannot
+    catch 0.1 rad. Their rim must also be faster than 0.1 rad times the height of the mass times the rate of the fall.
+    Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -144,10 +144,10 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
 def effort_against_load(case: Case) -> Iterator[Finding]:
     """A leg drive that cannot hold the robot up, or sags under it.
 
-    At rest a joint carries the weight that the wheels push up with, less what hangs on it. The drive needs a
-    reserve of half of that, and a stiffness that holds it within 0.1 rad of where an action of 0 wants it: gravity's
-    torque over kp, less what the action's offset adds. Legs with closed loops are left out, because their joints
-    share the load. Source: statics, tau = -J^T F.
+    At rest a joint carries the weight on its wheel, minus the weight of the leg below. The drive needs a reserve of
+    half of that. Its stiffness must hold the joint within 0.1 rad of its target at an action of 0: the error is
+    gravity's torque over kp, minus the action's offset. Joints of closed loops are not checked, because they share the
+    load. Source: statics, tau = -J^T F.
     """
     for group, joints in _groups(case).items():
         joints = {name: joint for name, joint in joints.items() if name not in _in_loops(case)}
@@ -190,7 +190,7 @@ def _in_loops(case: Case) -> set[str]:
 
 
 def _shifts(case: Case) -> dict[str, float]:
-    """Return how far an action of 0 puts the targets of joints off their defaults, rad."""
+    """Return the offset between joint targets and defaults at an action of 0, rad."""
     shifts: dict[str, float] = {}
     for term in case.terms("actions", "actions.JointPositionAction"):
         if term.node.get("use_default_offset", True):
@@ -203,12 +203,12 @@ def _shifts(case: Case) -> dict[str, float]:
 
 @rule
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
-    """Gains that the physics step cannot carry.
+    """Gains that are unstable at the physics step.
 
-    With a = kd·dt/I and b = kp·dt²/I a drive whose torque is computed from the state before the step (explicit PD,
-    or an integrator that is not implicit) is stable for a < 2 and b < 4 - 2a; one that the solver damps implicitly
-    for b < 4 + 2a. I is the inertia that a torque meets while everything else may move, armature included.
-    Source: Jury's criterion on semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
+    With a = kd·dt/I and b = kp·dt²/I, a drive with torques from the state before the step (explicit PD, or an
+    integrator that is not implicit) is stable for a < 2 and b < 4 - 2a; an implicitly damped drive for b < 4 + 2a. I is
+    the inertia that a torque accelerates while all other joints are free, armature included. Source: Jury's criterion
+    on semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
     for group, joints in _groups(case).items():
@@ -232,11 +232,11 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
 
 @rule
 def control_rate(case: Case) -> Iterator[Finding]:
-    """A policy too slow to catch the fall.
+    """A control rate too low to catch the fall.
 
     A pendulum of rate p grows by a factor e in 1/p. A sampled controller acts one and a half control steps late on
-    the mean, and that delay times p should stay below a third: about five control steps in 1/p.
-    Source: Åström, "Limitations on control system performance", 2000, on a delay beside an unstable pole.
+    average, and that delay times p should be below a third: about five control steps in 1/p. Source: Åström,
+    "Limitations on control system performance", 2000, on delay with an unstable pole.
     """
     balance = case.facts.balance
     if balance is None:
@@ -258,10 +258,10 @@ def control_rate(case: Case) -> Iterator[Finding]:
 
 @rule
 def drive_bandwidth(case: Case) -> Iterator[Finding]:
-    """A drive slower than the fall that it is to catch.
+    """A drive slower than the fall that it must catch.
 
-    A position drive follows up to sqrt(kp/I), a velocity drive up to kd/I. A leg below the rate of the fall cannot
-    help; a wheel needs twice the rate. Source: the closed-loop poles of a PD drive on a free inertia.
+    A position drive follows up to sqrt(kp/I), a velocity drive up to kd/I. A leg slower than the rate of the fall
+    cannot help; a wheel needs twice the rate. Source: the closed-loop poles of a PD drive on a free inertia.
     """
     balance = case.facts.balance
     if balance is None:

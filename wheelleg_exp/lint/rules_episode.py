@@ -20,15 +20,15 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-_FIXED = ("resampling_time_range", "restitution_range")  # a period may well be fixed, and nothing bounces
+_FIXED = ("resampling_time_range", "restitution_range")  # a fixed period is normal, and MuJoCo has no restitution
 
 
 @rule
 def noop_joint_reset(case: Case) -> Iterator[Finding]:
-    """A reset by scale that multiplies zeros.
+    """A reset by scale of a zero default.
 
-    The event sets a joint to its default times a drawn factor: where the default is 0, it is 0 whatever is drawn.
-    Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
+    The event sets a joint to its default times a random factor: a default of 0 stays 0. Source: Isaac Lab 2.3.2,
+    ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
     """
     for term in case.terms("events", *_SCALES):
         joints = case.joints(term.node)
@@ -43,18 +43,18 @@ def noop_joint_reset(case: Case) -> Iterator[Finding]:
             which = "every joint" if len(zeros) == len(joints) else ", ".join(zeros)
             yield Finding(
                 f"{term.path}.{name}",
-                f"the factor U({low:g}, {high:g}) multiplies a default {what} of 0 on {which}: nothing is drawn",
-                "reset_joints_by_offset adds the drawn value instead",
+                f"the factor U({low:g}, {high:g}) multiplies a default {what} of 0 on {which}, so it has no effect",
+                "reset_joints_by_offset adds the random value instead",
                 {"low": low, "high": high, "joints": len(zeros)},
             )
 
 
 @rule
 def zero_width_range(case: Case) -> Iterator[Finding]:
-    """A range whose ends are equal, so that every draw is the same.
+    """A range with equal ends, so that every draw is the same.
 
-    Of ranges by axis, at least one axis must have a width. A command that never changes makes its observation a
-    constant, which no policy learns from. Source: arithmetic.
+    If a term has a range for each axis, at least one axis needs a width. A command that never changes makes its
+    observation a constant, from which no policy learns. Source: arithmetic.
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():
@@ -64,7 +64,7 @@ def zero_width_range(case: Case) -> Iterator[Finding]:
             yield Finding(
                 f"{term.path}.{name}",
                 f"every draw is {float(shown[0]):g}: the range has no width",
-                "give it a width, or take the draw out",
+                "a range with a width, or no random value",
                 {"low": float(shown[0]), "high": float(shown[1])},
             )
 
@@ -87,10 +87,10 @@ def _has_width(value: Any) -> bool:
 
 @rule
 def event_never_fires(case: Case) -> Iterator[Finding]:
-    """An interval event that no episode lives long enough to see.
+    """An interval event with an interval longer than an episode.
 
-    The timer of each environment is drawn anew at every reset: a shortest interval of at least an episode never
-    runs out. Source: Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
+    The timer of each environment is redrawn at every reset, so an interval of at least an episode never ends. Source:
+    Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
     """
     for term in case.terms("events"):
         if term.node.get("mode") != "interval" or term.node.get("is_global_time", False):
@@ -110,10 +110,10 @@ def event_never_fires(case: Case) -> Iterator[Finding]:
 
 @rule
 def cumulative_randomisation(case: Case) -> Iterator[Finding]:
-    """A centre of mass that walks away, because each draw adds to the last one.
+    """A centre of mass that drifts away, because each draw adds to the previous one.
 
-    After n draws of half-width d the offset has a spread of d sqrt(n / 3), the deviation of a sum of uniform
-    draws. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
+    After n draws of half-width d, the offset has a standard deviation of d sqrt(n / 3), that of a sum of uniform draws.
+    Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
     """
     for term in case.terms("events", *_CUMULATIVE):
         if term.node.get("mode") not in _REPEATED:
@@ -132,10 +132,9 @@ def cumulative_randomisation(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_restitution(case: Case) -> Iterator[Finding]:
-    """Restitution that is drawn and has no effect.
+    """Randomised restitution, which has no effect.
 
-    MuJoCo's soft contacts have no coefficient of restitution: the drawn value acts on nothing. Source: MuJoCo
-    documentation, Computation, "Contact".
+    MuJoCo's soft contacts have no coefficient of restitution. Source: MuJoCo documentation, Computation, "Contact".
     """
     for term in case.terms("events", *_MATERIAL):
         low, high = term.node["restitution_range"]
@@ -143,24 +142,24 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
             key = f"{term.path}.restitution_range"
             yield Finding(
                 key,
-                f"restitution U({low:g}, {high:g}) is drawn, but MuJoCo has no coefficient for it to act on",
+                f"restitution U({low:g}, {high:g}) has no effect, because MuJoCo has no such coefficient",
                 "[0.0, 0.0], or vary the contact softness of the model",
                 {"low": low, "high": high},
                 ({key: [0.0, 0.0]},),
             )
 
 
-_MARGIN = 1.2  # the pendulum's figure is on the safe side of what a good policy catches
-_WEAK = 0.2  # share of the largest push that still tells policies apart
+_MARGIN = 1.2  # a good policy catches somewhat larger pushes than the pendulum's limit
+_WEAK = 0.2  # share of the largest push: weaker pushes do not test a policy
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 
 
 def largest_push(case: Case, balance: Balance) -> float:
-    """Return the speed that the wheels can still catch, m/s: a/w.
+    """Return the largest push that the wheels can catch, m/s: a/w.
 
-    a is what friction or the drive lets the wheels accelerate with, w = sqrt(m g h / I): the capture point lies
-    v/w ahead, and the wheels must get there with less than a/w². Source: Pratt et al., "Capture point", 2006.
+    a is the wheels' acceleration, limited by friction or the drive, and w = sqrt(m g h / I). The capture point is v/w
+    ahead, and the wheels must get there with less than a/w². Source: Pratt et al., "Capture point", 2006.
     """
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
@@ -170,13 +169,13 @@ def largest_push(case: Case, balance: Balance) -> float:
 
 @rule
 def push_size(case: Case) -> Iterator[Finding]:
-    """A push that the robot cannot take, or that every policy takes.
+    """A push that no policy can catch, or that every policy catches.
 
     The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
-    rate of the pendulum. Well beyond it every policy falls; below a fifth of it no policy is told from another.
-    Pushes to the side are left out where they are drawn in the robot's own axes: wheels catch nothing sideways, and
-    their track holds what comes from there. Those along the world's y axis meet a robot that has turned from the front.
-    Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    rate of the pendulum. With much larger pushes every policy falls; pushes below a fifth test nothing. Sideways pushes
+    in the robot's own axes are not checked: wheels cannot catch them, and the track must hold the robot. Pushes along
+    the world's y axis are checked, because the robot can turn. Source: Pratt et al., "Capture point: a step toward
+    humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
@@ -189,7 +188,7 @@ def push_size(case: Case) -> Iterator[Finding]:
         if push > _MARGIN * limit or 0.0 < push < _WEAK * limit:
             much = push > limit
             weak, strong = at_least(_WEAK * limit), at_most(limit)
-            verdict = "more than it can take" if much else f"{100 * push / limit:.0f} % of it: it tests nothing"
+            verdict = "too much" if much else f"{100 * push / limit:.0f} % of the limit, which tests nothing"
             yield Finding(
                 f"{term.path}.velocity_range",
                 f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
@@ -208,9 +207,9 @@ def push_size(case: Case) -> Iterator[Finding]:
 
 @rule
 def wrench_size(case: Case) -> Iterator[Finding]:
-    """A lasting force or torque that leans the robot over.
+    """A lasting force or torque that tilts the robot too far.
 
-    A force F at the body leans a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
+    A force F at the body tilts a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
     episode. Source: statics of the inverted pendulum.
     """
     balance = case.facts.balance
@@ -225,7 +224,7 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             most = at_most(case.facts.weight * math.tan(_LEAN / 2)), at_most(moment * math.sin(_LEAN / 2))
             yield Finding(
                 term.path,
-                f"{force:g} N leans the robot by {math.degrees(by_force):.2g}° and {torque:g} N·m by "
+                f"{force:g} N tilts the robot by {math.degrees(by_force):.2g}° and {torque:g} N·m by "
                 f"{math.degrees(by_torque):.2g}°, for the whole episode",
                 f"forces within ±{most[0]:g} N and torques within ±{most[1]:g} N·m",
                 {"force_lean_rad": by_force, "torque_lean_rad": by_torque},
@@ -233,13 +232,13 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             )
 
 
-_DROP = 0.1  # of the standing height
-_GROUND = 1e-4  # m that a spawn may lie inside the ground: contacts are soft
-_HEIGHT = 0.05  # of the standing height, between the reward's target and the default pose
-_FALLS = 5.0  # time constants of the fall that an episode should last
+_DROP = 0.1  # share of the standing height
+_GROUND = 1e-4  # m: allowed depth of a start inside the ground, because contacts are soft
+_HEIGHT = 0.05  # share of the standing height: allowed difference of the reward's target
+_FALLS = 5.0  # smallest length of an episode, in time constants of the fall
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
-_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # whose threshold is in seconds
+_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # their threshold is in seconds
 _ON_WHEELS = (
     "rewards.no_contact_count",
     "rewards.no_desired_contact",
@@ -251,10 +250,10 @@ _ON_WHEELS = (
 
 @rule
 def spawn_height(case: Case) -> Iterator[Finding]:
-    """A robot that begins inside the ground, or well above it.
+    """A robot that starts inside the ground, or well above it.
 
-    The lowest point of the default pose, from the colliding shapes, is held against the ground: inside it the
-    contact throws the robot, above it the robot falls and lands at sqrt(2 g h). Source: kinematics.
+    The lowest point of the default pose comes from the colliding shapes. Inside the ground, the contact throws the
+    robot; above it, the robot falls and lands at sqrt(2 g h). Source: kinematics.
     """
     facts = case.facts
     clearance, limit = facts.clearance, _DROP * facts.standing_height
@@ -263,22 +262,22 @@ def spawn_height(case: Case) -> Iterator[Finding]:
     x, y, height = map(float, case.env["robot"]["init_state"]["pos"])
     right = at_least(round(height - clearance, 9), 4)
     if clearance < 0:
-        text = f"the lowest point begins {-1e3 * clearance:.3g} mm inside the ground"
+        text = f"the lowest point starts {-1e3 * clearance:.3g} mm inside the ground"
         figures = {"clearance_m": clearance}
     else:
         speed = math.sqrt(2 * facts.gravity * clearance)
-        text = f"the robot begins {1e3 * clearance:.3g} mm above the ground and lands at {speed:.2f} m/s"
+        text = f"the robot starts {1e3 * clearance:.3g} mm above the ground and lands at {speed:.2f} m/s"
         figures = {"clearance_m": clearance, "landing_m_s": speed}
-    key, hint = "env.robot.init_state.pos", f"a height of {right:g} m stands it on the ground"
+    key, hint = "env.robot.init_state.pos", f"a height of {right:g} m puts the robot on the ground"
     yield Finding(key, text, hint, figures, ({key: [x, y, right]},))
 
 
 @rule
 def target_height(case: Case) -> Iterator[Finding]:
-    """A rewarded height that the default pose does not have.
+    """A rewarded height that differs from the default pose.
 
-    The policy would have to leave the pose that its actions and the other rewards start from. Source: kinematics of
-    the default pose.
+    The policy would have to leave the pose that its actions and the other rewards start from. Source: kinematics of the
+    default pose.
     """
     standing = case.facts.standing_height
     for term in case.terms("rewards", *HEIGHTS):
@@ -298,8 +297,8 @@ def target_height(case: Case) -> Iterator[Finding]:
 def contact_threshold(case: Case) -> Iterator[Finding]:
     """A contact threshold that is large for the robot's weight.
 
-    1 N is nothing for a robot of 50 kg and a fifth of one that weighs 0.5 kg. Contact of one body is to be noticed
-    at a tenth of the weight; a wheel at less than half of its load. Source: statics.
+    1 N is negligible for a robot of 50 kg and a fifth of the weight of one with 0.5 kg. A contact of one body should
+    count at a tenth of the weight; a wheel's contact at less than half of its load. Source: statics.
     """
     weight, load = case.facts.weight, case.facts.wheel_load
     for section in ("terminations", "rewards"):
@@ -323,11 +322,11 @@ def contact_threshold(case: Case) -> Iterator[Finding]:
 
 @rule
 def episode_end(case: Case) -> Iterator[Finding]:
-    """An episode that cannot end rightly, ends at once, or is over before the robot can fall.
+    """An episode that has no time-out, ends at once, or is too short for a fall.
 
-    Without a time-out the value of what follows is cut off; a limit that the start already breaks ends every
-    episode in its first step; a robot that falls with a time constant of 1/p needs several of them to fail.
-    Source: the theory of truncation, Pardo et al., "Time limits in reinforcement learning", 2018.
+    Without a time-out the value of later rewards is cut off. A limit that the start already exceeds ends every episode
+    in its first step. A robot that falls with a time constant of 1/p needs several of them to fail. Source: the theory
+    of truncation, Pardo et al., "Time limits in reinforcement learning", 2018.
     """
     terms = list(case.terms("terminations"))
     if not any(term.node.get("time_out", False) for term in terms):
@@ -344,7 +343,7 @@ def episode_end(case: Case) -> Iterator[Finding]:
         yield Finding(
             key,
             f"an episode of {case.episode_s:g} s holds {case.episode_s * balance.pole:.2g} time constants of the fall "
-            f"({1 / balance.pole:.3g} s): it may end before anything has gone wrong",
+            f"({1 / balance.pole:.3g} s): it can end before the robot falls",
             f"at least {shortest:g} s",
             {"episode_s": case.episode_s, "time_constant_s": 1 / balance.pole},
             ({key: shortest},),
@@ -367,7 +366,7 @@ def _ends_at_once(case: Case, term: TermView) -> Iterator[Finding]:
         limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
         if limit >= _UPRIGHT or limit <= tilt:
             key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
-            why = "never acts" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
+            why = "has no effect" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
             yield Finding(
                 key,
                 f"a limit of {limit:.3g} rad {why}",
@@ -383,15 +382,15 @@ def _drawn_tilt(case: Case) -> float:
     return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
 
 
-_DEPTH = 0.01  # of the robot's size: what soft contacts push out without throwing the robot
+_DEPTH = 0.01  # share of the robot's size: soft contacts correct a smaller depth without throwing the robot
 
 
 @rule
 def reset_into_ground(case: Case) -> Iterator[Finding]:
-    """Drawn starts whose lowest point lies inside the ground.
+    """Random starts with the lowest point inside the ground.
 
-    The extremes of the drawn height, roll and pitch, with the extremes of drawn joint positions, are held against the
-    ground: from below it the contact throws the robot. Source: kinematics.
+    The extremes of height, roll, pitch, and joint positions are tested together. A contact from inside the ground
+    throws the robot. Source: kinematics.
     """
     robot = case.robot
     if robot is None or not robot.anatomy.floating:
@@ -403,13 +402,13 @@ def reset_into_ground(case: Case) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # what spawn_height tells of
+        start = -case.facts.clearance  # the rule spawn_height reports this depth
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
             yield Finding(
                 f"{term.path}.pose_range",
-                f"drawn starts reach {1e3 * depth:.3g} mm into the ground",
+                f"random starts reach {1e3 * depth:.3g} mm into the ground",
                 f"narrower ranges of z, roll and pitch, or env.robot.init_state.pos with a height of {right:g} m",
                 {"depth_m": depth},
             )
@@ -436,7 +435,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # as resets do: about fixed axes
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # about fixed axes, as in resets
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

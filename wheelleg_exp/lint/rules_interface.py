@@ -13,17 +13,16 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # share of a joint's range that one unit of action should move at least
+_TINY = 0.01  # smallest share of a joint's range that one unit of action should move
 
 
 @rule
 def action_scale(case: Case) -> Iterator[Finding]:
-    """An action whose unit is too large, too small, or moves nothing.
+    """An action whose unit is too large, too small, or has no effect.
 
-    A policy begins with actions of about ±1. One unit should stay within the joint's limits, the drive's torque
-    and its speed, move at least a hundredth of the range, and meet a gain that is not 0: a position target on a
-    drive without stiffness, or a speed target on one without damping, does nothing.
-    Source: the drive's law, tau = kp (q* - q) + kd (qd* - qd).
+    A policy starts with actions of about ±1. One unit should stay within the joint's limits, the drive's torque, and
+    its speed, and move at least a hundredth of the range. The drive's gain must not be 0: a position target needs
+    stiffness, and a speed target needs damping. Source: the drive's law, tau = kp (q* - q) + kd (qd* - qd).
     """
     for term in case.terms("actions", *_POSITION, *_VELOCITY):
         joints = case.joints(term.node)
@@ -39,20 +38,20 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # one joint tells of its term
+                break  # one joint per term is enough
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return what is the matter, what to do (empty: another scale), and the figures."""
+    """Return the problem, what to do (empty: another scale), and the figures."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
-            return "a speed target acts by the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
+            return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
         if unit > drive.velocity:
             text = f"one unit is {unit:g} rad/s, beyond the drive's {drive.velocity:g} rad/s"
             return text, "", {"unit": unit, "limit": drive.velocity}
         return None
     if drive.stiffness == 0.0:
-        return "a position target acts by the drive's stiffness, which is 0", "a stiffness above 0", {"stiffness": 0.0}
+        return "a position target needs the drive's stiffness, which is 0", "a stiffness above 0", {"stiffness": 0.0}
     if unit * drive.stiffness > drive.effort:
         text = f"one unit is {unit:g} rad or {unit * drive.stiffness:.3g} N·m, beyond the drive's {drive.effort:g} N·m"
         return text, "", {"torque": unit * drive.stiffness}
@@ -72,7 +71,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the scale nearest to ``unit`` that fits every joint of a term; None when there is none."""
+    """Return the scale nearest to ``unit`` that fits every joint of a term; None if none does."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -91,11 +90,11 @@ def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> floa
 
 @rule
 def action_clip_never_acts(case: Case) -> Iterator[Finding]:
-    """Bounds of an action's target that lie beyond what the joint can do.
+    """Bounds of an action's target beyond what the joint can do.
 
-    ``clip`` bounds the target in rad or rad/s, not the raw action; outside the joint's limits or the drive's speed
-    it never limits anything. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``: scale,
-    offset, then clip.
+    ``clip`` bounds the target in rad or rad/s, not the raw action. Bounds outside the joint's limits or the drive's
+    speed have no effect. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``: scale, offset, then
+    clip.
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
@@ -108,7 +107,7 @@ def action_clip_never_acts(case: Case) -> Iterator[Finding]:
             yield Finding(
                 f"{term.path}.clip",
                 f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{idle[0]}' reaches "
-                f"[{low:.3g}, {high:.3g}] {unit}: the clip never acts",
+                f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect",
                 "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions",
                 {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high},
             )
@@ -128,10 +127,10 @@ def _idle(term: TermView, joint: Joint, clip: Any) -> bool:
 
 @rule
 def command_reach(case: Case) -> Iterator[Finding]:
-    """A commanded velocity that the wheels cannot give.
+    """A commanded velocity that the wheels cannot reach.
 
-    The top speed is the drive's speed limit times the radius, the top yaw rate twice that over the track; wheels on
-    parallel axles cannot go sideways at all. Source: kinematics of a differential drive.
+    The top speed is the drive's speed limit times the radius; the top yaw rate is twice that over the track. Wheels on
+    parallel axles cannot move sideways. Source: kinematics of a differential drive.
     """
     facts = case.facts
     if not facts.wheels or facts.top_speed == 0.0:
@@ -143,7 +142,7 @@ def command_reach(case: Case) -> Iterator[Finding]:
             size, unit = largest(term.node["ranges"].get(axis)), "rad/s" if axis == "ang_vel_z" else "m/s"
             if size > limit:
                 key, most = f"{term.path}.ranges.{axis}", at_most(limit)
-                reach = f"the wheels reach {limit:.3g} {unit}" if limit else "wheels do not go sideways"
+                reach = f"the wheels reach {limit:.3g} {unit}" if limit else "wheels cannot move sideways"
                 yield Finding(
                     key,
                     f"up to {size:g} {unit} is commanded, and {reach}",
@@ -154,20 +153,18 @@ def command_reach(case: Case) -> Iterator[Finding]:
 
 
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
-# Of the numbers that a network sees: too small to move a unit, or so large that it drowns the others.
-_SMALLEST, _LARGEST = 0.01, 10.0
+_SMALLEST, _LARGEST = 0.01, 10.0  # useful range of a network's inputs
 _LOUD = 0.5  # noise, as a share of the signal's size
-# What says how large a noise is, with its defaults: half-widths, a standard deviation.
+# The parameters of a noise's size, with defaults: half-widths, or a standard deviation.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
 
 @rule
 def unbounded_observation(case: Case) -> Iterator[Finding]:
-    """An observed angle that grows without end, as that of a wheel does.
+    """An observed angle without bounds, such as that of a wheel.
 
-    A joint without limits that turns at its top speed for one episode gives the largest angle that training sees;
-    whatever runs longer than an episode leaves that range. Source: arithmetic; several public wheel-legged
-    projects leave wheel angles out of the observation for it.
+    A joint without limits that turns at its top speed for one episode gives the largest angle in training; any longer
+    run exceeds it. Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
     """
     for term in case.terms("observations", *_ANGLES):
         endless = {name: joint for name, joint in case.joints(term.node).items() if not joint.limited}
@@ -178,7 +175,7 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
         yield Finding(
             term.path,
             f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
-            f"{speed:g} rad/s, and more in anything longer",
+            f"{speed:g} rad/s, and more in a longer run",
             "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip",
             {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s},
         )
@@ -188,9 +185,9 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 def observation_scale(case: Case) -> Iterator[Finding]:
     """An observation that reaches the network much larger or smaller than 1.
 
-    Networks start with weights for inputs of size 1. The largest value of each component, from the robot's limits
-    and the config's ranges, is held against 0.01 and 10; an actor or critic that normalises its input is exempt.
-    Source: Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
+    Networks are initialised for inputs of size 1. The largest value of each component, from the robot's limits and the
+    config's ranges, should be between 0.01 and 10. An actor or critic that normalises its input is exempt. Source:
+    Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         if _is_normalised(case, term.path.split(".")[2]):
@@ -222,7 +219,7 @@ def _is_normalised(case: Case, group: str) -> bool:
 
 
 def signal_size(case: Case, term: TermView) -> float | None:
-    """Return the largest size of an observation's components before scale, in its own unit; None when unknown."""
+    """Return the largest size of an observation's components before scale, in its unit; None if unknown."""
     drives = [joint.drive for joint in case.joints(term.node).values() if joint.drive is not None]
     if term.kind in ("observations.projected_gravity", "observations.joint_pos_sin_cos", "observations.last_action"):
         return 1.0
@@ -249,10 +246,10 @@ def _command_size(case: Case, name: str) -> float | None:
 
 @rule
 def noise_against_signal(case: Case) -> Iterator[Finding]:
-    """Observation noise that never acts, or that hides what it is added to.
+    """Observation noise without effect, or noise that hides the signal.
 
-    Noise acts only in groups with ``enable_corruption``; noise of half the signal's largest size leaves little of
-    it. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on corruption.
+    Noise acts only in groups with ``enable_corruption``. Noise of half the signal's largest size hides most of the
+    signal. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on corruption.
     """
     for name, group in case.env["observations"].items():
         path, corrupt = f"env.observations.{name}", bool(group.get("enable_corruption", False))
@@ -261,7 +258,7 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
         if corrupt and not noisy:
             yield Finding(
                 f"{path}.enable_corruption",
-                f"none of the {len(terms)} terms has noise: nothing is corrupted",
+                f"none of the {len(terms)} terms has noise, so enable_corruption has no effect",
                 "a noise for the terms that a sensor measures, or enable_corruption: false",
                 {"terms": len(terms)},
             )
@@ -274,7 +271,7 @@ def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Findi
         group = term.path.split(".terms.")[0]
         yield Finding(
             f"{term.path}.noise",
-            "the noise never acts, because its group has enable_corruption: false",
+            "the noise has no effect, because its group has enable_corruption: false",
             f"{group}.enable_corruption=true, or no noise",
         )
         return
@@ -292,7 +289,7 @@ def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Findi
 
 
 def _noise_sizes(noise: Any, path: str) -> dict[str, float]:
-    """Return the parameters that say how large an added noise is; nothing when that is not known."""
+    """Return the parameters of an added noise's size; empty if unknown."""
     kind = kind_of(str(noise[TARGET]), f"{path}.noise") if isinstance(noise, Mapping) and TARGET in noise else ""
     if kind not in _NOISES or noise.get("operation", "add") != "add":
         return {}

@@ -17,14 +17,14 @@ from wheelleg_exp.lint.reward_tolerances import (
 )
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # share of what a perfect robot earns that an error should cost
-_OUTWEIGHS = 4.0  # times what all rewards earn
-_STILL = 0.5  # score of a robot that does not move, above which a std cannot tell
+_AUDIBLE = 0.01  # smallest cost of an error, as share of a perfect robot's reward
+_OUTWEIGHS = 4.0  # largest cost, as multiple of all rewards
+_STILL = 0.5  # largest score of a robot that does not move
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
 def still_score(speed: float, std: float) -> float:
-    """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: what standing still earns.
+    """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: the reward of standing still.
 
     The integral is sqrt(pi)/2 · erf(V/std) · std/V.
     """
@@ -35,11 +35,11 @@ def still_score(speed: float, std: float) -> float:
 
 @rule
 def tracking_std(case: Case) -> Iterator[Finding]:
-    """A tracking reward so wide that a robot which does not follow earns most of it.
+    """A tracking reward so wide that a robot that does not follow earns most of it.
 
-    Over commands uniform in ±V a robot that stands still earns sqrt(pi)/2 · erf(V/std) · std/V of the reward,
-    shares of standing commands left out. Where nothing but zero is commanded, it is a drift of one unit of wheel
-    action that must not earn it. Source: the integral of the reward's own formula.
+    With commands uniform in ±V, a robot that stands still earns sqrt(pi)/2 · erf(V/std) · std/V of the reward, shares
+    of standing commands excluded. If only zero is commanded, a drift of one unit of wheel action must not earn the
+    reward. Source: the integral of the reward's own formula.
     """
     for term in tracked(case):
         std, size = float(term.node["std"]), command_size(case, term)
@@ -50,10 +50,10 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 
 @rule
 def reward_outweighs(case: Case) -> Iterator[Finding]:
-    """A cost that outweighs all that can be earned while the actions are random, as they are when training begins.
+    """A cost that outweighs all rewards under random actions, as at the start of training.
 
-    What the policy learns first is then to lower this cost, if by ending the episode. Only `wheelleg doctor task=…`
-    tries it. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
+    The policy first learns to lower this cost, even by ending the episode. Only `wheelleg doctor task=…` runs this
+    trial. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
     """
     trial = case.trial or {}
     earned = sum(value for value in trial.values() if value > 0.0)
@@ -63,10 +63,10 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
             continue
         weight = float(term.node["weight"])
         key, right = f"{term.path}.weight", at_most(abs(weight) * _OUTWEIGHS * earned / cost, 2)
-        times = f"{cost / earned:.2g} times" if earned > 0.0 else "and nothing earns any of"
+        times = f"{cost / earned:.2g} times" if earned > 0.0 else "above"
         yield Finding(
             key,
-            f"costs {cost:.3g} per second under random actions, {times} the {earned:.3g} that all rewards earn",
+            f"costs {cost:.3g} per second under random actions, {times} the {earned:.3g} of all rewards",
             f"a weight near {math.copysign(right, weight):g}, or smaller scales of actions",
             {"cost_per_s": cost, "earned_per_s": earned},
         )
@@ -79,7 +79,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
     standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
     return Finding(
         f"{term.path}.std",
-        f"with std {std:g} {unit} and commands in ±{size:g} {unit} a robot that never moves earns {score:.2f} of the "
+        f"with std {std:g} {unit} and commands in ±{size:g} {unit}, a robot that never moves earns {score:.2f} of the "
         f"reward ({score + standing * (1 - score):.2f} with {100 * standing:.0f} % standing commands)",
         f"a std near {narrow:g} {unit} leaves it {still_score(size, narrow):.2f}",
         {"std": std, "range": size, "still": score},
@@ -99,7 +99,7 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     narrow = at_most(drift)
     return Finding(
         f"{term.path}.std",
-        f"nothing but zero is commanded: standing still earns all of it, and with std {std:g} {_UNIT[kind]} a drift of "
+        f"only zero is commanded: standing still earns the whole reward, and with std {std:g} {_UNIT[kind]} a drift of "
         f"{drift:.2g} {_UNIT[kind]}, one unit of wheel action, still earns {score:.2f}{off}",
         f"a std near {narrow:g} {_UNIT[kind]} or below",
         {"std": std, "range": 0.0, "drift": drift, "still": 1.0, "drifting": score},
@@ -119,11 +119,11 @@ def _unit_speed(case: Case) -> float:
 
 @rule
 def reward_too_small(case: Case) -> Iterator[Finding]:
-    """A reward term that costs next to nothing at its tolerance.
+    """A reward term that costs almost nothing at its tolerance.
 
-    Weights are multiplied by the control step and mean nothing by themselves. What an error of its tolerance costs
-    is held against what a perfect robot earns: below 1 % the term is lost in the noise of the return. Source:
-    Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
+    Weights are multiplied by the control step, so their size alone is meaningless. If the error of a tolerance costs
+    less than 1 % of a perfect robot's reward, the term is lost in the noise of the return. Source: Isaac Lab 2.3.2,
+    ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
     found = contributions(case)
     best = earned_per_second(found)
@@ -143,7 +143,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: Contribution, best: float) -> float | None:
-    """Return the least weight at which a term's error costs enough; None when a larger weight only earns more."""
+    """Return the smallest weight at which a term's error costs enough; None if a larger weight only earns more."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -152,10 +152,10 @@ def _audible_weight(item: Contribution, best: float) -> float | None:
 
 @rule
 def falling_pays(case: Case) -> Iterator[Finding]:
-    """A failure that costs less than going on.
+    """A failure that costs less than to continue.
 
-    Going on is worth the sum of all terms at their tolerances, over the horizon 1/(1 - gamma) of the discount or
-    the episode; where that is below the price of failing, the policy learns to fall at once. Source: the
+    To continue is worth the sum of all terms at their tolerances, over the shorter of the episode and the discount's
+    horizon 1/(1 - gamma). If this is below the price of a failure, the policy learns to fall at once. Source: the
     discounted return of PPO, Schulman et al. 2017.
     """
     found = contributions(case)
@@ -165,33 +165,33 @@ def falling_pays(case: Case) -> Iterator[Finding]:
     if living * steps < failing or (living < 0.0 and failing == 0.0):
         yield Finding(
             "env.rewards",
-            f"going on is worth {living * case.step_dt:.3g} a step at the tolerances, "
-            f"{living * steps * case.step_dt:.3g} over {steps:.0f} steps, and failing {failing * case.step_dt:.3g} "
+            f"to continue is worth {living * case.step_dt:.3g} per step at the tolerances, "
+            f"{living * steps * case.step_dt:.3g} over {steps:.0f} steps, and a failure {failing * case.step_dt:.3g} "
             "once: falling at once pays",
-            "more for being alive, or a dearer failure",
+            "a larger reward for being alive, or a more expensive failure",
             {"living_per_s": living, "failing": failing, "steps": steps},
         )
 
 
 def horizon_steps(case: Case) -> float:
-    """Return 1/(1 - gamma), the steps over which the agent looks ahead; inf without discount."""
+    """Return 1/(1 - gamma), the discount's horizon in steps; inf without discount."""
     gamma = float(case.agent["algorithm"].get("gamma", 0.99))
     return 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
 
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # of binary fractions, in 1 - gamma
-_FALLS = 5.0  # time constants of the fall that the discount should reach
-_EARLY = 0.25  # most of a mean of weights that may be of its beginning
+_DUST = 1e-9  # rounding error of 1 - gamma
+_FALLS = 5.0  # time constants of the fall that the discount should cover
+_EARLY = 0.25  # largest share of early iterations in a mean of weights
 
 
 @rule
 def ppo_batch(case: Case) -> Iterator[Finding]:
-    """A batch that does not divide into its mini-batches.
+    """A batch that is not a multiple of its mini-batches.
 
-    rsl_rl cuts the batch of num_envs · num_steps_per_env samples into mini-batches of a whole size and drops the
-    rest. Source: rsl_rl, ``storage/rollout_storage.py``.
+    rsl_rl cuts the batch of num_envs · num_steps_per_env samples into mini-batches of equal size and drops the
+    remainder. Source: rsl_rl, ``storage/rollout_storage.py``.
     """
     batch = int(case.env["num_envs"]) * int(case.agent["num_steps_per_env"])
     parts = int(case.agent["algorithm"].get("num_mini_batches", 1))
@@ -206,11 +206,11 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
 
 @rule
 def discount_horizon(case: Case) -> Iterator[Finding]:
-    """A discount that looks further than an episode, or less far than a fall.
+    """A discount with a horizon longer than an episode, or shorter than a fall.
 
-    1/(1 - gamma) steps ahead a reward counts 1/e. Beyond the episode's end the agent learns of what never comes;
-    short of some five time constants of the fall it does not see what its actions lead to. Source: the discounted
-    return.
+    A reward 1/(1 - gamma) steps ahead counts 1/e. With a longer horizon than the episode, the agent learns of rewards
+    that never come. With a horizon below some five time constants of the fall, it does not see the effect of its
+    actions. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -219,34 +219,33 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
     if steps > case.episode_steps * (1 + _DUST):
         yield Finding(
             _GAMMA,
-            f"the discount looks {seconds:.3g} s ahead, and an episode lasts {case.episode_s:g} s",
+            f"the discount's horizon is {seconds:.3g} s, and an episode lasts {case.episode_s:g} s",
             figures={"horizon_s": seconds if math.isfinite(seconds) else -1.0, "episode_s": case.episode_s},
             **_advice(case, fall, "most", at_least(1.0 / case.episode_steps, 3)),
         )
     if balance is not None and seconds < fall * (1 - _DUST):
         yield Finding(
             _GAMMA,
-            f"the discount looks {seconds:.3g} s ahead, {seconds * balance.pole:.2g} time constants of the fall",
+            f"the discount's horizon is {seconds:.3g} s, {seconds * balance.pole:.2g} time constants of the fall",
             figures={"horizon_s": seconds, "time_constant_s": 1 / balance.pole},
             **_advice(case, fall, "least", at_most(case.step_dt / fall, 3)),
         )
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Return hint and advice: a gamma of 1 - share, where the episode is long enough for one."""
+    """Return hint and advice: a gamma of 1 - share, if the episode is long enough."""
     if case.episode_s < fall:
-        return {"hint": f"episodes longer than {fall:.2g} s first: no gamma reaches a fall and ends within an episode"}
+        return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
     return {"hint": f"gamma of at {bound} {gamma:g}", "advice": ({_GAMMA: gamma},)}
 
 
 @rule
 def late_average(case: Case) -> Iterator[Finding]:
-    """A mean of the policy's weights that is much of what they were at the beginning of the training.
+    """A mean of the policy's weights that depends too much on the start of the training.
 
-    It is the mean of all n iterations at first, and m += (w - m) / n behind these: (1 - 1/n)^(i - n) of that is left
-    after i iterations, in what is played, be the beginning noise or the policy of ``init_from``. Source: the weights of
-    an exponential mean.
+    The mean is that of all n iterations at first, then m += (w - m) / n. After i iterations, the first n still count
+    (1 - 1/n)^(i - n), and these are noise or the policy of ``init_from``. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
@@ -254,10 +253,10 @@ def late_average(case: Case) -> Iterator[Finding]:
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
         few = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
-        enough = few if few > 1 else 0  # the mean of one is no mean
+        enough = few if few > 1 else 0  # 0 disables the mean
         yield Finding(
             _AVERAGE,
-            f"{100 * early:.0f} % of what is played is of iterations 1 to {min(reach, iterations)} of {iterations}",
+            f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}",
             f"at most {enough}, or more iterations",
             {"early_share": early},
             ({_AVERAGE: enough},),
@@ -266,10 +265,10 @@ def late_average(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A change of a reward's weight that changes nothing, or that training never reaches.
+    """A change of a reward's weight without effect, or after the end of training.
 
-    The weight changes once the counter of control steps has passed ``num_steps``; a training takes
-    max_iterations · num_steps_per_env of them. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
+    The weight changes when the counter of control steps exceeds ``num_steps``; a training takes max_iterations ·
+    num_steps_per_env of them. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
     """
     total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
     for term in case.terms("curriculum", "curriculums.modify_reward_weight"):
@@ -278,8 +277,8 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
         if weight == before:
             yield Finding(
                 f"{term.path}.weight",
-                f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} changes nothing",
-                "another weight, here or there, or no curriculum",
+                f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} has no effect",
+                "another weight of the reward or of the curriculum, or no curriculum",
                 {"before": before, "after": weight},
             )
         if start >= total:
@@ -294,16 +293,16 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
 
 @rule
 def levels_out_of_reach(case: Case) -> Iterator[Finding]:
-    """Levels of ground that no robot ever climbs to.
+    """Terrain levels that no robot reaches.
 
-    A robot goes a level up when it ends an episode further than half a tile from its beginning. In a longest episode
-    at the largest command it comes v T far. Source: Isaac Lab 2.3.2,
+    A robot goes a level up if it ends an episode more than half a tile away from its start. In the longest episode at
+    the largest command it moves v T. Source: Isaac Lab 2.3.2,
     ``isaaclab_tasks/manager_based/locomotion/velocity/mdp/curriculums.py``, ``terrain_levels_vel``.
     """
     for term in case.terms("curriculum", "curriculums.terrain_levels_vel"):
         size = case.env["scene"]["terrain"].get("size")
         if size is None:
-            message = "the ground has no tiles: no level ever changes"
+            message = "the ground has no tiles, so the level never changes"
             yield Finding(term.path, message, "scene=rough, another ground of tiles, or no such curriculum")
             continue
         command = case.env["commands"].get(term.node.get("command_name", "base_velocity"), {})
@@ -317,7 +316,7 @@ def levels_out_of_reach(case: Case) -> Iterator[Finding]:
         key, longer = "env.episode_length_s", above(half / speed) if speed else math.inf
         yield Finding(
             "env.scene.terrain.size",
-            f"at {speed:g} m/s a robot comes {far:.3g} m far in an episode of {case.episode_s:g} s, "
+            f"at {speed:g} m/s a robot moves {far:.3g} m in an episode of {case.episode_s:g} s, "
             f"and goes a level up beyond {half:g} m, half a tile",
             f"episodes of {longer:g} s, smaller tiles or faster commands" if speed else "commands that are not zero",
             {"speed_m_s": speed, "way_m": far, "half_tile_m": half},

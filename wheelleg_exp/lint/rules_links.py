@@ -10,59 +10,31 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.anatomy.collider_shapes import reach
-from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
+from wheelleg_exp.anatomy.compiled_robot import LOST_MESH, CompiledRobot, missing_colliders
 from wheelleg_exp.anatomy.limbs import TURNS
-from wheelleg_exp.asset.conversion_report import UNITS, Kind, Report, size_problem
+from wheelleg_exp.asset.conversion_report import UNITS, Kind, size_problem
 from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # of the robot's mass that may be assumed without a word
-_WEIGHTY = 0.01  # of the robot's mass: a link whose tensor matters
+_ASSUMED = 0.05  # largest share of assumed mass without a finding
+_WEIGHTY = 0.01  # share of the robot's mass: the tensors of lighter links do not matter
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
-_LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST = 4
-_HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return what the conversion found of a kind; nothing where there was none."""
+    """Return the conversion's findings of a kind; none without a conversion."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
-def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
-    """Return which colliders a robot lacks because files are missing or damaged, and whose wheels they may be.
-
-    Args:
-        report: of the conversion.
-        model: the compiled robot.
-
-    Returns:
-        The message, the same for every command; empty if no collider is known to be missing.
-    """
-    files = {match[1]: match[2] for text in report.warnings if (match := _LOST_MESH.search(text))}
-    bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
-    if any(item.kind == "no_colliders" for item in report.findings):
-        ends = zip(model.jnt_bodyid, model.jnt_dofadr, strict=True)
-        bare = [model.body(int(body)).name for body, dof in ends if dof not in model.dof_parentid]
-    layers = [item for item in report.findings if item.kind == "layer_not_found" and not item.numbers["looks"]]
-    files |= {item.subject: "the layer is not there" for item in layers if bare}
-    if not files:
-        return ""
-    hinges = [int(model.body(name).jntadr[0]) for name in bare if model.body(name).jntnum[0] == 1]
-    wheels = [repr(model.joint(j).name) for j in hinges if model.jnt_type[j] == _HINGE and not model.jnt_limited[j]]
-    told = [f"{name} ({reason})" for name, reason in files.items()]
-    text = "colliders are missing: " + ", ".join(told[:_MOST]) + (", ..." if len(told) > _MOST else "")
-    return text + (f"; {', '.join(wheels)} turn without limits, as wheels do, and lack a collider" if wheels else "")
-
-
 @rule
 def missing_files(case: Case) -> Iterator[Finding]:
-    """Meshes of colliders, or layers, that the robot's file names and that cannot be read.
+    """Missing or damaged files of colliders or layers.
 
-    Files are missing, or damaged, or pointers of Git LFS. A wheel without its collider is treated as the joint of a
-    leg. Files of visuals are left out. Source: the conversion report.
+    Files are missing, damaged, or Git LFS pointers. A wheel without its collider is treated as a joint of a leg. Files
+    of visuals are not checked. Source: the conversion report.
     """
     report = case.robot.report if case.robot is not None else None
     if case.robot is None or report is None:
@@ -70,13 +42,13 @@ def missing_files(case: Case) -> Iterator[Finding]:
     message = missing_colliders(report, case.robot.model)
     layers = [item.subject for item in records(case, "layer_not_found") if not item.numbers["looks"]]
     if message or layers:
-        message = message or f"layers that the robot names are not there: {', '.join(layers[:_MOST])}"
-        yield Finding(_ASSET, message, "put the files where the names lead (git lfs pull), or correct the names")
+        message = message or f"layers that the robot names are missing: {', '.join(layers[:_MOST])}"
+        yield Finding(_ASSET, message, "put the files at the named paths (git lfs pull), or correct the names")
 
 
 @rule
 def no_colliders(case: Case) -> Iterator[Finding]:
-    """A robot without a shape that touches anything.
+    """A robot without colliders.
 
     It falls through the ground. Source: the compiled model.
     """
@@ -89,7 +61,7 @@ def no_colliders(case: Case) -> Iterator[Finding]:
         yield Finding(
             _ASSET,
             "no shape of the robot collides: it falls through the ground",
-            "colliders: a cylinder on each wheel and a box on the body are enough to begin with",
+            "colliders: a cylinder on each wheel and a box on the body are enough to start with",
         )
 
 
@@ -97,7 +69,7 @@ def no_colliders(case: Case) -> Iterator[Finding]:
 def assumed_masses(case: Case) -> Iterator[Finding]:
     """Masses and inertias that the file does not give, so that the converter assumed them.
 
-    They follow from volumes and a density, or are 1 kg: the dynamics are then guessed. Source: the conversion report.
+    They come from volumes and a density, or are 1 kg, so the dynamics are a guess. Source: the conversion report.
     """
     total = case.facts.mass
     links = [item for item in records(case, "no_inertial") if item.numbers["mass"] > 0]
@@ -123,30 +95,32 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(case: Case) -> Iterator[Finding]:
-    """Colliders, limits, couplings and drives of the file that the model does not have, or has otherwise.
+    """Colliders, limits, couplings, and drives of the file that the model lacks or has with other values.
 
     Source: the warnings of the conversion report.
     """
     report = case.robot.report if case.robot is not None else None
-    lost = [text for text in report.warnings if _LOST.search(text) and not _LOST_MESH.search(text)] if report else []
+    lost = [text for text in report.warnings if _LOST.search(text) and not LOST_MESH.search(text)] if report else []
     if lost:
         shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
-        yield Finding(_ASSET, shown, "correct the file: `wheelleg convert` tells all of it", {"lost": float(len(lost))})
+        yield Finding(
+            _ASSET, shown, "correct the file: `wheelleg convert` shows all warnings", {"lost": float(len(lost))}
+        )
 
 
-_LIGHT = 2.0  # kg/m³ of a cube as long as the robot: lighter ones exist, but not on wheels and legs
-_WIDE = 1.5  # times the link's reach: a radius of gyration that no mass inside it gives
-_NARROW = 0.03  # of the link's reach
-_OUTSIDE = 0.5  # of the link's reach: how far beyond its shapes a centre of mass may lie
-_TRIANGLE = 0.01  # by which one moment may exceed the sum of the other two
-_LOCKED = 0.02  # rad of range
-_PLACEHOLDER = 50.0  # times the whole weight on an arm as long as the robot: no limit at all
-_FAST = 200.0  # rad/s of a joint
+_LIGHT = 2.0  # kg/m³ of a cube as long as the robot: no robot with wheels or legs is lighter
+_WIDE = 1.5  # largest radius of gyration, as multiple of the link's extent
+_NARROW = 0.03  # smallest radius of gyration, as share of the link's extent
+_OUTSIDE = 0.5  # share of the link's extent: largest distance of the centre of mass from its shapes
+_TRIANGLE = 0.01  # allowed excess of one moment over the sum of the other two
+_LOCKED = 0.02  # rad: a joint with a smaller range cannot move
+_PLACEHOLDER = 50.0  # largest effort, as multiple of the weight on an arm as long as the robot
+_FAST = 200.0  # rad/s, largest speed of a joint
 
 
 @rule
 def robot_size(case: Case) -> Iterator[Finding]:
-    """A robot whose size and mass do not fit each other, or that no robot has.
+    """A robot with a mass and size that no robot has.
 
     Wrong units are the usual cause. Source: the density of a cube whose edge is the robot's longest.
     """
@@ -163,10 +137,9 @@ def _size_problem(case: Case) -> str:
 def link_masses(case: Case) -> Iterator[Finding]:
     """Masses and inertias that no link of its size has.
 
-    A link's radius of gyration
-    sqrt(I / m) cannot exceed the reach of its shapes from its centre of mass, and is not a thirtieth of it; that
-    centre lies in or near the shapes; no moment of inertia exceeds the sum of the other two. Source: mechanics of
-    rigid bodies.
+    A link's radius of gyration sqrt(I / m) cannot exceed the extent of its shapes from its centre of mass, and is not a
+    thirtieth of it. The centre is in or near the shapes. No moment of inertia exceeds the sum of the other two. Source:
+    mechanics of rigid bodies.
     """
     robot = case.robot
     if robot is None:
@@ -174,12 +147,12 @@ def link_masses(case: Case) -> Iterator[Finding]:
     mass = case.facts.mass
     if _size_problem(case):
         return
-    told = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
-    yield from [*_impossible(case), *told][:_MOST]
+    findings = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
+    yield from [*_impossible(case), *findings][:_MOST]
 
 
 def _impossible(case: Case) -> Iterator[Finding]:
-    """Yield the tensors that the conversion had to cut to what a body can have."""
+    """Yield findings for tensors that the conversion had to correct."""
     for item in records(case, "impossible_inertia"):
         a, b, c = (item.numbers[name] for name in "abc")
         yield _untrue(item.subject, a, b, c)
@@ -188,9 +161,9 @@ def _impossible(case: Case) -> Iterator[Finding]:
 def _untrue(name: str, a: float, b: float, c: float) -> Finding:
     return Finding(
         _ASSET,
-        f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the other two "
-        "together, as no body's is",
-        "the tensor again from CAD, about the centre of mass",
+        f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the sum of the "
+        "other two, which is impossible",
+        "the tensor from CAD, about the centre of mass",
     )
 
 
@@ -214,7 +187,7 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
             _ASSET,
             f"'{name}' of {mass:.3g} kg has a moment of inertia of {moments[2]:.3g} kg·m², as if its mass were "
             f"{1e3 * radius:.3g} mm from its centre: {word} than a link that reaches {1e3 * extent:.3g} mm can have",
-            f"the tensor again from CAD, in kg·m²; a solid of its size has about {mass * extent**2 / 5:.2g}",
+            f"the tensor from CAD, in kg·m²; a solid of this size has about {mass * extent**2 / 5:.2g}",
             {"gyration_m": radius, "reach_m": extent},
         )
     beyond = -float(out.min())
@@ -229,10 +202,10 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
 
 @rule
 def joint_limits(case: Case) -> Iterator[Finding]:
-    """A driven joint of a leg without limits, or with limits that leave it no motion.
+    """A driven leg joint without limits, or with limits that allow no motion.
 
-    A leg that may turn all round passes through the robot, and its soft limits and their rewards say nothing. Source:
-    Isaac Lab 2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
+    A leg that turns all round passes through the robot, and rewards of soft limits have no effect. Source: Isaac Lab
+    2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
     """
     robot = case.robot
     if robot is None:
@@ -252,8 +225,8 @@ def joint_limits(case: Case) -> Iterator[Finding]:
                if g.wheel == w.joint}  # fmt: skip
     free = [name for name in free if name not in steered]
     if free:
-        told = [*records(case, "limits_ignored"), *records(case, "no_limits")]
-        written = [item.numbers for item in told if item.subject in free and "lower" in item.numbers]
+        found = [*records(case, "limits_ignored"), *records(case, "no_limits")]
+        written = [item.numbers for item in found if item.subject in free and "lower" in item.numbers]
         says = f" (the file writes {written[0]['lower']:g} to {written[0]['upper']:g})" if written else ""
         yield Finding(
             _ASSET,
@@ -264,18 +237,18 @@ def joint_limits(case: Case) -> Iterator[Finding]:
     if locked:
         yield Finding(
             _ASSET,
-            f"the limits of {_listed(locked)} leave no motion",
-            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 where CAD says nothing",
+            f"the limits of {_listed(locked)} allow no motion",
+            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits",
             {"joints": float(len(locked))},
         )
 
 
 @rule
 def placeholder_limits(case: Case) -> Iterator[Finding]:
-    """Largest efforts and speeds that no motor has: 0, or so large that they limit nothing.
+    """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A file's effort limit of 0 drives nothing. One that would lift fifty times the robot on an arm as long as the robot
-    is a placeholder, and what a policy learns with it does not transfer. Source: statics.
+    An effort limit of 0 drives nothing. A limit that would lift fifty times the robot on an arm as long as the robot is
+    a placeholder, and policies trained with it do not transfer. Source: statics.
     """
     if case.robot is None:
         return
@@ -291,7 +264,7 @@ def placeholder_limits(case: Case) -> Iterator[Finding]:
         if _FAST < joint.drive.velocity < math.inf:
             fast.append(name)
     for names, what, hint in (
-        (weak, "a largest effort or speed of 0 in the file, as exporters write where CAD says nothing",
+        (weak, "an effort or velocity limit of 0 in the file, as exporters write if CAD has no limits",
          "the motors' largest torque and speed"),
         (strong, f"effort limits beyond {most:.3g} N·m, which lift fifty times the robot on an arm of its own size",
          "the motors' largest torque"),
@@ -304,7 +277,7 @@ def placeholder_limits(case: Case) -> Iterator[Finding]:
 
 
 def _written_as_zero(case: Case) -> list[str]:
-    """Return the joints to which a file that stands alone gives an effort or a speed of 0; a task has its own."""
+    """Return the joints with an effort or speed of 0 in a file without a task; a task defines its own limits."""
     if "task" in case.config or case.robot is None:
         return []
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")

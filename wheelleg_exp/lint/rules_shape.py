@@ -17,21 +17,21 @@ from wheelleg_exp.lint.rule import Case, Finding, rule
 from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
-_TOUCHES = 2e-3  # of the robot's size: a depth that soft contacts hide
-_DEEP = 0.25  # of the robot's size, for neighbours, whose shapes meet at their joint
-_STANDS = 5e-3  # of the robot's size, above its lowest point: a body this low touches the ground
-_BUMP = 0.05  # of a wheel's radius by which its rim may vary
-_UNEQUAL = 0.02  # of the radius, between the wheels of two sides
-_TOLD = 4  # pairs in one message
+_TOUCHES = 2e-3  # share of the robot's size: soft contacts hide a smaller depth
+_DEEP = 0.25  # share of the robot's size: allowed depth of neighbours, whose shapes meet at their joint
+_STANDS = 5e-3  # share of the robot's size: a body this near to the lowest point touches the ground
+_BUMP = 0.05  # share of a wheel's radius: allowed variation of its rim
+_UNEQUAL = 0.02  # share of the radius: allowed difference between the wheels of two sides
+_SHOWN = 4  # pairs in one message
 
 
 @rule
 def overlapping_bodies(case: Case) -> Iterator[Finding]:
-    """Bodies that begin inside one another, and that the model lets push each other apart.
+    """Bodies that overlap at the start and can push each other apart.
 
-    The contact's spring throws them apart in the first step. Pairs that a joint connects do not touch in MuJoCo and
-    count only where they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at the default
-    pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
+    The contact's spring throws them apart in the first step. MuJoCo disables contacts between bodies that a joint
+    connects, so these count only if they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at
+    the default pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
     """
     robot = case.robot
     if robot is None:
@@ -40,11 +40,13 @@ def overlapping_bodies(case: Case) -> Iterator[Finding]:
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     acting = [pair for pair in pairs if pair.acts and not pair.neighbours and pair.depth > _TOUCHES * size]
     if acting:
-        told = ", ".join(f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_TOLD])
-        more = f", and {len(acting) - _TOLD} more pairs" if len(acting) > _TOLD else ""
+        pairs_text = ", ".join(
+            f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]
+        )
+        more = f", and {len(acting) - _SHOWN} more pairs" if len(acting) > _SHOWN else ""
         yield Finding(
             "env.robot.self_collisions",
-            f"bodies begin inside one another and will be thrown apart: {told}{more}",
+            f"bodies overlap at the start and will be thrown apart: {pairs_text}{more}",
             "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
             "colliders, or these pairs filtered in the file",
             {"pairs": float(len(acting)), "depth_m": acting[0].depth},
@@ -53,19 +55,19 @@ def overlapping_bodies(case: Case) -> Iterator[Finding]:
         if pair.neighbours and pair.depth > _DEEP * size:
             yield Finding(
                 _ASSET,
-                f"'{pair.bodies[1]}' lies {1e3 * pair.depth:.3g} mm deep inside '{pair.bodies[0]}', on which it hangs: "
-                f"a quarter of the robot's size of {size:.3g} m",
-                "look at the origin of the joint between them, and at the units and origins of their colliders",
+                f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
+                f"more than a quarter of the robot's size of {size:.3g} m",
+                "check the origin of the joint between them, and the units and origins of their colliders",
                 {"depth_m": pair.depth, "size_m": size},
             )
 
 
 @rule
 def contact_at_start(case: Case) -> Iterator[Finding]:
-    """A contact that ends the episode, on a body that touches something as it begins.
+    """A contact termination on a body that touches something at the start.
 
-    The body is as low as what the robot stands on, or inside another body. Every episode ends within its first
-    steps, and nothing is learnt. Source: kinematics of the default pose.
+    The body is as low as the robot's lowest point, or inside another body. Every episode ends within its first steps,
+    and the policy learns nothing. Source: kinematics of the default pose.
     """
     robot = case.robot
     if robot is None:
@@ -85,18 +87,18 @@ def contact_at_start(case: Case) -> Iterator[Finding]:
         if touching:
             yield Finding(
                 f"{term.path}.sensor_cfg.body_names",
-                f"{_listed(touching)} touch something where episodes begin: every episode ends at once",
-                "leave out the bodies that the robot stands on; free those that are inside others",
+                f"{_listed(touching)} touch something at the start: every episode ends at once",
+                "remove the bodies that the robot stands on; separate those that are inside others",
                 {"bodies": float(len(touching))},
             )
 
 
 @rule
 def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
-    """A wheel that is not round, not as large as that of the other side, held by limits, or without a collider.
+    """A wheel that is not round, differs from the other side's, is held by limits, or has no collider.
 
-    The reach of the colliders across the axle is measured all round: a box or a coarse hull rolls in bumps, and a
-    wheel of another radius lets the robot lean or turn. Source: the support function of the shapes.
+    The extent of the colliders across the axle is measured all round. A box or a coarse hull rolls in bumps; wheels of
+    different radii make the robot lean or turn. Source: the support function of the shapes.
     """
     robot = case.robot
     if robot is None:
@@ -132,24 +134,24 @@ def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
 
 
 def _listed(names: list[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:_TOLD])
-    return shown + (f" and {len(names) - _TOLD} more" if len(names) > _TOLD else "")
+    shown = ", ".join(f"'{name}'" for name in names[:_SHOWN])
+    return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
-_LEAN = 0.06  # rad: an offset that a policy takes up without a word
-_DRAWN_LEAN = 0.17  # rad: the same of a pose that a file draws, which nobody has chosen
-_EDGE = 0.1  # of the support's length, from its ends
+_LEAN = 0.06  # rad: a policy easily corrects a smaller lean
+_DRAWN_LEAN = 0.17  # rad: allowed lean of a file's drawn pose, which nobody has chosen
+_EDGE = 0.1  # share of the support's length: smallest distance from its ends
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
 
 @rule
 def balance_pose(case: Case) -> Iterator[Finding]:
-    """A centre of mass that does not lie over the wheels where episodes begin.
+    """A centre of mass that is not over the wheels at the start.
 
-    On one axle the robot begins to fall at once, the faster the more it leans: it balances where the mass above the
-    axle stands upright over it. The hint's pose of the legs is solved from the kinematics. On more axles the weight
-    has to lie between the outermost contacts. Source: statics of the inverted pendulum.
+    On one axle the robot starts to fall at once, faster with a larger lean. It balances if the mass above the axle is
+    straight over the axle. The pose in the hint is solved from the kinematics. On several axles the centre of mass must
+    be between the outermost contacts. Source: statics of the inverted pendulum.
     """
     robot = case.robot
     if robot is None or robot.anatomy.forward is None:
@@ -165,17 +167,17 @@ def balance_pose(case: Case) -> Iterator[Finding]:
     pose = balanced_pose(robot)
     figures = {"offset_m": weight.ahead, "lean_rad": weight.lean, "height_m": weight.above}
     if pose is not None:
-        hint = "with the base level, the weight is over the axle at " + ", ".join(
+        hint = "with a level base, the centre of mass is over the axle at " + ", ".join(
             f"{name}: {value:g}" for name, value in pose.items()
         )
         key = "env.robot.init_state.joint_pos"
     else:
-        hint = f"begin with the base turned by {-weight.lean:.3g} rad about its left axis, or move the masses"
+        hint = f"start with the base turned by {-weight.lean:.3g} rad about its left axis, or move the masses"
         key = "env.robot.init_state.rot"
     yield Finding(
         key,
         f"the centre of mass above the wheels is {1e3 * abs(weight.ahead):.3g} mm {side} the axle and "
-        f"{1e3 * weight.above:.4g} mm above it: the robot leans by {math.degrees(abs(weight.lean)):.2g}° as it begins",
+        f"{1e3 * weight.above:.4g} mm above it: the robot leans by {math.degrees(abs(weight.lean)):.2g}° at the start",
         hint,
         figures,
     )
@@ -199,10 +201,10 @@ def _outside(robot: CompiledRobot, place: np.ndarray, edge: float) -> Iterator[F
 
 @rule
 def rolling_direction(case: Case) -> Iterator[Finding]:
-    """Wheels that do not roll along the base's x, or not along one line.
+    """Wheels that do not roll along the base's x, or not in one direction.
 
-    Commands, rewards and observations speak of x as forwards. Source: Isaac Lab's convention, ROS REP 103; the
-    directions of the axles.
+    In commands, rewards, and observations x is forwards. Source: Isaac Lab's convention, ROS REP 103; the directions of
+    the axles.
     """
     robot = case.robot
     if robot is None or not robot.anatomy.wheels:
@@ -214,8 +216,8 @@ def rolling_direction(case: Case) -> Iterator[Finding]:
             "env.robot.asset",
             f"the wheels of {steered} are steered, and no two axles are parallel here"
             if steered
-            else "the axles of the wheels cross: they do not roll along one line",
-            "axes, or positions of the joints above, that make the wheels' axles parallel",
+            else "the axles of the wheels are not parallel, so they do not roll in one direction",
+            "joint axes or positions that make the wheels' axles parallel",
         )
         return
     axles = [np.array(wheel.axis) for wheel in anatomy.wheels if not wheel.caster]
@@ -223,7 +225,7 @@ def rolling_direction(case: Case) -> Iterator[Finding]:
     if toe > _TOE:
         yield Finding(
             "env.robot.asset",
-            f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the others: it scrubs as it rolls",
+            f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the other axles: the wheel scrubs",
             "axes of the wheels' joints that are parallel",
             {"toe_rad": toe},
         )
@@ -232,31 +234,31 @@ def rolling_direction(case: Case) -> Iterator[Finding]:
     if abs(angle) > _AHEAD:
         yield Finding(
             "env.robot.asset",
-            f"the wheels roll along ({x:.3g}, {y:.3g}) of the base '{anatomy.base}', and x is forwards in commands, "
-            "rewards and observations",
+            f"the wheels roll along ({x:.3g}, {y:.3g}) of the base '{anatomy.base}', but x is forwards in commands, "
+            "rewards, and observations",
             f"turn the base's frame in the file by {math.degrees(angle):.3g}° about z (a link before it, joined "
             f"fixed), or command and reward lin_vel_y in place of lin_vel_x",
             {"angle_rad": angle},
         )
 
 
-_PLACE = 0.015  # of the robot's size: between a joint and the image of the other side's
+_PLACE = 0.015  # share of the robot's size: allowed distance between a joint and its image
 _TILT = math.radians(2)
-_MASS = 0.1  # of the larger
-_CENTRE = 0.02  # of the robot's size: between centres of mass
-_ANGLE = 0.02  # rad, between limits or positions of two sides
-_NEGLIGIBLE = 0.01  # of the robot's mass: a link whose centre of mass says little
-_ALONG = 0.9  # cosine: a joint that turns about the wheels' axle
-_HINT = "the same numbers on both sides of the file, with y and the signs of turns mirrored"
+_MASS = 0.1  # allowed relative difference
+_CENTRE = 0.02  # share of the robot's size: allowed distance between centres of mass
+_ANGLE = 0.02  # rad: allowed difference between limits or positions of two sides
+_NEGLIGIBLE = 0.01  # share of the robot's mass: the centre of mass of a lighter link does not matter
+_ALONG = 0.9  # smallest cosine of a joint that turns about the wheels' axle
+_HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
 _MOST = 4  # findings of one kind
 
 
 @rule
 def wheel_senses(case: Case) -> Iterator[Finding]:
-    """Wheels that turn in opposite senses while the robot rolls one way, and legs beside them that do not.
+    """Left and right wheels with opposite signs, though the legs above them have equal signs.
 
-    One unit of action then drives one side forwards and the other back. Where every joint of one side turns the
-    other way round, it is the file's convention, and nothing is said. Source: kinematics, v = omega x r.
+    One unit of action then drives one side forwards and the other one backwards. If every joint of one side has the
+    opposite sign, this is the file's convention and not reported. Source: kinematics, v = omega x r.
     """
     robot = case.robot
     if robot is None:
@@ -271,13 +273,13 @@ def wheel_senses(case: Case) -> Iterator[Finding]:
             yield Finding(
                 _ASSET,
                 f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "
-                f"{_way(signs[pair.right])}, though the legs above them turn alike",
-                f"the axis of one of them the other way round in the file, or an action's scale times {scale}",
+                f"{_way(signs[pair.right])}, though the legs above them have equal signs",
+                f"the axis of one wheel reversed in the file, or an action's scale times {scale}",
             )
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether the last joints of two legs that turn about the wheels' axle turn alike, or there are none."""
+    """Return whether the last joints of two legs about the wheels' axle have equal signs, or no such joints exist."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {
@@ -311,10 +313,10 @@ def _way(sign: int) -> str:
 
 @rule
 def mirror_images(case: Case) -> Iterator[Finding]:
-    """Legs of the left and the right that are no mirror images: in place, mass, centre of mass, or limits.
+    """Left and right legs that are not mirror images in place, mass, centre of mass, or limits.
 
-    A robot that is meant to be symmetric drifts to one side, and rewards of symmetry ask for what is none. Source:
-    the image of each joint and link in the plane between the sides, in the pose that the file draws.
+    A robot that should be symmetric drifts to one side, and rewards of symmetry cannot be met. Source: the image of
+    each joint and link in the plane between the sides, in the pose that the file draws.
     """
     robot = case.robot
     if robot is None or robot.drawn.left is None:
@@ -323,15 +325,15 @@ def mirror_images(case: Case) -> Iterator[Finding]:
     displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
     if displaced:
         yield _displaced(displaced, set(robot.drawn.wheel_joints))
-    told = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
-    yield from told[:_MOST]
+    findings = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
+    yield from findings[:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
     alone = [name for name in robot.drawn.unmatched if name in legs]
     if alone and len(robot.drawn.wheels) % 2 == 0:
         yield Finding(
             _ASSET,
             ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side",
-            "look at the origins of these joints in the file",
+            "check the origins of these joints in the file",
         )
 
 
@@ -339,10 +341,10 @@ def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
     first, more = pairs[0], len(pairs) - 1
     what = "the wheels of " if first.left in wheels else ""
     by = ", by the middles of their colliders" if what else ""
-    others = f", nor are {more} more pairs" if more > 1 else ", nor is one more pair" if more else ""
+    others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
     return Finding(
         _ASSET,
-        f"{what}'{first.left}' and '{first.right}' are no mirror images: {1e3 * first.offset:.3g} mm and "
+        f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
         f"{math.degrees(first.tilt):.2g}° off{by}{others}",
         _HINT,
         {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))},
@@ -382,7 +384,7 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
     if distance > _CENTRE * size:
         yield Finding(
             _ASSET,
-            f"the centres of mass of '{model.body(one).name}' and '{model.body(other).name}' are no mirror images: "
+            f"the centres of mass of '{model.body(one).name}' and '{model.body(other).name}' are not mirror images: "
             f"{1e3 * distance:.3g} mm off",
             _HINT,
             {"offset_m": distance},
@@ -401,7 +403,7 @@ def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
         ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[one], model.jnt_range[other])]
         yield Finding(
             _ASSET,
-            f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are no mirror images: "
+            f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
             f"{worst:.3g} off",
             _HINT,
             {"difference": worst},
@@ -410,9 +412,9 @@ def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
 
 @rule
 def lopsided_pose(case: Case) -> Iterator[Finding]:
-    """A default pose whose left and right are no mirror images, though the robot's legs are.
+    """An asymmetric default pose of a symmetric robot.
 
-    Most often a sign: joints of two sides that turn in opposite senses want positions of opposite signs. Source: the
+    The usual cause is a sign: joints of two sides with opposite signs need positions of opposite signs. Source: the
     mirrored axes of the joints.
     """
     robot = case.robot
@@ -429,11 +431,11 @@ def lopsided_pose(case: Case) -> Iterator[Finding]:
             wanted = robot.zero(pair.right) + pair.sign * here
             wrong.append((pair, robot.position(pair.left), robot.position(pair.right), wanted))
     if wrong:
-        told = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
+        positions = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
         hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST])
         yield Finding(
             "env.robot.init_state.joint_pos",
-            f"the default pose is lopsided: {told}",
+            f"the default pose is asymmetric: {positions}",
             f"{hint} mirrors the left side",
             {"pairs": float(len(wrong))},
         )

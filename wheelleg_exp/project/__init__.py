@@ -1,10 +1,9 @@
-"""Makes a user's own project: a robot, a task, a term of its own in Python, and a test.
+"""Create a user's project: a robot, a task, a reward term in Python, and a test.
 
 | module | what it offers |
 |---|---|
-| `create` | writes everything beside its place, checks it, and moves it there |
-| `survey`, `gains` | what is measured of the robot, and its gains |
-| `robot_files` | copies its file with all that it is made of |
-| `robot_yaml`, `task_yaml`, `yaml_text` | the configs |
-| `project_names` | names that a project may have |
+| `create` | write everything next to its place, check it, and move it there |
+| `survey` | measure the robot and choose its standing pose |
+| `robot_files` | copy the robot's file with all files that it names |
+| `robot_yaml`, `task_yaml` | write the configs |
 """

@@ -33,19 +33,19 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# Values, not names, to YAML or to the grammar of overrides.
+# YAML or the grammar of overrides reads these as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# What the project holds beside its package, and the names that pytest and pip take for their own.
+# Other names in a project, and names that pytest and pip use.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
-_EXPECTED = "letters, digits and underscores, beginning with a letter, such as my_robot"
+_EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
 
 class NameTaken(WheellegError):
-    """A project cannot have this name, or cannot stand there."""
+    """A project cannot have this name or this place."""
 
 
 def require_name(name: str) -> None:
-    """Raise NameTaken unless a project may be called ``name``; the error names the nearest valid name."""
+    """Raise NameTaken unless ``name`` is a valid project name; the error names the nearest valid name."""
     problem = _problem(name)
     if problem is not None:
         raise NameTaken(problem, key=name or "NAME", expected=_EXPECTED, nearest=_nearest(name))
@@ -53,29 +53,29 @@ def require_name(name: str) -> None:
 
 def _problem(name: str) -> str | None:
     if not _FORM.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        return "is no name of a Python package"
+        return "is not a valid name of a Python package"
     if name.lower() in _VALUES:
         return "is a value in YAML, not a name"
     if name.lower() in _OWN:
-        return "is the name of something else in a project"
+        return "is the name of another part of a project"
     stock = _stock(name)
     if stock is not None:
         return f"is the name of a stock config, {stock}"
     if name in sys.stdlib_module_names or importlib.util.find_spec(name) is not None:
-        return "is the name of a Python package that is there already"
+        return "is the name of an installed Python package"
     return None
 
 
 def _stock(name: str) -> str | None:
     files = sorted(configs_dir().rglob("*.yaml"))
-    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # a task is what one would run into
+    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # tasks first
         if file.stem == name:
             return file.relative_to(configs_dir()).with_suffix("").as_posix()
     return None
 
 
 def _nearest(name: str) -> str:
-    """Return the valid name that is most like a wrong one."""
+    """Return the valid name that is most similar to an invalid one."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", Path(name).name).strip("_") or _FALLBACK
     plain = plain if plain[0].isalpha() else f"robot_{plain}"
     options = [plain, f"{plain}_robot", f"my_{plain}"]
@@ -94,12 +94,12 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_STAY = ("missing_files", "robot_size")  # a robot of a wrong size was exported in a wrong unit
-_SAID = {
-    "action": "what a unit of action moves",
-    "observation": "positions of the legs alone",
-    "reward": "the weight of a reward of this project's own",
-    "termination": "which links may not touch anything",
+_NEVER_SILENCED = ("missing_files", "robot_size")  # a robot of a wrong size was exported in a wrong unit
+_PURPOSES = {
+    "action": "the effect of one unit of action",
+    "observation": "positions of the legs",
+    "reward": "the weight of this project's own reward",
+    "termination": "links that must not touch anything",
 }
 
 
@@ -111,7 +111,9 @@ def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, st
         asset: the robot's file, relative to the project's assets.
         configs: the config files, relative to the project's configs.
     """
-    rows = [f"| `configs/{file}` | {_SAID[group]} |" for file in configs if (group := file.split("/")[0]) in _SAID]
+    rows = [
+        f"| `configs/{file}` | {_PURPOSES[group]} |" for file in configs if (group := file.split("/")[0]) in _PURPOSES
+    ]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
     folder = resources.files("wheelleg_exp.project") / "templates"
     return {
@@ -127,7 +129,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def write(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write texts by path below a folder."""
+    """Write texts to paths below a folder."""
     for file, text in texts.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,14 +138,14 @@ def write(folder: Path, texts: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Created:
-    """A project that was made.
+    """A new project.
 
     Attributes:
         path: its folder.
-        name: its name, which is its package's, its task's and its robot's.
-        files: what it holds, relative to ``path``.
-        robot: what was found out about the robot.
-        accepted: what `check --physics` finds with the numbers above, by rule; the task silences these rules.
+        name: the name of the project, its package, its task, and its robot.
+        files: its files, relative to ``path``.
+        robot: the survey of the robot.
+        accepted: findings of `check --physics`, by rule; the task silences these rules.
     """
 
     path: Path
@@ -154,15 +156,15 @@ class Created:
 
 
 def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
-    """Make a project.
+    """Create a project.
 
     Args:
-        place: the folder to make; its last part is the project's name.
+        place: the new folder; its last part is the project's name.
         source: the robot's USD or URDF; by default the stock robot.
-        allow_missing: whether the robot's colliders may be missing with their files.
+        allow_missing: whether colliders can be missing together with their files.
 
     Raises:
-        WheellegError: the name or the place is not good, or the robot's file is not; nothing has been made.
+        WheellegError: the name, the place, or the robot's file is invalid; nothing was written.
     """
     path = Path(place).expanduser().absolute()
     name = path.name
@@ -183,18 +185,16 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
 def _require_place(path: Path) -> None:
     _require_free(path)
     if not path.parent.is_dir():
-        raise NameTaken("there is no such folder to make a project in", key=str(path.parent))
+        raise NameTaken("there is no such folder", key=str(path.parent))
     home = configs_dir().parent
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
-        raise NameTaken(
-            "a project of your own does not stand inside wheelleg_exp itself", key=str(path), nearest=str(beside)
-        )
+        raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
 
 
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
-        raise NameTaken("is there already, and nothing is overwritten", key=str(path), expected="a new name")
+        raise NameTaken("exists already, and nothing is overwritten", key=str(path), expected="a new name")
 
 
 def _require_source(source: Path) -> None:
@@ -212,7 +212,7 @@ def _require_source(source: Path) -> None:
 
 
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
-    """Write all files of a project, and hold them against the checks that every task passes."""
+    """Write all files of a project, and check them as any task is checked."""
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
@@ -232,7 +232,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
 def _surveyed(
     source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float], allow_missing: bool
 ) -> Survey:
-    """Copy and survey a robot; an error speaks of the file that was given, not of the copy."""
+    """Copy and survey a robot. An error names the given file, not the copy."""
     try:
         return survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
     except AssetError as error:
@@ -244,19 +244,19 @@ def _surveyed(
 
 
 def _require_valid(draft: Path, name: str) -> None:
-    """Raise what `wheelleg check` finds in the draft: a robot that the program cannot use makes no project."""
+    """Raise the errors of `wheelleg check` for the draft: a robot that cannot be used makes no project."""
     _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
     if mistakes:
         raise_all(mistakes)
 
 
 def _accept(draft: Path, name: str) -> dict[str, str]:
-    """Silence in the task what `wheelleg check --physics` still finds, with the finding as the reason.
+    """Silence the findings of `wheelleg check --physics` in the task, with the finding as the reason.
 
-    The rules `_STAY` are never silenced.
+    Rules in `_NEVER_SILENCED` are not silenced.
     """
     found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
-    rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _STAY)
+    rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
     accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
     if accepted:
         task = draft / projects.CONFIGS / "task" / f"{name}.yaml"

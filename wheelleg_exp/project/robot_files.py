@@ -1,4 +1,4 @@
-"""Copies a robot's file with everything that it is made of, so that the copy stands on its own."""
+"""Copy a robot's file with all files that it names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.asset.conversion import is_urdf
+from wheelleg_exp.asset.convert_robot import is_urdf
 from wheelleg_exp.asset.file_limits import LARGEST_FILE, LOOKS, MESHES, TEXTURES, bounded_memory
 from wheelleg_exp.asset.urdf.mesh_files import Files
 from wheelleg_exp.asset.urdf.urdf_document import open_document
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 def copy_robot(source: Path, folder: Path) -> Path:
-    """Copy a robot's file, and every layer, texture or mesh that it names, into ``folder``.
+    """Copy a robot's file, and every layer, texture, or mesh that it names, to ``folder``.
 
-    What lies beside the source or below it keeps its place. Other files come to stand below the folder as well, and
-    what names them is rewritten.
+    Files next to the source or below it keep their relative path. Other files are copied below the folder, too, and
+    their names in the copy are rewritten.
 
     Returns:
         The copy of ``source``.
 
     Raises:
-        AssetError: the source cannot be read, or is no robot's file.
+        AssetError: the source cannot be read, or is not a robot's file.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
@@ -52,10 +52,10 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 
 
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
-    """Return what tells the USD library which of the files that a layer names belong to the robot.
+    """Return a filter that selects the files of a robot for the USD library.
 
-    These are the layers that it is composed of, and plain files that end as textures and materials do; it says
-    nothing of others, so that a robot that names ``/etc/passwd`` has no copy of it.
+    It selects layers of the stage, and plain files with a suffix of textures and materials. A robot that names
+    ``/etc/passwd`` gets no copy of it.
     """
     from pxr import UsdUtils
 
@@ -69,7 +69,7 @@ def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdU
 
 
 def _all_layers(source: Path) -> list[Sdf.Layer]:
-    """Open every layer that the USD library will: those of the stage, and those that attributes name."""
+    """Open every layer of the stage, and every layer that an attribute names."""
     found: dict[str, Sdf.Layer] = {}
     todo = open_layers(source)
     while todo:
@@ -84,7 +84,7 @@ def _all_layers(source: Path) -> list[Sdf.Layer]:
 
 
 def _asset_paths(layer: Sdf.Layer) -> set[str]:
-    """Return every path that a layer names, wherever it stands in it."""
+    """Return every path that a layer names."""
     from pxr import Sdf, UsdUtils
 
     found: set[str] = set()
@@ -100,7 +100,7 @@ def _asset_paths(layer: Sdf.Layer) -> set[str]:
 
 
 def _is_look(file: Path) -> bool:
-    """Return whether a path is that of a texture or material; one that stands for several has no file of its own."""
+    """Return whether a path is a texture or material; a pattern of several files has no file of its own."""
     if file.suffix.lower() not in LOOKS:
         return False
     return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
@@ -109,7 +109,7 @@ def _is_look(file: Path) -> bool:
 def _localize(
     source: Path, folder: Path, chosen: Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]
 ) -> None:
-    """Let the USD library copy a stage that reaches out of its folder, and rewrite its paths."""
+    """Copy a stage with files outside its folder by the USD library, which rewrites its paths."""
     from pxr import UsdUtils
 
     done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
@@ -119,13 +119,13 @@ def _localize(
 
 
 def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
-    """Copy files that lie beside the source or below; when one does not, copy nothing and return False."""
+    """Copy files if all of them are below the source's folder; otherwise copy nothing and return False."""
     home = source.resolve().parent
     if not all(file.is_relative_to(home) for file in files):
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # a link to the file that was copied
+    if source.name != source.resolve().name:  # the source is a link to the copied file
         _copy(source, folder / source.name)
     return True
 
@@ -157,7 +157,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return a mesh's place below the URDF when its name there is just that, and None when it must be rewritten."""
+    """Return a mesh's path relative to the URDF if its name is this path; None if the name must be rewritten."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None
@@ -166,7 +166,7 @@ def _place_in(name: str, path: Path, source: Path) -> str | None:
 
 
 def _free(name: str, taken: dict[Path, str]) -> str:
-    """Return a place that no other mesh has, whatever the case of its letters."""
+    """Return a path that no other mesh has, ignoring case."""
     used = {place.lower() for place in taken.values()}
     path, number = Path(name), 2
     while name.lower() in used:
@@ -175,7 +175,7 @@ def _free(name: str, taken: dict[Path, str]) -> str:
 
 
 def _renamed(text: bytes, name: str, place: str) -> bytes:
-    """Return a URDF in which a mesh has another file name; everything else stays as it is, to the byte."""
+    """Return a URDF in which a mesh has another file name; all other bytes are unchanged."""
     from xml.sax.saxutils import escape
 
     written = {escape(name), name}

@@ -5,30 +5,35 @@ Gains and limits are the file's own if it gives them, else modest ones from the 
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from wheelleg_exp.anatomy.compiled_robot import name_expression
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.project.survey import Survey
-from wheelleg_exp.project.yaml_text import by_joint, mapping, names, number, word
 
-_LEG_RATE = 2 * math.pi * 3  # rad/s: how fast a leg joint follows its target
+WIDTH = 110
+_PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
+_WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
+_LEG_RATE = 2 * math.pi * 3  # rad/s: bandwidth of a leg joint
 _DAMPING_RATIO = 0.7
-_SAG = 0.05  # rad (m) that the weight may bend a leg joint by
-_STRENGTH = 3.0  # times the torque that holds the pose
-_LEVER = 0.25  # of the leg's length: least lever that the weight is taken to have, whatever the default pose
-_BENDS = 0.35  # rad (m): with a stiffness that lets the weight bend a joint by more, the leg buckles
-_FULL = 4.0  # times the effort: a stiffness that asks for more at an error of 0.05 rad only switches
-_SLIPS = 5.0  # times the torque at which a wheel slips: a larger effort stands for none
-_FAST = 100.0  # rad/s, from here on a limit of speed stands for none
-_WEAK = 0.3  # of the torque that holds the weight at its least lever
+_SAG = 0.05  # rad (m): largest static error of a leg joint under the weight
+_STRENGTH = 3.0  # effort, as multiple of the torque that holds the pose
+_LEVER = 0.25  # share of the leg's length: smallest assumed lever of the weight, for every default pose
+_BENDS = 0.35  # rad (m): the leg buckles at a larger static error
+_FULL = 4.0  # largest torque at an error of 0.05 rad, as multiple of the effort: a stiffer drive only switches
+_SLIPS = 5.0  # multiple of the torque at which a wheel slips: a larger effort limit is a placeholder
+_FAST = 100.0  # rad/s: a larger speed limit is a placeholder
+_WEAK = 0.3  # smallest effort, as share of the torque that holds the weight at its smallest lever
 _STEP = 0.005  # s, physics time step of the task
 _LEG_SPEED = 15.0  # rad/s
-_WHEEL_TIME = 0.1  # s in which a wheel takes up a speed
-_TRACTION = 1.5  # times the torque at which a wheel slips
+_WHEEL_TIME = 0.1  # s, time constant of a wheel's speed
+_TRACTION = 1.5  # multiple of the torque at which a wheel slips
 _GROUND_SPEED = 2.0  # m/s
-_ENDLESS = 1e6  # from here on a limit is none
+_ENDLESS = 1e6  # larger limits mean unlimited
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,8 @@ class Gains:
         damping: N·m·s/rad.
         effort: largest torque, N·m.
         velocity: largest speed, rad/s.
-        given: what of these the file says.
-        refused: what the file says and is not taken, and why.
+        given: quantities from the file.
+        refused: unusable values of the file, with the reason.
     """
 
     stiffness: dict[str, float]
@@ -53,71 +58,70 @@ class Gains:
 
 
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
-    """Return the gains of joints that hold angles, by default the legs'.
+    """Return the gains of position-controlled joints, by default the legs'.
 
-    Without a usable drive in the file: a stiffness with which the joint follows at 3 Hz, and the weight bends it by
-    0.05 rad at most, at a damping ratio of 0.7 under load; three times the torque that holds the weight. A stiffness
-    of the file's is not taken when the weight would bend the joint by more than 0.35 rad, or when the physics step
-    cannot carry it.
+    Without a usable drive in the file: a stiffness for a bandwidth of 3 Hz and a static error of at most 0.05 rad under
+    the weight, with a damping ratio of 0.7 under load; three times the torque that holds the weight. A stiffness of the
+    file is refused if the weight would bend the joint by more than 0.35 rad, or if it is unstable at the physics step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
     loads = {name: _load(robot, name) for name in held}
 
-    def modest_stiffness(name: str) -> float:
+    def default_stiffness(name: str) -> float:
         wanted = max(loads[name].inertia * _LEG_RATE**2, loads[name].hold / _SAG)
         return min(wanted, 2 * loads[name].stiffest)
 
-    def said_stiffness(name: str) -> float | None:
+    def file_stiffness(name: str) -> float | None:
         kp, effort = _stiffness(dofs[name]), _effort(dofs[name])
         reason = ""
         if kp is not None and kp * _BENDS < loads[name].holds_now:
-            reason = f"lets the weight bend {name} by more than {_BENDS} rad"
+            reason = f"makes {name} bend by more than {_BENDS} rad under the weight"
         elif kp is not None and effort is not None and kp * _SAG > _FULL * effort:
-            reason = f"asks {name} for its whole effort at {effort / kp:.2g} rad"
+            reason = f"needs the whole effort of {name} at {effort / kp:.2g} rad"
         elif kp is not None and kp > 4 * loads[name].stiffest:
-            reason = f"is more than steps of {_STEP} s can carry on {name}"
+            reason = f"is unstable on {name} with steps of {_STEP} s"
         if not reason:
             return kp
         refused.append(f"a stiffness of {kp:.3g} {reason}")
         untaken.add(name)
         return None
 
-    stiffness, given = _filled(robot, held, said_stiffness, modest_stiffness)
+    stiffness, given = _filled(robot, held, file_stiffness, default_stiffness)
 
-    def said_damping(name: str) -> float | None:
+    def file_damping(name: str) -> float | None:
         return _damping(dofs[name]) if name not in untaken else None
 
-    def modest_damping(name: str) -> float:
+    def default_damping(name: str) -> float:
         return 2 * _DAMPING_RATIO * math.sqrt(stiffness[name] * max(loads[name].inertia, loads[name].carried))
 
-    def said_effort(name: str) -> float | None:
+    def file_effort(name: str) -> float | None:
         effort = _effort(dofs[name])
         if effort is not None and effort < max(loads[name].holds_now, _WEAK * loads[name].hold):
             refused.append(f"an effort of {effort:.3g} does not hold the weight at {name}")
             return None
         return effort
 
-    def modest_effort(name: str) -> float:
+    def default_effort(name: str) -> float:
         return max(_STRENGTH * loads[name].hold, stiffness[name] * _SAG * _STRENGTH)
 
-    damping, own = _filled(robot, held, said_damping, modest_damping)
-    effort, limited = _filled(robot, held, said_effort, modest_effort)
+    damping, own = _filled(robot, held, file_damping, default_damping)
+    effort, limited = _filled(robot, held, file_effort, default_effort)
     velocity, fast = _filled(robot, held, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
     found = {"stiffness": given, "damping": own, "effort": limited, "velocity": fast}
-    return Gains(stiffness, damping, effort, velocity, [name for name, said in found.items() if said], refused)
+    return Gains(stiffness, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)
 
 
 @dataclass(frozen=True)
 class _Load:
-    """What a leg joint has to carry.
+    """The load of a leg joint.
 
     Attributes:
-        inertia: that a torque on it meets while everything is free, kg·m².
-        carried: of its share of the robot at the lever of its weight, kg·m².
+        inertia: that a torque accelerates while all other joints are free, kg·m².
+        carried: of its share of the robot at the lever of the weight, kg·m².
         holds_now: torque that holds the default pose, N·m.
-        hold: the same at a lever of a quarter of the leg's length, if that is more.
-        stiffest: stiffness at which an undamped joint turns by one radian a step, which integrators bear, N·m/rad.
+        hold: the same at a lever of at least a quarter of the leg's length.
+        stiffest: stiffness at which an undamped joint turns by one radian per step, a stable value, N·m/rad.
     """
 
     inertia: float
@@ -139,7 +143,7 @@ def _load(robot: Survey, name: str) -> _Load:
 
 
 def wheel_gains(robot: Survey) -> Gains:
-    """Return the wheels' gains: no stiffness, because they follow speeds.
+    """Return the wheels' gains, without stiffness, because wheels follow speeds.
 
     Without a usable drive in the file: a damping that accelerates the wheel's share of the robot in 0.1 s, 1.5 times
     the torque at which the wheel slips, and a speed of 2 m/s on the ground.
@@ -147,31 +151,31 @@ def wheel_gains(robot: Survey) -> Gains:
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
 
-    def modest_damping(name: str) -> float:
+    def default_damping(name: str) -> float:
         return (facts.joints[name].effective + share) / _WHEEL_TIME
 
-    def modest_effort(_: str) -> float:
+    def default_effort(_: str) -> float:
         return _TRACTION * _traction(robot)
 
     dofs = robot.dofs
-    damping, own = _filled(robot, robot.wheels, lambda name: _speed_gain(dofs[name]), modest_damping)
+    damping, own = _filled(robot, robot.wheels, lambda name: _speed_gain(dofs[name]), default_damping)
     slips = _traction(robot)
     refused: list[str] = []
 
-    def said_effort(name: str) -> float | None:
-        said = _effort(dofs[name])
-        if said is not None and said > _SLIPS * slips and robot.standing is not None:
-            refused.append(f"an effort of {said:.3g} at {name}, which slips at {slips:.2g}")
+    def file_effort(name: str) -> float | None:
+        effort = _effort(dofs[name])
+        if effort is not None and effort > _SLIPS * slips and robot.standing is not None:
+            refused.append(f"an effort of {effort:.3g} at {name}, which slips at {slips:.2g}")
             return None
-        return said
+        return effort
 
-    effort, limited = _filled(robot, robot.wheels, said_effort, modest_effort)
+    effort, limited = _filled(robot, robot.wheels, file_effort, default_effort)
     velocity, fast = _filled(
         robot, robot.wheels, lambda name: _velocity(dofs[name]), lambda _: _GROUND_SPEED / robot.radius
     )
     found = {"damping": own, "effort": limited, "velocity": fast}
     none = dict.fromkeys(robot.wheels, 0.0)
-    return Gains(none, damping, effort, velocity, [name for name, said in found.items() if said], refused)
+    return Gains(none, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)
 
 
 def _traction(robot: Survey) -> float:
@@ -181,11 +185,11 @@ def _traction(robot: Survey) -> float:
 
 
 def _filled(
-    robot: Survey, joints: list[str], said: Callable[[str], float | None], modest: Callable[[str], float]
+    robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return a value for each joint, alike on both sides, and whether the file says all of them."""
-    found = {name: said(name) for name in joints}
-    values = {name: value if value is not None else float(f"{modest(name):.2g}") for name, value in found.items()}
+    """Return a value for each joint, equal on both sides, and whether the file gives all of them."""
+    found = {name: from_file(name) for name in joints}
+    values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
         if pair.left in values and pair.right in values and found[pair.left] is None and found[pair.right] is None:
             values[pair.left] = values[pair.right] = max(values[pair.left], values[pair.right])
@@ -202,7 +206,7 @@ def _damping(dof: Dof) -> float | None:
 
 
 def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a drive that follows speeds; that of one that holds an angle is meant for another use."""
+    """Return the damping of a velocity drive; a position drive's damping has another purpose."""
     drive = dof.drive
     return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
 
@@ -218,8 +222,8 @@ def _velocity(dof: Dof) -> float | None:
     return limit if limit is not None and 0 < limit < _FAST else None
 
 
-_TOUCH = "whether the robot's own bodies may touch; null is what the asset says"
-_HEIGHT_STEP = 1e-4  # m to which the height is rounded, upwards: nothing begins inside the ground
+_TOUCH = "whether the robot's own bodies can touch; null means as in the asset"
+_HEIGHT_STEP = 1e-4  # m; the height is rounded up, so that no part starts inside the ground
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:
@@ -240,7 +244,7 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
     )
     return f"""# @package env.robot
 # {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_wheels(robot)}{_held(robot)}.
-profile: {name}    # the name that results carry
+profile: {name}    # name in results
 asset: {word(asset)}    # below this project's assets/
 base: floating                     # auto | floating | fixed
 init_state:
@@ -249,15 +253,15 @@ init_state:
 {kept}
   joint_pos:{mapping(moved, 4)}
   joint_vel: {{".*": 0.0}}         # rad/s
-joint_order: null                  # breadth first, as PhysX parses it; or a list of all joints
-soft_joint_pos_limit_factor: 0.95  # share of the joint range that soft limits keep
-friction_source: static            # static | dynamic: which coefficient MuJoCo's single one is
+joint_order: null                  # breadth first, as in PhysX; or a list of all joints
+soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
+friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
 {_frame(robot)}{_self_collisions(robot)}actuators:
 {_groups(robot)}"""
 
 
 def spawn_height(robot: Survey) -> float:
-    """Return the height of the root link at which the lowest collider touches the ground, m, rounded upwards."""
+    """Return the height of the root link at which the lowest collider touches the ground, m, rounded up."""
     return round(math.ceil(robot.facts.standing_height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
 
 
@@ -265,9 +269,9 @@ def _frame(robot: Survey) -> str:
     standing = robot.standing
     if standing is None or standing.frame is None:
         return ""
-    why = "which has not x forwards and z upwards"
+    why = "which does not have x forwards and z upwards"
     if standing.lean != 0.0:
-        why = f"which leans by {math.degrees(standing.lean):.2g} degrees to have the mass over the axle"
+        why = f"which leans by {math.degrees(standing.lean):.2g} degrees, so that the mass is over the axle"
     return f"""# (w, x, y, z) of the root link's frame in the file's own, {why}.
 root_frame: [{", ".join(number(part, 6) for part in standing.frame)}]
 """
@@ -327,11 +331,9 @@ def _groups(robot: Survey) -> str:
 
 
 def _group(name: str, joints: list[str], gains: Gains) -> str:
-    said = " and ".join(filter(None, [", ".join(gains.given[:-1]), *gains.given[-1:]]))
-    source = f"{said} as the robot's file gives {'it' if len(gains.given) == 1 else 'them'}" if said else ""
-    rest = (
-        "" if len(gains.given) == (3 if name == "wheels" else 4) else "modest, from masses and inertias: look at them"
-    )
+    quantities = " and ".join(filter(None, [", ".join(gains.given[:-1]), *gains.given[-1:]]))
+    source = f"{quantities} from the robot's file" if quantities else ""
+    rest = "" if len(gains.given) == (3 if name == "wheels" else 4) else "defaults from masses and inertias: check them"
     refused = "".join(f"\n    # not taken: {reason}" for reason in gains.refused)
     return f"""  {name}:
     # {"; others ".join(filter(None, [source, rest])) if source else rest}{refused}
@@ -343,8 +345,60 @@ def _group(name: str, joints: list[str], gains: Gains) -> str:
     damping:{by_joint(gains.damping, 6)}
     # N·m
     effort_limit:{by_joint(gains.effort, 6)}
-    # rad/s; targets are clipped to it
+    # rad/s; targets are clipped to this limit
     velocity_limit:{by_joint(gains.velocity, 6)}
-    # kg·m², of the motors' rotors; null is what the file says
+    # kg·m², of the motors' rotors; null means as in the file
     armature: null
 """
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number with few significant digits that YAML reads as a float."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    text = repr(float(f"{value:.{digits}g}"))
+    return text if "." in text else text.replace("e", ".0e")
+
+
+def word(name: str) -> str:
+    """Return text as a YAML scalar, quoted if needed."""
+    plain = _PLAIN.fullmatch(name) and name.lower() not in _WORDS
+    return name if plain else json.dumps(name, ensure_ascii=False)
+
+
+def names(values: Sequence[str], indent: int, used: int = 0) -> str:
+    """Return expressions of names as a flow list, on several lines if too long.
+
+    Args:
+        values: the names.
+        indent: of the following lines.
+        used: number of characters before the list.
+    """
+    items = [word(name_expression(value)) for value in values]
+    line = "[" + ", ".join(items) + "]"
+    if used + len(line) <= WIDTH:
+        return line
+    lines, current = [], ""
+    for item in items:
+        if current and indent + len(current) + len(item) + 3 > WIDTH:
+            lines.append(current)
+            current = ""
+        current += ("" if not current else " ") + item + ","
+    lines.append(current.rstrip(","))
+    space = "\n" + " " * indent
+    return "[" + space + space.join(lines) + "]"
+
+
+def by_joint(values: Mapping[str, float], indent: int) -> str:
+    """Return the text after a key's colon: a number if all joints share it, else one joint per line."""
+    if len({number(value) for value in values.values()}) <= 1:
+        return f" {number(next(iter(values.values()), 0.0))}"
+    return mapping(values, indent)
+
+
+def mapping(values: Mapping[str, float], indent: int) -> str:
+    """Return the text after a key's colon: values by name on separate lines, or an empty mapping."""
+    if not values:
+        return " {}"
+    space = "\n" + " " * indent
+    return "".join(f"{space}{word(name_expression(name))}: {number(value)}" for name, value in values.items())

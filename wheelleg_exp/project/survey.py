@@ -15,23 +15,28 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.anatomy.anatomy_parts import Anatomy
 from wheelleg_exp.anatomy.collider_shapes import lowest_point, overlap_depths
-from wheelleg_exp.anatomy.compiled_robot import RobotFacts, measure, with_written_limits
+from wheelleg_exp.anatomy.compiled_robot import (
+    RobotFacts,
+    default_position,
+    measure,
+    missing_colliders,
+    provisional_robot,
+    with_written_limits,
+)
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.anatomy.stance import Stance, solve_stance
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.errors import AssetError
-from wheelleg_exp.lint.rules_links import missing_colliders
 from wheelleg_exp.managers import SceneManager
-from wheelleg_exp.project.yaml_text import expression
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
 Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
-_ALONG = math.cos(math.radians(15))  # an axis within 15 degrees of another lies along it
-_LEAN = math.radians(0.5)  # leans below are none
+_ALONG = math.cos(math.radians(15))  # axes within 15 degrees count as equal
+_LEAN = math.radians(0.5)  # smaller leans are ignored
 
 
 @dataclass(frozen=True)
@@ -39,11 +44,11 @@ class Standing:
     """How a robot stands.
 
     Attributes:
-        frame: the root link's new frame in the file's, (w, x, y, z); None where that has x forwards, z upwards.
+        frame: the root link's new frame in the file's, (w, x, y, z); None if that has x forwards and z upwards.
         rotation: of the root link in that frame, in the world, (w, x, y, z).
-        positions: of the legs' joints, rad (m), by name; none for a robot that does not roll.
-        stance: what is known of the pose; None likewise.
-        lean: of the base, rad; positive forwards down; 0 where the legs alone balance the robot.
+        positions: of the legs' joints, rad (m), by name; empty for a robot that does not roll.
+        stance: the solved stance; None for a robot that does not roll.
+        lean: of the base, rad; positive forwards down; 0 if the legs alone balance the robot.
     """
 
     frame: Quaternion | None
@@ -54,11 +59,11 @@ class Standing:
 
 
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
-    """Choose how a robot stands, next to a given pose.
+    """Choose how a robot stands, near a given pose.
 
     Args:
         model: the compiled robot in its scene, on a free base.
-        anatomy: what its parts are for, at that pose.
+        anatomy: its anatomy at that pose.
         qpos: the pose, (nq,).
     """
     stance = solve_stance(model, anatomy, qpos)
@@ -71,9 +76,9 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the frame with x forwards, y to the left and z upwards while the base leans.
+    """Return the frame with x forwards, y to the left, and z upwards while the base leans.
 
-    Axes near the file's own are the file's.
+    Axes near the file's own axes are replaced by them.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -93,10 +98,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_INSIDE = 0.25  # share of a joint's range between a default position and the limit that it was moved away from
-_OFF = 0.02  # the same between a position of the file's and the limits
-_GROUND = 0.05  # of the standing height: a body this near to the ground stands on it
-_LEVEL = 0.99  # cosine of the tilt up to which a root link counts as upright
+_GROUND = 0.05  # share of the standing height: a body this near to the ground stands on it
+_LEVEL = 0.99  # smallest cosine of an upright root link's tilt
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
@@ -106,24 +109,24 @@ class Survey:
 
     Attributes:
         dofs: the degrees of freedom by name, in the robot's order: breadth first.
-        legs: the driven joints between base and wheels; without wheels, all that are driven.
-        held: the other driven joints, such as those of an arm: their drives hold them, and no action moves them.
-        wheels: the joints that wheels turn on.
-        passive: joints that nothing drives.
+        legs: the driven joints between base and wheels; without wheels, all driven joints.
+        held: other driven joints, such as those of an arm: their drives hold them, and no action moves them.
+        wheels: the wheels' joints.
+        passive: joints without a drive.
         positions: default positions, rad (m), by joint.
         rotation: of the root link, (w, x, y, z).
-        standing: how the pose was chosen; None where it was given.
-        overlaps: pairs of the robot's own links that overlap there and may touch, and how deep, m.
-        facts: masses, inertias and heights at the default pose.
-        anatomy: what its parts are for.
-        radius: of the wheels, m; 0 without.
+        standing: how the pose was chosen; None if the pose was given.
+        overlaps: depth, m, of each pair of links that overlap in this pose and can touch.
+        facts: masses, inertias, and heights at the default pose.
+        anatomy: the robot's anatomy.
+        radius: of the wheels, m; 0 without wheels.
         size: the larger of the heights of root link and centre of mass over the ground, m.
-        up: the root link's axis that points up, (0, 0, 1) for most.
-        trunk: the heaviest of the root link and those fixed to it: the root itself is often a frame without mass.
+        up: the root link's axis that points up, (0, 0, 1) for most robots.
+        trunk: the heaviest of the root link and links fixed to it: the root itself is often a frame without mass.
         trunk_mass: kg.
         wheel_bodies: the link of each wheel that reaches lowest, and so touches the ground.
         raised_bodies: links with colliders that are not on the ground.
-        notes: what a user should know of the file.
+        notes: information for the user.
     """
 
     dofs: dict[str, Dof]
@@ -148,21 +151,22 @@ class Survey:
 
     @property
     def level(self) -> bool:
-        """Whether the root link's z axis points up, as most terms take it to."""
+        """Whether the root link's z axis points up, as most terms require."""
         return self.up[2] >= _LEVEL
 
 
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
-    """Convert a robot, find out what its joints do, choose a default pose, and measure it there.
+    """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
     Args:
         source: the robot's file.
-        env: sections ``sim`` and ``scene`` to build it with.
+        env: sections ``sim`` and ``scene`` for the model.
         pose: default positions by joint expression, in place of the file's.
-        allow_missing: whether colliders may be missing with their files.
+        allow_missing: whether colliders can be missing together with their files.
 
     Raises:
-        AssetError: the file cannot be read, or holds no robot that could stand: one with joints and all its colliders.
+        AssetError: the file cannot be read, or its robot has no joints, a ball joint, a fixed base, or missing
+            colliders.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
@@ -206,52 +210,9 @@ def _require_robot(robot: RobotDescription, source: Path) -> None:
 def _require_floating(robot: Robot, source: Path) -> None:
     if not robot.floating:
         message = (
-            f"the base hangs on joints to the world ({robot.joint_names[0]}, ...), so the robot cannot stand or fall"
+            f"joints connect the base to the world ({robot.joint_names[0]}, ...), so the robot cannot stand or fall"
         )
-        raise AssetError(message, where=str(source), expected="a base that may move freely")
-
-
-def default_position(dof: Dof) -> float:
-    """Return a position inside the limits: the saved one, else the drive's target, else as the file draws it."""
-    target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
-    value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
-    if dof.range is None:
-        return value
-    low, high = dof.range
-    margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
-    return _short(min(max(value, low + margin), high - margin), low, high)
-
-
-def _short(value: float, low: float, high: float) -> float:
-    """Return a number with few digits where that does not carry it over a limit."""
-    rounded = float(f"{value:.4g}")
-    return rounded if low <= rounded <= high else value
-
-
-def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return an ``env.robot`` section that nothing drives, over the origin.
-
-    Args:
-        name: the robot's.
-        rotation: of the root link, (w, x, y, z).
-        positions: default positions, rad (m), by joint.
-    """
-    state = {
-        "pos": [0.0, 0.0, 0.0],
-        "rot": list(rotation),
-        "joint_pos": {expression(joint): value for joint, value in positions.items()},
-        "joint_vel": {},
-    }
-    return {
-        "profile": "survey",
-        "asset": name,
-        "base": "auto",
-        "init_state": state,
-        "joint_order": None,
-        "soft_joint_pos_limit_factor": 1.0,
-        "friction_source": "static",
-        "actuators": {},
-    }
+        raise AssetError(message, where=str(source), expected="a base that can move freely")
 
 
 def _measured(
@@ -317,15 +278,16 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 
 
 def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str], float]:
-    """Return the pairs of links that overlap, the deepest first; the ground is none."""
+    """Return the pairs of links that overlap, the deepest first, without the ground."""
     depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
     return {(model.body(one).name, model.body(other).name): depth for (one, other), depth in depths}
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the driven joints but the wheels', and those that nothing drives: followers, and what the file leaves so.
+    """Return the driven joints without the wheels, and the joints without a drive.
 
-    A file without drives says nothing of what is driven; neither does one that drives no leg, or no wheel, of these.
+    A file without any drives, or without drives for legs or for wheels, does not define which of these joints are
+    driven: then all of them are, except followers.
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []
@@ -347,23 +309,21 @@ def _notes(
 ) -> list[str]:
     notes = [*filter(None, [lost]), *conversion.report.warnings]
     if not upright:
-        notes.append("the root link's z axis does not point up, so the task leaves out terms that take it to")
+        notes.append("the root link's z axis does not point up, so the task leaves out terms that require it")
     if not anatomy.wheels:
         notes.append(
-            "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so the "
-            "task has none"
+            "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so "
+            "the task has no wheels"
         )
     lifted = [wheel.joint for wheel in anatomy.wheels if not wheel.stands]
     if lifted:
         count = f"only {len(anatomy.standing)} of {len(anatomy.wheels)} wheels"
         notes.append(f"{count} touch the ground in the default pose, not those of {', '.join(lifted)}")
     if anatomy.wheels and anatomy.forward is None:
-        notes.append(
-            "the wheels' axles are not parallel, so the legs keep the file's pose, and the root link its frame"
-        )
+        notes.append("the wheels' axles are not parallel, so the pose and the root link's frame are those of the file")
     notes += [f"joint '{name}' would be a wheel's, but {why}" for name, why in anatomy.near.items()]
     if not legs:
-        notes.append("no joint is a leg's, so the task drives wheels alone")
+        notes.append("no joint is a leg's, so the task drives only wheels")
     if passive:
-        notes.append("nothing drives " + ", ".join(passive))
+        notes.append("joints without a drive: " + ", ".join(passive))
     return notes

@@ -1,26 +1,25 @@
-"""Writes a project's task and the terms that carry this robot's names."""
+"""Write a project's task, and the terms that contain this robot's names."""
 
 from __future__ import annotations
 
 import math
 
 from wheelleg_exp.lint.rule import at_most
-from wheelleg_exp.project.robot_yaml import leg_gains, wheel_gains
+from wheelleg_exp.project.robot_yaml import leg_gains, names, number, wheel_gains
 from wheelleg_exp.project.survey import Survey
-from wheelleg_exp.project.yaml_text import names, number
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
-_CONTACT = 0.02  # of the weight: more than this is a contact
-_FORCE = 0.02  # of the weight, pushing on the base
-_TORQUE = 0.01  # of the weight at the standing height, turning the base
-_LOAD = (-0.05, 0.1)  # of the trunk's mass
-_ERROR = 0.2  # of the standing height: an error that costs 1/s
-_COST = 0.15  # per second, of a motion at a tenth of the speeds that go with the robot's height
+_CONTACT = 0.02  # share of the weight: a larger force is a contact
+_FORCE = 0.02  # share of the weight, as force on the base
+_TORQUE = 0.01  # share of weight times standing height, as torque on the base
+_LOAD = (-0.05, 0.1)  # share of the trunk's mass
+_ERROR = 0.2  # share of the standing height: an error that costs 1/s
+_COST = 0.15  # per second, of a motion at a tenth of the natural speeds of the robot's height
 _TILT = 0.03  # rad, of the stock event
-_DIP = 0.003  # of the robot's size: how deep either tilt may put a wheel into the ground
+_DIP = 0.003  # share of the robot's size: largest depth of a wheel in the ground by a tilt
 _STD = 0.5  # m/s and rad/s, largest
 _LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
-_WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
+_WHEEL_EFFORT = 0.25  # share of the largest torque, at standstill per unit of action
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
@@ -37,7 +36,7 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
 
 
 def task_yaml(name: str, robot: Survey) -> str:
-    """Return ``task/<name>.yaml``: to stand, and stay in place."""
+    """Return ``task/<name>.yaml``: stand and stay in place."""
     legs, wheels = bool(robot.legs), bool(robot.wheels)
     actions = _chosen((f"{name}_legs", legs), (f"{name}_wheels", wheels))
     seen = _chosen(
@@ -94,11 +93,11 @@ env:
     sensors:
       contact_forces: {{force_threshold: {_threshold(robot)}}}   # N
 
-agent: {{max_iterations: 200}}   # some eight minutes on two cores; most robots stand after 110
+agent: {{max_iterations: 200}}   # about eight minutes on two cores; most robots stand after 110
 
 check:
   silence:   # findings of `wheelleg check --physics` that this task accepts, each with its reason
-    zero_width_range: joints begin at their defaults, nothing bounces, and the command of standing is zero
+    zero_width_range: joints start at their defaults, MuJoCo has no restitution, and the command of standing is zero
 """
 
 
@@ -129,9 +128,9 @@ def _events(robot: Survey) -> str:
 
 
 def _tilt(robot: Survey) -> str:
-    """Return the tilts that episodes begin with, where the stock ones would put a wheel or foot into the ground."""
+    """Return the tilts at the start of episodes, if the stock ones would put a wheel or foot into the ground."""
     anatomy = robot.anatomy
-    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)  # of feet, whose places are not known
+    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)  # of feet, whose positions are unknown
     if anatomy.forward is not None:
         along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
         arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
@@ -195,12 +194,12 @@ def _leg_action(name: str, robot: Survey) -> str:
 
 
 def _tolerance(robot: Survey) -> float:
-    """Return a speed that standing should not drift at, m/s: that of one unit of wheel action."""
+    """Return a drift speed that standing should avoid, m/s: that of one unit of wheel action."""
     return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the speed that one unit of action asks for, rad/s: a quarter of the torque, at standstill."""
+    """Return the speed of one unit of action, rad/s: a quarter of the torque at standstill."""
     gains = wheel_gains(robot)
     return min(
         min(max(_WHEEL_EFFORT * gains.effort[wheel] / gains.damping[wheel], 0.1 * gains.velocity[wheel]), top)
@@ -209,7 +208,7 @@ def _wheel_scale(robot: Survey) -> float:
 
 
 def _leg_scale(robot: Survey) -> float:
-    """Return what one unit of action turns the legs by, rad: within torques and limits where those leave enough."""
+    """Return the rotation of the legs by one unit of action, rad, within torques and limits if possible."""
     gains, reach = leg_gains(robot), []
     for name in robot.legs:
         low, high = robot.dofs[name].range or (-math.inf, math.inf)
@@ -228,7 +227,7 @@ def _wheel_action(name: str, robot: Survey) -> str:
 
 
 def _leg_positions(name: str, robot: Survey) -> str:
-    return f"""# Leg joints from their defaults, rad; a wheel's angle means nothing to a balancer and is unbounded.
+    return f"""# Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance.
 {name}_leg_pos:
   _target_: wheelleg_exp.mdp.observations.joint_pos_rel
   asset_cfg:
@@ -244,7 +243,7 @@ def _clip(robot: Survey) -> str:
 
 
 def _contact(name: str, robot: Survey) -> str:
-    return f"""# A link that does not stand on the ground touches something.
+    return f"""# A link that should not touch the ground touches something.
 {name}_contact:
   _target_: wheelleg_exp.mdp.terminations.illegal_contact
   threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
@@ -256,7 +255,7 @@ def _contact(name: str, robot: Survey) -> str:
 
 
 def _upright(name: str, robot: Survey) -> str:
-    return f"""# Standing upright: a term of this project's own, in {name}/terms.py.
+    return f"""# Standing upright: this project's own term, in {name}/terms.py.
 {name}_upright:
   _target_: {name}.terms.upright
   weight: 2.0
