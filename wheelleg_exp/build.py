@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.asset import CachedConversion, convert_cached
-from wheelleg_exp.asset.cache import find_beside
+from wheelleg_exp.asset.conversion_cache import find_beside
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset

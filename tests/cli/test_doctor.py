@@ -36,7 +36,7 @@ def test_a_healthy_robot_ends_with_0(file, capsys):
     assert main(["doctor", path]) == 0
     said = capsys.readouterr().out
     assert "0 findings\n" in said
-    assert " ".join(said.split()).endswith(f"{path}: nothing to mend")
+    assert " ".join(said.split()).endswith(f"{path}: nothing to fix")
 
 
 def test_a_finding_ends_with_1_and_the_one_to_act_on_first(file, capsys):

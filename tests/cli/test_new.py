@@ -187,7 +187,7 @@ def test_what_is_there_already_stays(kind, tmp_path):
     {"folder": place.mkdir, "file": place.touch, "link": lambda: place.symlink_to("nowhere")}[kind]()
     said = wheelleg("new", "myrobot")
     assert said.status == 2
-    assert "is there already" in said.err
+    assert "exists already" in said.err
     assert inside(tmp_path) == ["myrobot"]
 
 

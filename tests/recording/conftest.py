@@ -11,7 +11,7 @@ import pytest
 import rerun as rr
 import torch
 
-from wheelleg_exp.asset.cache import convert_cached
+from wheelleg_exp.asset.conversion_cache import convert_cached
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset

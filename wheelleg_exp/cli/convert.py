@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """
     variants = dict(_variant(text) for text in args.variant)
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
-        from wheelleg_exp.asset.conversion import convert
+        from wheelleg_exp.asset.convert_robot import convert
         from wheelleg_exp.asset.mjcf.preview_scene import write_scene
     stop.check()
     conversion = convert(args.source, args.output, base=args.base, variants=variants)

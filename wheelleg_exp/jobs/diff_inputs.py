@@ -205,7 +205,7 @@ def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
 
 
 def _layers(composed: Composed) -> dict[str, str]:
-    from wheelleg_exp.asset.cache import find_beside, source_digest
+    from wheelleg_exp.asset.conversion_cache import find_beside, source_digest
 
     try:
         env, roots = composed.config["env"], composed.asset_roots

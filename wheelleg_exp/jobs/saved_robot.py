@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from wheelleg_exp.asset import CachedConversion
-from wheelleg_exp.asset.cache import MODEL
+from wheelleg_exp.asset.conversion_cache import MODEL
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text

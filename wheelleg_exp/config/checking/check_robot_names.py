@@ -39,7 +39,7 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
         ConfigError: the file is missing, or does not contain a robot.
     """
     from wheelleg_exp.asset import convert_cached
-    from wheelleg_exp.asset.cache import find_beside
+    from wheelleg_exp.asset.conversion_cache import find_beside
 
     robot = env["robot"]
     try:

@@ -195,7 +195,7 @@ def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
     """Return the conversion, or None and why there is none."""
-    from wheelleg_exp.asset.cache import convert_cached, find_beside, source_digest
+    from wheelleg_exp.asset.conversion_cache import convert_cached, find_beside, source_digest
     from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
 
