@@ -113,7 +113,6 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
 
 
 def _all_touching(model: mujoco.MjModel, bodies: set[int]) -> mujoco.MjModel:
-    """Return the model with contacts enabled between all colliders of the robot, and no others."""
     free = copy.copy(model)
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0

@@ -186,7 +186,6 @@ def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
 
 
 def _turned(model: mujoco.MjModel, anatomy: Anatomy) -> list[list[int]]:
-    """Return the bodies of each wheel that carries the robot."""
     return [[model.body(name).id for name in wheel.bodies] for wheel in anatomy.standing]
 
 
@@ -367,7 +366,6 @@ def default_position(dof: Dof) -> float:
 
 
 def _short(value: float, low: float, high: float) -> float:
-    """Return a number with few digits, if that does not exceed a limit."""
     rounded = float(f"{value:.4g}")
     return rounded if low <= rounded <= high else value
 

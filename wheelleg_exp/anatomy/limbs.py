@@ -13,7 +13,7 @@ from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
 TURNS = 3 * math.pi  # rad: a larger range, beyond one and a half turns, counts as unlimited
-LEVEL = 0.5  # largest upright part of an axle
+LEVEL = 0.5  # largest vertical component of a level axle
 _ROUND = 0.9  # smallest roundness; a hull of seven corners has this value
 _ROUGH = 0.6  # smallest roundness if the masses are distributed as a wheel's; a square box has this value
 _LOW = 0.4  # share of the robot's height: the lowest point of a wheel is below
@@ -91,7 +91,6 @@ def _may_roll(tree: Tree, joint: int) -> bool:
 
 
 def _height(tree: Tree) -> tuple[float, float]:
-    """Return the lowest and highest point of the robot's colliders, m in the world."""
     solid = colliders(tree.model, tree.bodies)
     down, up = reach(tree.model, tree.data, solid, np.zeros(3), np.array([-tree.up, tree.up]))
     return (-float(down), float(up)) if solid else (0.0, 0.0)
@@ -237,7 +236,7 @@ def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int
 
 _APART = 0.15  # share of the robot's size: largest distance from a mirror image
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # of the robot's size: how near to the plane the middle is
+_MIDDLE = 0.01  # share of the robot's size: a joint this near to the mirror plane is in the middle
 
 
 def find_mirrored(

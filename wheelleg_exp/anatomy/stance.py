@@ -58,8 +58,8 @@ def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] 
     """Find the standing pose next to a given one.
 
     The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
-    problem from several starts. First all wheels must touch the ground. If not all can, only the wheels that stand at
-    the given pose must.
+    problem from several starts. The first problem requires that all wheels touch the ground. If that fails, a second
+    problem requires this only of the wheels that stand at the given pose.
 
     Args:
         model: the compiled robot, with or without its scene.
@@ -227,7 +227,7 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return a local minimum near a start."""
+        """Return the pose with the locally smallest cost near a start."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)

@@ -158,7 +158,6 @@ def _converter_digest() -> str:
 
 
 def _read(entry: Path) -> Report | None:
-    """Return the report of a cache entry, or None if the entry is missing or damaged."""
     try:
         if not (entry / CONTENTS).is_file():  # false for a pipe, too
             return None

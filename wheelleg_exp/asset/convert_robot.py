@@ -219,7 +219,6 @@ def _problem_of(source: Path, output: Path) -> str | None:
 
 
 def _require_apart(source: Path, report: Report, output: Path) -> None:
-    """Raise an error if the output's mesh folder contains sources of the robot."""
     home, folder = source.resolve().parent, mesh_folder(output).resolve()
     for name in report.layers:
         if (home / name).resolve().is_relative_to(folder):

@@ -118,7 +118,6 @@ class Frame:
         return Frame(rotation_matrix(pose.rotation), np.array(pose.position))
 
     def __matmul__(self, other: Frame) -> Frame:
-        """Return ``other`` seen through this frame."""
         return Frame(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Frame:

@@ -143,7 +143,6 @@ def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
 
 
 def _report(mjcf: Path) -> Report | None:
-    """Return the report of a conversion in the cache."""
     try:
         return Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -18,7 +18,6 @@ _IMPLICIT = ("implicit", "implicitfast")
 
 
 def _groups(case: Case) -> dict[str, dict[str, Joint]]:
-    """Return the driven joints by actuator group."""
     groups: dict[str, dict[str, Joint]] = {}
     for name, joint in case.facts.joints.items():
         if joint.drive is not None:

@@ -213,7 +213,6 @@ def largest_scale(scale: Any) -> float:
 
 
 def _is_normalised(case: Case, group: str) -> bool:
-    """Return whether every network that gets a group normalises its input."""
     networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
     return bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks)
 

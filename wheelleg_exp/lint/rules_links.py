@@ -152,7 +152,6 @@ def link_masses(case: Case) -> Iterator[Finding]:
 
 
 def _impossible(case: Case) -> Iterator[Finding]:
-    """Yield findings for tensors that the conversion had to correct."""
     for item in records(case, "impossible_inertia"):
         a, b, c = (item.numbers[name] for name in "abc")
         yield _untrue(item.subject, a, b, c)

@@ -75,7 +75,6 @@ def _stock(name: str) -> str | None:
 
 
 def _nearest(name: str) -> str:
-    """Return the valid name that is most similar to an invalid one."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", Path(name).name).strip("_") or _FALLBACK
     plain = plain if plain[0].isalpha() else f"robot_{plain}"
     options = [plain, f"{plain}_robot", f"my_{plain}"]
@@ -244,7 +243,6 @@ def _surveyed(
 
 
 def _require_valid(draft: Path, name: str) -> None:
-    """Raise the errors of `wheelleg check` for the draft: a robot that cannot be used makes no project."""
     _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
     if mistakes:
         raise_all(mistakes)

@@ -166,7 +166,6 @@ def _place_in(name: str, path: Path, source: Path) -> str | None:
 
 
 def _free(name: str, taken: dict[Path, str]) -> str:
-    """Return a path that no other mesh has, ignoring case."""
     used = {place.lower() for place in taken.values()}
     path, number = Path(name), 2
     while name.lower() in used:

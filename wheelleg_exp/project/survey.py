@@ -278,7 +278,6 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 
 
 def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str], float]:
-    """Return the pairs of links that overlap, the deepest first, without the ground."""
     depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
     return {(model.body(one).name, model.body(other).name): depth for (one, other), depth in depths}
 

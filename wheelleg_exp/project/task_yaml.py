@@ -168,7 +168,6 @@ def _rewards(robot: Survey) -> str:
 
 
 def _motion(robot: Survey) -> str:
-    """Return the rewards of motions in the root link's axes."""
     gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
     turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
     return f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}

@@ -1,8 +1,8 @@
 """Compile an MJCF in MuJoCo and compare the model with the description.
 
-Two corrections need the compiled model. Gains of acceleration drives become force gains, by the inertia that each
-drive moves at zero. Attributes of USD's MuJoCo schemas that MuJoCo refuses, such as an ``actdim`` without a
-``dyntype``, are found by trial and left out one by one.
+The compiled model also gives two corrections of the description. Gains of acceleration drives become force gains, by
+the inertia that each drive moves at zero. Attributes of USD's MuJoCo schemas that MuJoCo refuses, such as an ``actdim``
+without a ``dyntype``, are found by trial and left out one by one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def load(path: Path, source: str) -> mujoco.MjModel:
     """Load an MJCF.
 
     Raises:
-        ModelRefused: MuJoCo refuses it, with the reason.
+        ModelRefused: MuJoCo refuses the file; the message gives its reason.
     """
     with refusals(source, path.parent):
         return mujoco.MjModel.from_xml_path(str(path))
@@ -58,7 +58,7 @@ def build(text: str, files: Mapping[str, bytes], source: str) -> mujoco.MjModel:
     """Compile the text of an MJCF and the files that it names.
 
     Raises:
-        ModelRefused: MuJoCo refuses it, with the reason.
+        ModelRefused: MuJoCo refuses the text; the message gives its reason.
     """
     with refusals(source):
         return mujoco.MjModel.from_xml_string(text, dict(files))
@@ -72,7 +72,7 @@ def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
     """Convert MuJoCo's exceptions to errors about ``source``, without lines and folders of temporary files.
 
     Raises:
-        ModelRefused: MuJoCo refuses something, with the reason and the element's name.
+        ModelRefused: MuJoCo refuses something; the message gives its reason and the element's name.
     """
     try:
         yield
@@ -325,7 +325,6 @@ def _without(item: Any, place: Place, suspect: Suspect) -> Any:
 
 
 def _with_left_out(report: Report, found: Suspect, refusal: ModelRefused) -> Report:
-    """Return the report with an attribute added to ``left_out``, by its name in the file."""
     path = getattr(found.item, "path", report.root)
     of_item = [item for item in report.mapped if item.path == path and item.became == found.key]
     name = of_item[0].name if of_item else found.key

@@ -234,7 +234,6 @@ def _grouping(rest: Attributes, family: Family) -> list[str]:
 
 
 def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
-    """Return groups of two or more members with the same attributes."""
     groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for name, rest in rests.items():
         key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
@@ -244,7 +243,6 @@ def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> 
 
 
 def _words_in_common(names: list[str]) -> str:
-    """Return the words that all names contain, in the order of the first name."""
     split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
     shared = [word for word in split[0] if all(word in words for words in split[1:])]
     words = [word for word in dict.fromkeys(shared) if not word.isdigit()]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
+from wheelleg_exp.asset.conversion_report import Assumption
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
 from wheelleg_exp.asset.mjcf.default_classes import Classes, gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
@@ -30,26 +30,10 @@ from wheelleg_exp.errors import AssetError
 FEW = 6  # a rule with more places is noted once, in the head; the report has every place
 
 
-class Note(Protocol):
-    """An assumption: its place in the source, its rule, and the resulting value."""
-
-    @property
-    def path(self) -> str:
-        """Path in the source."""
-
-    @property
-    def rule(self) -> str:
-        """The rule."""
-
-    @property
-    def value(self) -> str:
-        """The resulting value."""
-
-
 class Notes:
     """The notes of a document, and the elements by path in the source."""
 
-    def __init__(self, notes: Sequence[Note]) -> None:
+    def __init__(self, notes: Sequence[Assumption]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
@@ -75,7 +59,6 @@ class Notes:
         return head
 
     def _find(self, path: str) -> Element | None:
-        """Return the element of a path or of its nearest ancestor."""
         while path.strip("/"):
             if path in self._elements:
                 return self._elements[path]
@@ -222,7 +205,7 @@ DEEPEST = 499  # nested elements that MuJoCo's XML reader accepts
 class Writer:
     """The MJCF document of one robot."""
 
-    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Note] = ()) -> None:
+    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Assumption] = ()) -> None:
         self.robot, self.mesh_folder = robot, mesh_folder
         self.notes = Notes(notes)
         self.names = Names(robot)

@@ -87,7 +87,6 @@ def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: flo
 
 
 def _short(value: float) -> float:
-    """Return a number in a few digits; for numbers without effect on the physics."""
     return float(f"{round(float(value), 6):.4g}") + 0.0
 
 

@@ -167,7 +167,6 @@ def _faces(group: Element) -> Faces:
 
 
 def _strip(corners: Faces) -> Faces:
-    """Return the triangles of a strip, every second one flipped."""
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     faces[1::2] = faces[1::2, ::-1]
     return faces
@@ -239,7 +238,6 @@ def read_stl(data: bytes) -> Triangles:
 
 
 def _welded(corners: Array) -> Triangles:
-    """Return triangles from corners (3 k, 3), each point once, in the order of first use."""
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -364,7 +362,6 @@ class Files:
 
 
 def _readable(path: Path) -> bool:
-    """Return whether a path is a readable file; invalid names are not."""
     try:
         return path.is_file() and os.access(path, os.R_OK)
     except (OSError, ValueError):

@@ -119,7 +119,6 @@ def _weights(colliders: list[Shape]) -> list[Part]:
 
 
 def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part | None:
-    """Return the colliders' mass at the density of water, or None without volume."""
     parts = _weights(colliders)
     if not parts:
         return None
@@ -174,7 +173,6 @@ def _inertial(document: Document, link: Link, part: Part) -> Inertial:
 
 
 def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
-    """Return physically possible moments, and record a change of the file's moments."""
     path, shown = link.element.path, _listed(moments)
     able = balanced(moments)
     if able != moments:

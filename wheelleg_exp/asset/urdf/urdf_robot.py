@@ -148,7 +148,6 @@ def _note_ignored(document: Document, joint: Joint, element: Element | None) -> 
 
 
 def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
-    """Return a number of ``<limit>``, and store the file's value."""
     value = None if element is None else document.number(element, name, became, endless=True)
     if value is not None:
         document.ledger.authored.setdefault(joint.element.path, {})[name] = value
@@ -301,7 +300,6 @@ class _Builder:
         return robot, self.files
 
     def _named_by(self, file: str) -> dict[str, float]:
-        """Return the number of colliders and visuals that name a file."""
         shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
         of_file = [
             placed.collides
@@ -347,7 +345,6 @@ class _Builder:
         return joint.kind == "floating"
 
     def _world_pose(self, link: Link) -> Pose:
-        """Return the pose of a link in the world with all coordinates at zero."""
         chain = [link]
         while chain[-1].joint is not None:
             chain.append(chain[-1].joint.parent)
@@ -367,7 +364,6 @@ class _Builder:
         return tuple(dof.name for joint in joints for dof in self.dofs[joint.name])
 
     def _exclusions(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs that never touch: links that a joint connects."""
         pairs = []
         for joint in self.tree.joints.values():
             if joint.parent is not self.tree.world and joint.kind != "floating":

@@ -185,7 +185,6 @@ class Shapes:
         return flat
 
     def _load(self, name: str) -> Triangles | str:
-        """Return a file's triangles, or why there are none."""
         if name not in self._loaded:
             try:
                 self._loaded[name] = self._read(name)

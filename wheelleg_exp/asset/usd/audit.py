@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.asset.usd.ledger import plain
-from wheelleg_exp.asset.usd.usd_stage import Stage, below_instancer, physics_scenes, schemas
+from wheelleg_exp.asset.usd.usd_stage import Stage, below_instancer, schemas
 
 PHYSICAL_PROPERTIES = re.compile(
     r"physics:|physx|drive:|limit:|state:|newton:|mjc:|mjcf:|urdf:|isaac:physics|omni:physx|warpSim:"
@@ -161,7 +161,7 @@ def _everything(stage: Stage) -> Iterator[Usd.Prim]:
         yield prim
         if prim.IsA(UsdGeom.PointInstancer):
             yield from below_instancer(prim)
-    for prim in [*physics_scenes(stage), *_materials(stage)]:
+    for prim in [*stage.physics_scenes, *_materials(stage)]:
         if prim and prim.GetPath() not in seen:
             seen.add(prim.GetPath())
             yield prim

@@ -119,7 +119,6 @@ def _refuse(stage: Stage, instancer: Usd.Prim, reason: str) -> None:
 
 
 def _gprims(root: Usd.Prim) -> list[tuple[Usd.Prim, Usd.Prim | None]]:
-    """Return a prototype's gprims, each with the prim that makes it collide."""
     found = []
     carriers: dict[object, Usd.Prim] = {}
     for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):

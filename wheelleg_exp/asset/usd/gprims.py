@@ -179,7 +179,6 @@ def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _turn_z_to(direction: Array) -> Array:
-    """Return a rotation from z to a unit vector."""
     helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
     x = np.cross(helper, direction)
     x /= np.linalg.norm(x) or 1.0

@@ -169,7 +169,6 @@ def _mistake(attribute: Usd.Attribute, wrong: str, kind: ValueKind | None) -> As
 
 
 def _layer(attribute: Usd.Attribute) -> str | None:
-    """Return the name of the layer that a value comes from."""
     stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
     return stack[0].layer.GetDisplayName() if stack else None
 

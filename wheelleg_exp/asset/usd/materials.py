@@ -10,7 +10,7 @@ from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.asset.robot_description import Material, Rgba, unique_names
-from wheelleg_exp.asset.usd.usd_stage import Stage, physics_scenes, schemas
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseColor")
 
@@ -118,8 +118,7 @@ PHYSX_FRICTION = 0.5
 
 
 def _scene_material(stage: Stage) -> Usd.Prim | None:
-    """Return the physics material that a PhysicsScene is bound to: PhysX's default material."""
-    for scene in physics_scenes(stage):
+    for scene in stage.physics_scenes:
         material = physics_material(stage, scene)
         if material is not None:
             return material
@@ -127,7 +126,7 @@ def _scene_material(stage: Stage) -> Usd.Prim | None:
 
 
 def _unbound(stage: Stage) -> float | None:
-    if any(name.startswith("Mjc") for scene in physics_scenes(stage) for name in schemas(scene)):
+    if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
         return None
     rule = "colliders without a physics material: PhysX's default friction"
     stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from pxr import Usd, UsdShade
 
@@ -22,6 +22,7 @@ from wheelleg_exp.asset.robot_description import (
     Dof,
     Geom,
     Inertial,
+    Numbered,
     RobotDescription,
     Site,
     Tendon,
@@ -394,24 +395,13 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
     return replace(robot, keyframes=(*robot.keyframes, *read_keyframes(stage, robot)))
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
 Part = TypeVar("Part", Site, Tendon, Coupling, Actuator)
 
 
-def distinct(known: Iterable[_Named], parts: Iterable[Part]) -> tuple[Part, ...]:
+def distinct(known: Iterable[Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
     """Return ``parts`` with numbers appended to names that ``known`` parts of the same kind have."""
-    taken, out = {item.name for item in known}, []
-    for part in parts:
-        name, number = part.name, 2
-        while name in taken:
-            name, number = f"{part.name}_{number}", number + 1
-        taken.add(name)
-        out.append(part if name == part.name else replace(part, name=name))
-    return tuple(out)
+    names = Numbered(item.name for item in known)
+    return tuple(replace(part, name=names.take(part.name)) for part in parts)
 
 
 def single_dofs(robot: RobotDescription) -> dict[str, Dof]:

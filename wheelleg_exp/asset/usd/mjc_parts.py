@@ -316,7 +316,6 @@ def _pair(value: Attribute | None) -> tuple[float, float] | None:
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
-    """Return the prim paths of a tendon's points, in order."""
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
     order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
     if not order or not all(0 <= i < len(targets) for i in order):
@@ -403,7 +402,6 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
 
 
 def _wrapped(stage: Stage) -> list[Usd.Prim]:
-    """Return the prims on tendons' paths that are not sites, each once."""
     found: dict[str, Usd.Prim] = {}
     for tendon in tendon_prims(stage):
         for path in stage.ledger.targets(tendon, "mjc:path"):
@@ -456,7 +454,6 @@ def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
 
 
 def _states(actuator: Actuator) -> int:
-    """Return the number of states of an actuator's dynamics."""
     own = actuator.extra.get("actdim", -1)
     if isinstance(own, int) and own >= 0:
         return own

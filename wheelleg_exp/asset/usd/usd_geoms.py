@@ -98,7 +98,6 @@ class Geoms:
         )
 
     def _mesh(self, name: str, shape: Shape, collides: bool) -> str:
-        """Return the name of a shape's mesh; equal meshes are stored once."""
         assert shape.vertices is not None
         solid = collides and float(np.prod(np.ptp(shape.vertices, axis=0))) > SMALLEST_VOLUME
         vertices = np.round(shape.vertices, 9) + 0.0
@@ -109,7 +108,6 @@ class Geoms:
         return self._meshes[key].name
 
     def _mesh_name(self, name: str) -> str:
-        """Return a name for a mesh and its file, unique even if case is ignored."""
         stem = file_stem(name)
         return stem + self._files.take(stem.lower())[len(stem) :]
 

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -170,6 +171,16 @@ class Stage:
     def __post_init__(self) -> None:
         self._xforms = UsdGeom.XformCache(Usd.TimeCode.Default())
         self._world = self.units.world()
+
+    @cached_property
+    def physics_scenes(self) -> list[Usd.Prim]:
+        """All PhysicsScene prims of the stage."""
+        return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
+
+    @cached_property
+    def articulation_prims(self) -> list[Sdf.Path]:
+        """The prims that carry ArticulationRootAPI."""
+        return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
         """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up.
@@ -402,18 +413,9 @@ def below_instancer(prim: Usd.Prim) -> Iterator[Usd.Prim]:
     yield from walk
 
 
-def physics_scenes(stage: Stage) -> list[Usd.Prim]:
-    """Return all PhysicsScene prims of a stage."""
-    cache = vars(stage)  # a traversal of a large stage is slow
-    if "physics_scenes" not in cache:
-        cache["physics_scenes"] = [prim for prim in stage.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
-    found: list[Usd.Prim] = cache["physics_scenes"]
-    return found
-
-
 def scene_of_robot(stage: Stage) -> Usd.Prim | None:
     """Return the scene that the bodies name as their owner, else the first scene, else None."""
-    scenes = physics_scenes(stage)
+    scenes = stage.physics_scenes
     if len(scenes) < 2:
         return scenes[0] if scenes else None
     paths = {scene.GetPath(): scene for scene in scenes}
@@ -434,7 +436,7 @@ def gravity(stage: Stage) -> Vec3:
     if scene is None:
         stage.ledger.assume(stage.source.name, "no PhysicsScene: gravity", f"{EARTH} m/s² downwards")
         return 0.0, 0.0, -EARTH
-    for other in physics_scenes(stage):
+    for other in stage.physics_scenes:
         if other != scene:
             stage.ledger.leave(other.GetPath(), "PhysicsScene", f"one scene is read: {scene.GetPath()}")
     stage.ledger.mapped(scene.GetPath(), "PhysicsScene", "option gravity")

@@ -16,7 +16,7 @@ from pxr import Sdf
 from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import BaseMode, Closure, Pose
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
-from wheelleg_exp.asset.usd.bodies.roots import Graph, articulated, articulation_prims, find_roots
+from wheelleg_exp.asset.usd.bodies.roots import Graph, articulated, find_roots
 from wheelleg_exp.asset.usd.joints.usd_joints import WELD, Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
@@ -214,7 +214,7 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
     """Treat a generic joint without limits from the root to the world as a fixed one, as PhysX does."""
-    marks = articulation_prims(stage)
+    marks = stage.articulation_prims
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
         link = joint.other(None) if None in joint.links else None

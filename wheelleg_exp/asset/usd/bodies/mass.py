@@ -314,7 +314,6 @@ def _computed_tensor(
 
 
 def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
-    """Return moments that MuJoCo accepts, and record a change of the file's moments."""
     able = balanced(moments)
     if able == moments:
         return moments

@@ -10,7 +10,7 @@ from pxr import Sdf
 
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
 from wheelleg_exp.asset.usd.joints.usd_joints import Joint
-from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
+from wheelleg_exp.asset.usd.usd_stage import Stage
 
 Root = tuple[Link, "Joint | None"]
 
@@ -60,23 +60,13 @@ class Graph:
         return order, depth[order[-1].path]
 
 
-def articulation_prims(stage: Stage) -> list[Sdf.Path]:
-    """Return the prims that carry ArticulationRootAPI."""
-    cache = vars(stage)  # a traversal of a large stage is slow
-    if "articulation_prims" not in cache:
-        found = [prim.GetPath() for prim in stage.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
-        cache["articulation_prims"] = found
-    paths: list[Sdf.Path] = cache["articulation_prims"]
-    return paths
-
-
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
     """Return the roots of trees, best first.
 
     These are bodies joined to the world; bodies with ArticulationRootAPI; kinematic bodies; the centre of each floating
     part below a prim with that schema, as PhysX chooses it; and bodies that are not a child of any joint.
     """
-    marks = articulation_prims(stage)
+    marks = stage.articulation_prims
     roots: dict[str, Root] = {}
     for joint in _to_world(graph, marks):
         link = joint.other(None)
@@ -100,8 +90,8 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
 
 def articulated(stage: Stage, graph: Graph) -> list[Joint]:
     """Return the joints between bodies of articulations: all bodies reachable from ArticulationRootAPI."""
-    seeds = list(_below(graph.links, articulation_prims(stage)))
-    marked = {str(path) for path in articulation_prims(stage)}
+    seeds = list(_below(graph.links, stage.articulation_prims))
+    marked = {str(path) for path in stage.articulation_prims}
     seeds += [link for joint in graph.joints if joint.path in marked for link in joint.links if link]
     reached: set[str] = set()
     for seed in seeds:
@@ -112,7 +102,6 @@ def articulated(stage: Stage, graph: Graph) -> list[Joint]:
 
 
 def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
-    """Return the joints to the world, those of articulation roots first."""
     marked = {str(path) for path in marks}
     return sorted(graph.at(None), key=lambda j: not marked & {j.path, *(link.path for link in j.links if link)})
 

@@ -87,7 +87,6 @@ def _limited(stage: Stage, prim: Usd.Prim, token: str) -> bool:
 
 
 def _own(prim: Usd.Prim, token: str) -> bool:
-    """Return whether one rotation has its own properties."""
     return any(
         prim.GetAuthoredPropertiesInNamespace(f"{space}:{token}") for space in ("drive", "state", "physxJointAxis")
     )

@@ -146,5 +146,4 @@ def _dof(dofs: Mapping[str, list[Dof]], path: str, axis: str | None) -> Dof | No
 
 
 def _unit(stage: Stage, dof: Dof) -> float:
-    """Return one unit of the file's coordinate in rad or m."""
     return stage.units.meters if dof.kind == "slide" else math.pi / 180
