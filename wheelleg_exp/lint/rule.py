@@ -151,7 +151,8 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-RuleFunction = Callable[[Case], Iterator[Finding]]
+RuleFunction = Callable[..., Iterator[Finding]]
+"""A function of the case, or of the case and its robot; the second kind is skipped for a case without robot."""
 
 
 @dataclass(frozen=True)
@@ -162,10 +163,14 @@ class Rule:
     summary: str
     text: str
     function: RuleFunction
+    takes_robot: bool
 
     def __call__(self, case: Case) -> list[Finding]:
         """Return the rule's findings."""
-        return [replace(finding, rule=self.name) for finding in self.function(case)]
+        if self.takes_robot and case.robot is None:
+            return []
+        arguments = (case, case.robot) if self.takes_robot else (case,)
+        return [replace(finding, rule=self.name) for finding in self.function(*arguments)]
 
 
 RULES: dict[str, Rule] = {}
@@ -177,7 +182,8 @@ def rule(function: RuleFunction) -> RuleFunction:
     if name not in PHYSICS_RULES:
         raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
     text = inspect.getdoc(function) or name.replace("_", " ")  # python -OO has no docstrings
-    RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function)
+    takes_robot = len(inspect.signature(function).parameters) == 2
+    RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
     return function
 
 

@@ -386,14 +386,13 @@ _DEPTH = 0.01  # share of the robot's size: soft contacts correct a smaller dept
 
 
 @rule
-def reset_into_ground(case: Case) -> Iterator[Finding]:
+def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Random starts with the lowest point inside the ground.
 
     The extremes of height, roll, pitch, and joint positions are tested together. A contact from inside the ground
     throws the robot. Source: kinematics.
     """
-    robot = case.robot
-    if robot is None or not robot.anatomy.floating:
+    if not robot.anatomy.floating:
         return
     joints = list(_drawn_joints(case, robot))
     for term in case.terms("events", "events.reset_root_state_uniform"):

@@ -30,16 +30,16 @@ def records(case: Case, kind: Kind) -> list[Record]:
 
 
 @rule
-def missing_files(case: Case) -> Iterator[Finding]:
+def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Missing or damaged files of colliders or layers.
 
     Files are missing, damaged, or Git LFS pointers. A wheel without its collider is treated as a joint of a leg. Files
     of visuals are not checked. Source: the conversion report.
     """
-    report = case.robot.report if case.robot is not None else None
-    if case.robot is None or report is None:
+    report = robot.report
+    if report is None:
         return
-    message = missing_colliders(report, case.robot.model)
+    message = missing_colliders(report, robot.model)
     layers = [item.subject for item in records(case, "layer_not_found") if not item.numbers["looks"]]
     if message or layers:
         message = message or f"layers that the robot names are missing: {', '.join(layers[:_MOST])}"
@@ -47,14 +47,11 @@ def missing_files(case: Case) -> Iterator[Finding]:
 
 
 @rule
-def no_colliders(case: Case) -> Iterator[Finding]:
+def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A robot without colliders.
 
     It falls through the ground. Source: the compiled model.
     """
-    robot = case.robot
-    if robot is None:
-        return
     bodies = {robot.model.body(name).id for name in robot.bodies}
     solid = (robot.model.geom_contype != 0) | (robot.model.geom_conaffinity != 0)
     if not any(int(body) in bodies for body in robot.model.geom_bodyid[solid]):
@@ -94,12 +91,12 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 
 @rule
-def lost_in_conversion(case: Case) -> Iterator[Finding]:
+def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Colliders, limits, couplings, and drives of the file that the model lacks or has with other values.
 
     Source: the warnings of the conversion report.
     """
-    report = case.robot.report if case.robot is not None else None
+    report = robot.report
     lost = [text for text in report.warnings if _LOST.search(text) and not LOST_MESH.search(text)] if report else []
     if lost:
         shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
@@ -119,33 +116,26 @@ _FAST = 200.0  # rad/s, largest speed of a joint
 
 
 @rule
-def robot_size(case: Case) -> Iterator[Finding]:
+def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A robot with a mass and size that no robot has.
 
     Wrong units are the usual cause. Source: the density of a cube whose edge is the robot's longest.
     """
-    problem = _size_problem(case)
-    if case.robot is not None and problem:
-        yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": case.robot.anatomy.size})
-
-
-def _size_problem(case: Case) -> str:
-    return "" if case.robot is None else size_problem(case.facts.mass, case.robot.anatomy.size, _LIGHT)
+    problem = size_problem(case.facts.mass, robot.anatomy.size, _LIGHT)
+    if problem:
+        yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": robot.anatomy.size})
 
 
 @rule
-def link_masses(case: Case) -> Iterator[Finding]:
+def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Masses and inertias that no link of its size has.
 
     A link's radius of gyration sqrt(I / m) cannot exceed the extent of its shapes from its centre of mass, and is not a
     thirtieth of it. The centre is in or near the shapes. No moment of inertia exceeds the sum of the other two. Source:
     mechanics of rigid bodies.
     """
-    robot = case.robot
-    if robot is None:
-        return
     mass = case.facts.mass
-    if _size_problem(case):
+    if size_problem(mass, robot.anatomy.size, _LIGHT):
         return
     findings = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
     yield from [*_impossible(case), *findings][:_MOST]
@@ -200,15 +190,12 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
 
 
 @rule
-def joint_limits(case: Case) -> Iterator[Finding]:
+def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A driven leg joint without limits, or with limits that allow no motion.
 
     A leg that turns all round passes through the robot, and rewards of soft limits have no effect. Source: Isaac Lab
     2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
     """
-    robot = case.robot
-    if robot is None:
-        return
     legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
     free, locked = [], []
     for name in [*dict.fromkeys(legs), *robot.anatomy.others]:
@@ -243,16 +230,14 @@ def joint_limits(case: Case) -> Iterator[Finding]:
 
 
 @rule
-def placeholder_limits(case: Case) -> Iterator[Finding]:
+def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
     An effort limit of 0 drives nothing. A limit that would lift fifty times the robot on an arm as long as the robot is
     a placeholder, and policies trained with it do not transfer. Source: statics.
     """
-    if case.robot is None:
-        return
     facts = case.facts
-    most = _PLACEHOLDER * facts.weight * case.robot.anatomy.size
+    most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
     weak = _written_as_zero(case)
     for name, joint in facts.joints.items():
@@ -277,7 +262,7 @@ def placeholder_limits(case: Case) -> Iterator[Finding]:
 
 def _written_as_zero(case: Case) -> list[str]:
     """Return the joints with an effort or speed of 0 in a file without a task; a task defines its own limits."""
-    if "task" in case.config or case.robot is None:
+    if "task" in case.config:
         return []
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}

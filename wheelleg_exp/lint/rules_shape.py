@@ -26,16 +26,13 @@ _SHOWN = 4  # pairs in one message
 
 
 @rule
-def overlapping_bodies(case: Case) -> Iterator[Finding]:
+def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Bodies that overlap at the start and can push each other apart.
 
     The contact's spring throws them apart in the first step. MuJoCo disables contacts between bodies that a joint
     connects, so these count only if they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at
     the default pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
     """
-    robot = case.robot
-    if robot is None:
-        return
     size = robot.anatomy.size
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     acting = [pair for pair in pairs if pair.acts and not pair.neighbours and pair.depth > _TOUCHES * size]
@@ -63,15 +60,12 @@ def overlapping_bodies(case: Case) -> Iterator[Finding]:
 
 
 @rule
-def contact_at_start(case: Case) -> Iterator[Finding]:
+def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A contact termination on a body that touches something at the start.
 
     The body is as low as the robot's lowest point, or inside another body. Every episode ends within its first steps,
     and the policy learns nothing. Source: kinematics of the default pose.
     """
-    robot = case.robot
-    if robot is None:
-        return
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
     ground = min(lows.values())
@@ -94,15 +88,12 @@ def contact_at_start(case: Case) -> Iterator[Finding]:
 
 
 @rule
-def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
+def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A wheel that is not round, differs from the other side's, is held by limits, or has no collider.
 
     The extent of the colliders across the axle is measured all round. A box or a coarse hull rolls in bumps; wheels of
     different radii make the robot lean or turn. Source: the support function of the shapes.
     """
-    robot = case.robot
-    if robot is None:
-        return
     for name, why in robot.anatomy.near.items():
         yield Finding(
             _ASSET,
@@ -146,15 +137,14 @@ _TOE = math.radians(2)
 
 
 @rule
-def balance_pose(case: Case) -> Iterator[Finding]:
+def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A centre of mass that is not over the wheels at the start.
 
     On one axle the robot starts to fall at once, faster with a larger lean. It balances if the mass above the axle is
     straight over the axle. The pose in the hint is solved from the kinematics. On several axles the centre of mass must
     be between the outermost contacts. Source: statics of the inverted pendulum.
     """
-    robot = case.robot
-    if robot is None or robot.anatomy.forward is None:
+    if robot.anatomy.forward is None:
         return
     weight = weight_over_axle(robot)
     chosen = "task" in case.config
@@ -200,14 +190,13 @@ def _outside(robot: CompiledRobot, place: np.ndarray, edge: float) -> Iterator[F
 
 
 @rule
-def rolling_direction(case: Case) -> Iterator[Finding]:
+def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Wheels that do not roll along the base's x, or not in one direction.
 
     In commands, rewards, and observations x is forwards. Source: Isaac Lab's convention, ROS REP 103; the directions of
     the axles.
     """
-    robot = case.robot
-    if robot is None or not robot.anatomy.wheels:
+    if not robot.anatomy.wheels:
         return
     anatomy = robot.anatomy
     if anatomy.forward is None:
@@ -254,15 +243,12 @@ _MOST = 4  # findings of one kind
 
 
 @rule
-def wheel_senses(case: Case) -> Iterator[Finding]:
+def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right wheels with opposite signs, though the legs above them have equal signs.
 
     One unit of action then drives one side forwards and the other one backwards. If every joint of one side has the
     opposite sign, this is the file's convention and not reported. Source: kinematics, v = omega x r.
     """
-    robot = case.robot
-    if robot is None:
-        return
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
     for pair in anatomy.mirrored:
@@ -312,14 +298,13 @@ def _way(sign: int) -> str:
 
 
 @rule
-def mirror_images(case: Case) -> Iterator[Finding]:
+def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs that are not mirror images in place, mass, centre of mass, or limits.
 
     A robot that should be symmetric drifts to one side, and rewards of symmetry cannot be met. Source: the image of
     each joint and link in the plane between the sides, in the pose that the file draws.
     """
-    robot = case.robot
-    if robot is None or robot.drawn.left is None:
+    if robot.drawn.left is None:
         return
     pairs = [pair for pair in robot.drawn.mirrored if pair.left != pair.right]
     displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
@@ -411,14 +396,13 @@ def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
 
 
 @rule
-def lopsided_pose(case: Case) -> Iterator[Finding]:
+def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """An asymmetric default pose of a symmetric robot.
 
     The usual cause is a sign: joints of two sides with opposite signs need positions of opposite signs. Source: the
     mirrored axes of the joints.
     """
-    robot = case.robot
-    if robot is None or robot.drawn.left is None:
+    if robot.drawn.left is None:
         return
     legs = {name for leg in robot.drawn.legs for name in leg.joints}
     wrong = []
