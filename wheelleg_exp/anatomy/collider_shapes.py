@@ -34,17 +34,9 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[in
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return how far shapes extend from a point (support function).
+    """Return the largest extent of shapes from a point, for each direction, m, (n,); -inf without shapes.
 
-    Args:
-        model: the robot.
-        data: its pose.
-        geoms: the shapes.
-        origin: world, m, (3,).
-        directions: unit vectors in the world, (n, 3).
-
-    Returns:
-        The largest extent over all shapes, m, (n,); -inf without shapes.
+    This is the support function. ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in the world frame.
     """
     farthest = np.full(len(directions), -math.inf)
     for geom in geoms:
@@ -91,14 +83,9 @@ class Overlap:
 
 
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
-    """Return the pairs of a robot's bodies that overlap at a pose, the deepest first.
+    """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, the deepest first.
 
     Bodies that are welded together, or that the model excludes by name, are left out.
-
-    Args:
-        model: the robot, with or without its scene.
-        qpos: the pose, (nq,).
-        names: the robot's bodies.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
@@ -132,13 +119,7 @@ def _depths(model: mujoco.MjModel, qpos: np.ndarray, bodies: set[int]) -> dict[t
 
 
 def overlap_depths(model: mujoco.MjModel, data: mujoco.MjData, bodies: Collection[int]) -> dict[tuple[int, int], float]:
-    """Return the overlap depth, m, of each pair of body ids with contacts in the model.
-
-    Args:
-        model: the robot, with or without its scene.
-        data: its pose, with contacts computed.
-        bodies: ids of the robot's bodies.
-    """
+    """Return the overlap depth, m, of each pair of body ids. ``data`` must contain the contacts."""
     found: dict[tuple[int, int], float] = {}
     for contact in data.contact[: data.ncon]:
         one, other = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)

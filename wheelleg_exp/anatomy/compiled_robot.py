@@ -145,13 +145,7 @@ class RobotFacts:
 
 
 def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None) -> RobotFacts:
-    """Measure a robot at its default pose.
-
-    Args:
-        model: the compiled scene.
-        robot: the robot that the scene was compiled with.
-        anatomy: its anatomy, if known already.
-    """
+    """Measure a robot at its default pose, in the scene that it was compiled with."""
     data = at_default(model, robot)
     anatomy = anatomy or anatomy_of(model, data.qpos)
     gravity = float(np.linalg.norm(model.opt.gravity))
@@ -332,11 +326,8 @@ def compiled_robot(
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return a robot of a compiled scene, and its facts.
 
-    Args:
-        model: the compiled scene.
-        robot: the robot that the scene was compiled with.
-        report: of its conversion.
-        driven: the joints that the robot's file drives, for a robot without actuators; None if the file has no drives.
+    ``driven`` are the joints that the robot's file drives, for a robot without actuators; None if the file has no
+    drives.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
@@ -371,13 +362,7 @@ def _short(value: float, low: float, high: float) -> float:
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return an ``env.robot`` section without actuators, over the origin.
-
-    Args:
-        name: the robot's name.
-        rotation: of the root link, (w, x, y, z).
-        positions: default positions, rad (m), by joint.
-    """
+    """Return an ``env.robot`` section without actuators, over the origin; default positions in rad (m), by joint."""
     state = {
         "pos": [0.0, 0.0, 0.0],
         "rot": list(rotation),
@@ -399,12 +384,7 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
     """Return which colliders are missing because of missing or damaged files, and which wheels they belong to.
 
-    Args:
-        report: of the conversion.
-        model: the compiled robot.
-
-    Returns:
-        The message, the same for every command; empty if no collider is known to be missing.
+    The message is the same for every command. It is empty if no collider is known to be missing.
     """
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]

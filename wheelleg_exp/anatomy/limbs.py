@@ -179,13 +179,7 @@ _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 
 
 def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> list[Leg]:
-    """Return the leg of each wheel.
-
-    Args:
-        tree: the robot.
-        wheels: the joints of wheels.
-        driven: the joints with a motor.
-    """
+    """Return the leg of each wheel; ``wheels`` and ``driven`` are joints."""
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
@@ -244,12 +238,9 @@ def find_mirrored(
 ) -> tuple[list[MirroredPair], list[str]]:
     """Return the mirrored pairs, and the joints without an image.
 
-    Args:
-        tree: the robot.
-        left: unit normal of the mirror plane, to the left, in the world, (3,).
-        middle: a point of the plane, m, (3,).
-        size: of the robot, m.
-        wheels: the centres of wheels, m, by joint: these are more precise than the joints' anchors.
+    The mirror plane has the unit normal ``left`` and contains ``middle``, m, both (3,) in the world. ``size`` is that
+    of the robot, m. ``wheels`` gives the centres of wheels, m, by joint: these are more precise than the joints'
+    anchors.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints

@@ -55,19 +55,11 @@ class Stance:
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
-    """Find the standing pose next to a given one.
+    """Find the standing pose next to a given one; None without rolling wheels or without joints in the legs.
 
     The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
     problem from several starts. The first problem requires that all wheels touch the ground. If that fails, a second
     problem requires this only of the wheels that stand at the given pose.
-
-    Args:
-        model: the compiled robot, with or without its scene.
-        anatomy: its anatomy.
-        qpos: the preferred pose, (nq,).
-
-    Returns:
-        The pose, or None for a robot without rolling wheels, or without joints in its legs.
     """
     if anatomy.forward is None:
         return None

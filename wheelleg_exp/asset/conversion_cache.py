@@ -34,11 +34,7 @@ from wheelleg_exp.terms.config_values import require_fit
 def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot, by their paths next to the MJCF.
 
-    These are networks of learned actuators, and the terrain's own file.
-
-    Args:
-        env: the ``env`` section.
-        roots: user-defined asset folders.
+    These are networks of learned actuators, and the terrain's own file. ``roots`` are user-defined asset folders.
 
     Raises:
         ConfigError: a name is not a path below a folder.

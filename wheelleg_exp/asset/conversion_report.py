@@ -87,13 +87,7 @@ MUCH = 0.1  # share of assumed mass that makes a robot doubtful
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
-    """Return the verdict on a conversion.
-
-    Args:
-        findings: findings about the file.
-        assumed_share: share of the mass that the file does not give.
-        warnings: number of warnings.
-    """
+    """Return the verdict from findings, the assumed share of the mass, and the number of warnings."""
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")

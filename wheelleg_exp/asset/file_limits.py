@@ -65,12 +65,8 @@ def require_plain_file(
 ) -> None:
     """Raise an error for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    Args:
-        path: the file.
-        expected: the expected kind of file, for the message.
-        largest: the size limit in bytes.
-        key: the prim or element that names the file.
-        where: the file that contains this prim or element.
+    ``expected`` describes the file in the message, ``key`` is the prim or element that names it, and ``where`` is the
+    file that contains this prim or element.
 
     Raises:
         AssetError: the path is missing, a folder, a pipe, a device, or larger than ``largest`` bytes.

@@ -99,18 +99,7 @@ def report_of(
     unresolved: tuple[str, ...],
     layers: dict[str, str],
 ) -> Report:
-    """Return the report of a robot from a file of any format.
-
-    Args:
-        robot: the robot's description.
-        ledger: readings, assumptions, and warnings.
-        source: the file's name.
-        root: path of the robot within the file.
-        stage: the file's units.
-        variants: selected names by variant set.
-        unresolved: names of missing files.
-        layers: sha256 of each file that was read.
-    """
+    """Return the report of a robot from a file of any format."""
     note_colliders(robot, ledger)
     findings = _by_name(robot, ledger)
     mapped, assumed, left, warnings = ledger.entries()

@@ -37,11 +37,8 @@ def rounded(value: float, scale: float | None = None) -> float:
     """Return the short decimal that was meant, if one exists; else the number itself.
 
     -28.64789 degrees are -0.5000000058 rad, and -0.5 was meant. No number changes by more than the single precision in
-    which USD stores most physics. A number without a short decimal stays unchanged.
-
-    Args:
-        value: the number.
-        scale: size that the precision is relative to, such as a vector's length; by default the number's own.
+    which USD stores most physics. A number without a short decimal stays unchanged. The precision is relative to
+    ``scale``, such as a vector's length; by default to the number itself.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:

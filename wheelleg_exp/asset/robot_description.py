@@ -302,9 +302,7 @@ LONGEST_FILE = 100  # characters; file systems allow 255 bytes
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
     """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
 
-    Args:
-        paths: prim paths, each once.
-        shown: names to prefer over the leaf, if the leaf is an encoded form of them.
+    ``shown`` are names to prefer over the leaf, if the leaf is an encoded form of them.
     """
     shown = shown or {}
     parts = {path: _last_parts(path) for path in paths}

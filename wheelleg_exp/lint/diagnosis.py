@@ -44,8 +44,7 @@ _ENVS, _SECONDS = 32, 2.0
 def random_rewards(composed: Composed) -> Mapping[str, float]:
     """Return the mean of each reward term under standard normal actions, by name, per second.
 
-    Args:
-        composed: a config without mistakes. It runs with 32 environments for two seconds.
+    The config, which must be free of mistakes, runs with 32 environments for two seconds.
 
     Raises:
         WheellegError: the environment cannot be built.
@@ -70,10 +69,7 @@ _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observati
 
 
 def case_of_file(source: Path) -> Case:
-    """Return the case of a robot's file, with its own default pose and drives, standing on level ground.
-
-    Args:
-        source: a USD, URDF, or MJCF file.
+    """Return the case of a robot's USD, URDF, or MJCF file, with its own default pose and drives, on level ground.
 
     Raises:
         AssetError: the file cannot be read, or contains no robot with joints.
@@ -282,10 +278,7 @@ class Diagnosis:
 
 
 def diagnose_file(source: Path) -> Diagnosis:
-    """Diagnose a robot's file.
-
-    Args:
-        source: a USD, URDF, or MJCF file.
+    """Diagnose a robot's USD, URDF, or MJCF file.
 
     Raises:
         AssetError: the file cannot be read, or contains no robot with joints.
@@ -300,10 +293,7 @@ def diagnose_case(subject: str, case: Case) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, its start, and its drives.
-
-    Args:
-        composed: a config without mistakes.
+    """Diagnose a task's robot, its start, and its drives. The config must be free of mistakes.
 
     Raises:
         WheellegError: the robot cannot be read, or the scene cannot be built.

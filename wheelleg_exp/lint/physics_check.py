@@ -115,10 +115,7 @@ class PhysicsReport:
 
 
 def examine(composed: Composed) -> PhysicsReport:
-    """Convert and compile the robot, measure it, and run every rule.
-
-    Args:
-        composed: a config without mistakes.
+    """Convert and compile the robot, measure it, and run every rule. The config must be free of mistakes.
 
     Raises:
         WheellegError: the robot cannot be read, or the scene cannot be built.

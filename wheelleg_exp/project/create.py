@@ -103,13 +103,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return the texts, by path below the project.
-
-    Args:
-        name: the project's name.
-        asset: the robot's file, relative to the project's assets.
-        configs: the config files, relative to the project's configs.
-    """
+    """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its assets and configs."""
     rows = [
         f"| `configs/{file}` | {_PURPOSES[group]} |" for file in configs if (group := file.split("/")[0]) in _PURPOSES
     ]

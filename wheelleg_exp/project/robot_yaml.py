@@ -227,13 +227,7 @@ _HEIGHT_STEP = 1e-4  # m; the height is rounded up, so that no part starts insid
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:
-    """Return ``robot/<name>.yaml``.
-
-    Args:
-        name: the project's name.
-        asset: the robot's file, relative to the project's assets.
-        robot: its survey.
-    """
+    """Return ``robot/<name>.yaml``; ``asset`` is the robot's file, relative to the project's assets."""
     facts = robot.facts
     rotation = ", ".join(number(part, 6) for part in robot.rotation)
     moved = {joint: value for joint, value in robot.positions.items() if value != 0.0}
@@ -369,10 +363,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return expressions of names as a flow list, on several lines if too long.
 
-    Args:
-        values: the names.
-        indent: of the following lines.
-        used: number of characters before the list.
+    ``indent`` is that of the following lines, and ``used`` is the number of characters before the list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

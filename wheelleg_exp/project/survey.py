@@ -59,13 +59,7 @@ class Standing:
 
 
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
-    """Choose how a robot stands, near a given pose.
-
-    Args:
-        model: the compiled robot in its scene, on a free base.
-        anatomy: its anatomy at that pose.
-        qpos: the pose, (nq,).
-    """
+    """Choose how a robot stands, near the pose ``qpos`` (nq,), for which ``anatomy`` was found."""
     stance = solve_stance(model, anatomy, qpos)
     lean = 0.0
     if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN:

@@ -48,11 +48,7 @@ class Element:
 
 
 def parse_xml(source: Path, data: bytes) -> Element:
-    """Return the root element.
-
-    Args:
-        source: the file, for messages.
-        data: its bytes.
+    """Return the root element of an XML file's bytes.
 
     Raises:
         AssetError: the bytes are not XML, declare a document type or entities, or have too many or too deep elements.

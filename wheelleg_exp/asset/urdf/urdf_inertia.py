@@ -37,12 +37,7 @@ def inertials(
 ) -> dict[str, Inertial]:
     """Return the mass properties of each link, by name.
 
-    Args:
-        document: the URDF.
-        tree: its links.
-        seen: MuJoCo's reading of the links.
-        colliders: shapes whose volume gives the mass if the file gives none.
-        base: a link that does not move can be without mass.
+    The volume of ``colliders`` gives the mass if the file gives none. A link that does not move can be without mass.
 
     Raises:
         AssetError: a moving link has too little mass for MuJoCo.

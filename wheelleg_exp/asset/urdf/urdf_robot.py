@@ -185,10 +185,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Coupling, ...]:
     """Return the joints that follow another one: q = offset + multiplier · r.
 
-    Args:
-        document: the URDF.
-        tree: its joints.
-        dofs: the degree of freedom of each hinge and slide, by the joint's name.
+    ``dofs`` gives the degree of freedom of each hinge and slide, by the joint's name.
     """
     found = []
     for joint in tree.joints.values():

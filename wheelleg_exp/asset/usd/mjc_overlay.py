@@ -357,13 +357,7 @@ def _scaled(inertial: Inertial, factor: float) -> Inertial:
 
 
 def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with all data of MuJoCo's schemas, matched by prim path.
-
-    Args:
-        stage: the open stage.
-        links: its bodies.
-        robot: the robot from the other schemas.
-    """
+    """Return the robot with all data of MuJoCo's schemas, matched by prim path."""
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
     robot = with_wraps(stage, links, robot)

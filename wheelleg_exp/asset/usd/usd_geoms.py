@@ -179,14 +179,9 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return the filters of a stage.
+    """Return the filters of a stage. Two joined bodies do not touch unless the joint allows it.
 
-    Args:
-        stage: the open stage.
-        links: its bodies.
-        joints: its joints; two joined bodies do not touch unless the joint allows it.
-        pieces: the shapes of bodies and of the world.
-        quiet: sets of bodies, by path, that do not touch each other; None: no two bodies touch.
+    ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
     solid = {piece.path: piece for piece in pieces if piece.collides}
     rules = _Rules()

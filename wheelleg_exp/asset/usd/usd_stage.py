@@ -95,9 +95,7 @@ def effort_limit(value: float | None) -> float | None:
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     """Select variants on the stage's session layer. Return all selected names by variant set.
 
-    Args:
-        usd: an open stage.
-        variants: names by variant set; sets are searched on the default prim first, then below it.
+    Variant sets are searched on the default prim first, then below it.
 
     Raises:
         AssetError: the variant set does not exist, or has no such variant.
