@@ -104,6 +104,7 @@ def _all_touching(model: mujoco.MjModel, bodies: set[int]) -> mujoco.MjModel:
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
+    # MuJoCo also filters by these compiled bits of bodies, which the changed geoms no longer match.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     return free

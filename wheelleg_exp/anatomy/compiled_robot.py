@@ -222,6 +222,7 @@ def _holding_torques(
     """Return the torques (nv,) that hold the default pose while each wheel carries an equal share of the weight."""
     torques = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
+    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint torques.
     for bodies in wheels:
         point = data.xpos[bodies[0]].copy()
         point[2] = lowest_point(model, data, bodies)
@@ -266,6 +267,7 @@ def _balance(
         for body in wheel_bodies
     )
     drop = mass * gravity * height
+    # While it falls, the body rolls on its wheels, so the wheels' mass and inertia add to that about the ground.
     about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
     return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
 

@@ -103,6 +103,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    # Measure the shape like a turned part: its extent in all directions across the axis, and along the axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
@@ -132,6 +133,7 @@ def _where_its_shape_is(shape: Found) -> str:
 
 def _beside(outline: Array, angles: Array) -> float:
     """Return the distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round."""
+    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -258,6 +260,7 @@ def find_mirrored(
         if options:
             _, other, offset, tilt, sign = min(options)
             images[joint] = other, offset, tilt, sign
+    # Accept only mutual best images, so that no joint belongs to two pairs.
     pairs, matched = [], set()
     for joint, (other, offset, tilt, sign) in images.items():
         if joint in matched or images.get(other, (None,))[0] != joint:

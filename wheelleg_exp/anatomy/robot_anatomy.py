@@ -159,6 +159,7 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
+    # The largest eigenvector of the summed outer products is the common axis, whatever the axes' signs.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None
@@ -208,6 +209,7 @@ def _mirrored(
         A point of the mirror plane in the world, m, (3,), the pairs, and the joints without an image.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
+    # The base's origin is often not in the middle of the robot, so the middle between the wheels is a second candidate.
     middles = [origin]
     if wheels:
         places = [float(wheel.centre @ normal) for wheel in wheels]

@@ -152,6 +152,7 @@ class _Problem:
         self.at(self.preferred)
         now = self._height()
         heights = []
+        # The largest height of random poses approximates that of stretched legs, for every kind of leg.
         for pose in self.random_poses(400):
             self.data.qpos[self.places] = pose
             mujoco.mj_kinematics(self.model, self.data)
@@ -188,6 +189,7 @@ class _Problem:
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
+        # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
         errors = [
             (200.0 if self.one_axle else 20.0) * self.offset() / self.size,  # several axles carry a mass between them
             100.0 * self._askew(centres) / self.size,

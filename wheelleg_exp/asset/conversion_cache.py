@@ -192,6 +192,7 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
     """Move a finished entry into place. If another process has published a complete entry first, keep that entry."""
     for attempt in range(_ATTEMPTS):
         try:
+            # Renaming a folder is atomic, and it fails if another process has published the entry first.
             draft.rename(entry)
             return
         except OSError:

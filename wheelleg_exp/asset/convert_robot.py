@@ -68,6 +68,7 @@ def convert(
         try:
             robot, model = _write(robot, report, output)
         except ModelRefused:
+            # Only a refused attribute of MuJoCo's own schemas can be left out; other refusals are raised again.
             robot, report = without_refused(robot, report)
             robot, model = _write(robot, report, output)
         sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
@@ -132,6 +133,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
+        # Each link of the path becomes the child of the link that was its child, so its pose is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
@@ -245,6 +247,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
+        # The MJCF is moved last. If it has not moved, the old meshes must return, because the old MJCF names them.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

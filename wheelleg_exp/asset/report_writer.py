@@ -64,6 +64,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
         if not len(geoms) or not len(joints):
             continue
+        # The half extents of a rotated box along an axis are the absolute rotation times its own half extents.
         axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
         boxes = model.geom_aabb[geoms]
         centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes

@@ -80,6 +80,7 @@ def rotation_matrix(quat: Quat) -> Array:
 def quaternion(matrix: Array) -> Quat:
     """Return the quaternion (w, x, y, z) of a rotation matrix, w not negative (Shepperd's method)."""
     m = matrix
+    # The largest of the four quantities gives the division with the smallest rounding error.
     diagonal = [np.trace(m), m[0, 0], m[1, 1], m[2, 2]]
     largest = int(np.argmax(diagonal))
     if largest == 0:
@@ -143,6 +144,7 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
 
     The rotation of a mirrored map stays proper; its stretch is then negative (the map times -1).
     """
+    # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
     stretch = vt.T @ np.diag(values) @ vt
@@ -342,6 +344,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
+    # The mesh was scaled to unit size; volume, centre, and inertia scale back by powers of that size.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

@@ -307,6 +307,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: _last_parts(path) for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
+    # Add one parent per round, and only to names that still clash, so that all other names stay short.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

@@ -106,6 +106,7 @@ def _file_case(
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, at_default(model, scene.robot), bodies)
+    # Put the robot on the ground: a file has no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
     found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)

@@ -165,6 +165,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     _require_place(path)
     if source is not None:
         _require_source(source)
+    # A draft next to the target can be renamed atomically, so a failed check leaves nothing behind.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
         draft.mkdir()

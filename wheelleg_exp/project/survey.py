@@ -284,6 +284,7 @@ def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[s
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []
+    # Legs and wheels are decided separately, because some files drive only one of them.
     for group in ([name for name in dofs if name not in wheels], wheels):
         free = [name for name in group if name not in followers]
         driven = [name for name in free if dofs[name].drive is not None]

@@ -138,6 +138,7 @@ class _Check:
         self.same(f"rotation of {name}", _turn(model.body_quat[index]), _turn(body.pose.rotation))
         self.same(f"mass of {name}", model.body_mass[index], inertial.mass)
         self.same(f"centre of mass of {name}", model.body_ipos[index], inertial.center_of_mass)
+        # Compare tensors, because MuJoCo can order the principal axes differently.
         got = _tensor(model.body_inertia[index], model.body_iquat[index])
         want = _tensor(inertial.moments, inertial.axes)
         scale = max(inertial.moments) or 1.0
@@ -237,6 +238,7 @@ def _effective_inertia(robot: RobotDescription) -> dict[str, float]:
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
+    # 1 / (inverse mass matrix)_ii is the inertia of coordinate i while all other coordinates are free.
     inverse = np.diag(np.linalg.inv(full))
     return {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
 
@@ -293,6 +295,7 @@ def _refusal(robot: RobotDescription, source: str) -> ModelRefused | None:
 def _culprit(robot: RobotDescription, refusal: ModelRefused, source: str) -> Suspect | None:
     """Return an attribute without which MuJoCo accepts the robot, or else refuses it for another reason."""
     changed = None
+    # MuJoCo's message often names the element. Then only the attributes of that element need a trial.
     suspects = list(_suspects(robot))
     named = [found for found in suspects if f"'{getattr(found.item, 'name', '')}'" in refusal.message]
     for suspect in (named or suspects)[:TRIALS]:

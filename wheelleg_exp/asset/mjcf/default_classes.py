@@ -35,6 +35,7 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
     carriers = {movers[body.parent] for body in robot.bodies if body.parent is not None and body.dofs}
     wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], bodies, meshes)]
     kinds = dict.fromkeys(wheels, WHEEL)
+    # Walk from each wheel to the trunk: every joint on the way belongs to the wheel's leg.
     for name in wheels:
         parent = bodies[name].parent
         while parent is not None:
@@ -93,6 +94,7 @@ def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, 
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     across = points - middle - np.outer((points - middle) @ along, along)
     first = np.linalg.svd(along[None])[2][1:]  # two directions across the axis
+    # The extents in eight directions across the axis are equal if the section is a circle.
     reach = [
         float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
         for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -143,6 +145,7 @@ class Classes:
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
+        # Members with equal remaining attributes become a child class, so the numbers appear once.
         for names in _alike(rests, family.grouping):
             self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
 
@@ -199,6 +202,7 @@ class Classes:
 
     def _free(self, stem: str, family: Family) -> str:
         """Return an unused class name. One class of the same parent can hold several tags."""
+        # A class below another one needs that class in its name, because class names are global in MJCF.
         if family.parent == self.root:
             stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
         else:

@@ -76,6 +76,7 @@ class Names:
         self._free = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self._closures: dict[str, list[tuple[str, str, str]]] = {}
         self._anchors: dict[str | None, list[tuple[str, Pose]]] = {}
+        # A loop closes between two sites, because sites state both frames explicitly.
         for closure in robot.closures:
             self._closure(closure, sites, equalities)
 
@@ -313,6 +314,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
+            # The transmission is an attribute name, so it cannot be a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

@@ -43,6 +43,7 @@ def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None
     alone = load(model, model.name)
+    # The scene includes the model by a relative path, so the draft must be in the same folder.
     draft = path.with_name(f".{path.stem}.trying.xml")
     try:
         write_text(draft, _text(robot, model, alone, STEPS[0]))

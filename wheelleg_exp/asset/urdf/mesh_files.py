@@ -84,6 +84,7 @@ class _File:
         return [item for node in visual.all("node") for item in self._below(node, np.eye(4), 0)]
 
     def _below(self, node: Element, above: Array, depth: int) -> Iterator[tuple[Element, Array]]:
+        # Nodes can refer to each other, so a file of a few lines could describe millions of parts.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
             raise ValueError("nodes refer to each other in a cycle, or multiply")
@@ -238,6 +239,7 @@ def read_stl(data: bytes) -> Triangles:
 
 
 def _welded(corners: Array) -> Triangles:
+    # View each corner as one opaque value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -331,6 +333,7 @@ class Files:
                 yield self.folder / self.mesh_folder / Path(name).name
             yield from (above / name for above in self._above())
         elif scheme.group(1).lower() == "file":
+            # Some tools write spaces as they are, others as %20.
             for path in dict.fromkeys((name[scheme.end() :], unquote(name[scheme.end() :]))):
                 yield Path("/" + path.lstrip("/"))
                 yield self.folder / path

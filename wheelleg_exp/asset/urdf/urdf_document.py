@@ -109,6 +109,7 @@ class _Parser:
         if self.stack:
             self.stack[-1][1].append(text)
 
+    # Entities can grow without limit or read other files, and they need a document type.
     def _doctype(self, *_: object) -> None:
         self._refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 

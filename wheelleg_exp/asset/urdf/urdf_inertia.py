@@ -44,6 +44,7 @@ def inertials(
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
+    # MuJoCo needs mass and inertia only once per group of welded links, not in each link.
     for group in _welded(tree, base):
         top = group[0]
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)

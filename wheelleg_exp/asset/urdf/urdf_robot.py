@@ -126,6 +126,7 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
         return None
     if None in found:
         ledger.assume(path, "only one limit is given: the other is 0, URDF's default", f"{low:g} to {high:g}")
+    # Exporters write a missing limit as a huge number. A hinge with one such end has no limits.
     no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
     if (no_low or no_high) if angular else (no_low and no_high):
         ledger.assume(path, "limits are infinite or huge: no limits", f"{low:g} to {high:g}")
@@ -274,6 +275,7 @@ class _Builder:
         """Return the robot and its files."""
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids(), self.base)
+        # The world link is MuJoCo's world body; its shapes become static geoms.
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")

@@ -205,6 +205,7 @@ def read_with_mujoco(document: Document, tree: Tree) -> dict[str, Seen]:
     Raises:
         AssetError: a number is invalid, or MuJoCo refuses the file.
     """
+    # Numbered names avoid MuJoCo's errors about reserved or repeated names.
     ids = {link.name: f"link_{number}" for number, link in enumerate(tree.links.values())}
     if tree.world is not None:
         ids[tree.world.name] = WORLD
@@ -230,6 +231,7 @@ def _plain_link(document: Document, link: Link, name: str) -> Xml:
     if inertial is not None:
         inner = out.add("inertial")
         _origin(document, inertial, inner, "inertial pos and quat")
+        # MuJoCo gets a zero tensor, because it refuses or changes some valid ones. This package reads the tensor.
         inner.add("mass", value=_mass(document, inertial))
         inner.add("inertia", ixx=0.0, iyy=0.0, izz=0.0, ixy=0.0, ixz=0.0, iyz=0.0)
     for element in shapes_of(link):

@@ -216,6 +216,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         return "declared without a value"
     if name in _MASS:
         return _why_mass(prim, name)
+    # The order matters: the reason of a whole joint is better than that of one of its properties.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

@@ -192,6 +192,7 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
 
 
 def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
+    # CollisionAPI applies to all gprims below a prim. Parents come first, so a prim finds its parent's entry.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()

@@ -131,6 +131,7 @@ def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: 
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
+    # MuJoCo's capsule and cylinder have one radius and a circular section; other shapes become a convex hull.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
@@ -210,6 +211,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
+    # A left-handed mesh and a mirrored transform each flip the triangles; both together do not.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 
@@ -258,6 +260,7 @@ def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
     """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
+    # A polygon of n corners gives n - 2 triangles. The arrays below do this for all polygons at once.
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:

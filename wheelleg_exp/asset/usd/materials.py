@@ -101,6 +101,7 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
 
     None means MuJoCo's default, which is right for files with MuJoCo's own schemas.
     """
+    # PhysX's order: the shape's own material, then the scene's default material, then a constant.
     material = physics_material(stage, prim) or _scene_material(stage)
     if material is None:
         return _unbound(stage)

@@ -383,6 +383,7 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
         couplings=(*robot.couplings, *couplings),
         actuators=(*robot.actuators, *read_actuators(stage, targets)),
     )
+    # If a joint has a drive and an actuator of MuJoCo's schemas, the actuator has more information.
     robot = _without_doubled_drives(stage, robot)
     robot = replace(robot, actuators=distinct([dof for dof in robot.dofs if dof.drive], robot.actuators))
     robot = with_options(stage, robot)

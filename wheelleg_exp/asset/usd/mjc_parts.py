@@ -346,6 +346,7 @@ def _points(
     points: list[TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
+        # MJCF marks a new segment by a pulley with the segment's divisor.
         if segment != current or (not points and divisors[0] != 1.0):
             points.append(TendonPoint("pulley", divisor=divisors[segment]))
         current = segment

@@ -192,6 +192,7 @@ def read_filters(
         rules.add(inside, inside)
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
+    # Excludes of whole bodies are easier to read than bits, so bits are used only if excludes cannot express the rules.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
@@ -331,6 +332,7 @@ def _bits(
     out: dict[str, Extra] = {}
     for path, piece in solid.items():
         kind = classes[path]
+        # MuJoCo tests contype of one geom against conaffinity of the other: a cleared bit forbids the contact.
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}

@@ -186,6 +186,7 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
     """Return which collider lacks the shapes that ``holder`` should have added, or an empty text."""
+    # Search upwards: the nearest ancestor that is a collider or a visual decides.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

@@ -153,6 +153,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
+    # If one articulation without self-collision contains all colliders, a default class can express it.
     quiet = quiet_parts(stage, Graph(links, joints))
     touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
     filters = read_filters(stage, links, joints, pieces, quiet if touching else None)

@@ -240,6 +240,7 @@ def library(source: Path) -> Iterator[None]:
     Raises:
         AssetError: the library cannot read the file or a layer.
     """
+    # The delegate collects the library's messages, which would otherwise go to stderr.
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
@@ -346,6 +347,7 @@ def _prims(root: Usd.Prim, source: Path) -> list[Usd.Prim]:
     for prim in walk:
         if not prim.IsPseudoRoot():
             found.append(prim)
+        # Prototypes below an instancer are not drawn themselves, only their instances.
         if prim.IsA(UsdGeom.PointInstancer):
             walk.PruneChildren()
         expected = "one robot: set its prim as the default prim"

@@ -71,6 +71,7 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     carrier = group[0][0].carrier
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
+    # The shapes of one collider share its MassAPI, so they count as one part.
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
     if carrier.GetPath() == link.prim.GetPath():  # its MassAPI is the body's

@@ -147,6 +147,7 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}
+    # Cutting leaves layer by layer leaves the centre of a tree. Bodies in loops are never leaves, so they all remain.
     leaves = [path for path, count in degree.items() if count <= 1]
     while leaves and len(left) > 2:
         fresh = []

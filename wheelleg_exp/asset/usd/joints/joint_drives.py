@@ -144,6 +144,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
+        # Only this schema has a value for each axis of a joint; the other schemas have one for the whole joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
