@@ -139,7 +139,7 @@ def test_a_selection_without_rows_is_told(inspect):
     for words in (["--term", "base.pitch"], ["--where", "base.pitch"], ["--export", "csv", "-o", "out"]):
         status, out, err = inspect("r.rrd", "--from", "100s", *words)
         assert (status, out) == (2, "")
-        assert "no recorded row is chosen; expected times from 0.020 to 4.000 s, steps 1 to 200" in err
+        assert "no recorded row is selected; expected times from 0.020 to 4.000 s, steps 1 to 200" in err
 
 
 def test_statistics_of_terms(inspect):
@@ -236,14 +236,14 @@ def test_names_are_listed(inspect):
     [
         (["absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--term", "base.pitsh"], "did you mean 'base.pitch'"),
-        (["r.rrd", "--where", "base.pitch >"], "is no condition"),
-        (["r.rrd", "--where", "base.pitch", "--around", "far"], "no length of time"),
+        (["r.rrd", "--where", "base.pitch >"], "is not a condition"),
+        (["r.rrd", "--where", "base.pitch", "--around", "far"], "not a length of time"),
         (["r.rrd", "--stats"], "--stats: it is not said of what"),
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
-        (["r.rrd", "--play"], "is no run"),
+        (["r.rrd", "--play"], "is not a run"),
         (["text.rrd"], "no rerun recording"),
-        (["gone.rrd"], "'gone.rrd' is a link to nothing"),
+        (["gone.rrd"], "'gone.rrd' is a broken link"),
         (["r.rrd", "--viewer"], "--viewer: it means nothing here; expected --screenshot beside it"),
         (["r.rrd", "--at", "1s"], "expected --screenshot beside it"),
         (["r.rrd", "--fps", "3", "--screenshot", "a.png"], "expected --video beside it"),

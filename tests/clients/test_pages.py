@@ -56,7 +56,7 @@ def test_every_page_has_snippets():
 
 @pytest.fixture
 def graphics():
-    """Skip where nothing can be drawn."""
+    """Skip where drawing is not possible."""
     import gymnasium
 
     from wheelleg_exp.rendering.renderer import NoGraphics

@@ -27,7 +27,7 @@ def make_vec(**options):
 
 @pytest.fixture(scope="module")
 def graphics(shared_cache):
-    """Skip where nothing can be drawn."""
+    """Skip where drawing is not possible."""
     env = make()
     env.reset(seed=0)
     try:

@@ -144,5 +144,5 @@ def test_mistakes_are_told(played: Recording, tmp_path: Path, kind: str, terms, 
 
 
 def test_nothing_chosen_is_told(played: Recording, tmp_path: Path) -> None:
-    with pytest.raises(WheellegError, match="is chosen"):
+    with pytest.raises(WheellegError, match="is selected"):
         export(played, "csv", tmp_path / "out", selection=Selection(begin=Length(50.0, False)))

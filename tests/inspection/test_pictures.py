@@ -210,7 +210,7 @@ def test_a_recording_without_a_robot_is_told(tmp_path: Path) -> None:
     stream.save(path)
     stream.log("something", rr.Scalars([1.0]))
     stream.disconnect()
-    with pytest.raises(WheellegError, match="no robot that moves"):
+    with pytest.raises(WheellegError, match="no moving robot"):
         scenery(Recording(path))
 
 
@@ -257,8 +257,8 @@ def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) 
     path = write_recording(tmp_path / "r.rrd")
     code = (
         "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.recording_reader import Recording\n"
-        "from wheelleg_exp.inspection import recording_pictures, recording_video\n"
-        "from wheelleg_exp.inspection import recording_plots, export_numbers, rerun_viewer\n"
+        "from wheelleg_exp.inspection import recording_pictures, recording_plots, recording_video\n"
+        "from wheelleg_exp.inspection import export_numbers, rerun_viewer\n"
         f"recording_pictures.scenery(Recording(Path({str(path)!r})))\n"
         "print([m for m in ('torch', 'mujoco', 'matplotlib.pyplot') if m in sys.modules])"
     )

@@ -65,10 +65,10 @@ def test_a_video_says_how_long_it_is(played, tmp_path: Path, capsys, graphics: s
         (("--export", "csv"), "-o FOLDER"),
         (("--export", "xml", "-o", "out"), "parquet or csv"),
         (("--screenshot", "a.png", "--at", "soon"), "neither a time nor a recorded term"),
-        (("--screenshot", "a.png", "--width", "0"), "a picture of 0 x 720 is not drawn"),
+        (("--screenshot", "a.png", "--width", "0"), "a picture of 0 x 720 cannot be drawn"),
         (("--video", "a.avi"), ".mp4"),
-        (("--video", "a.mp4", "--from", "9s"), "nothing that is chosen was recorded"),
-        (("--web", "--port", "99999"), "cannot be listened on"),
+        (("--video", "a.mp4", "--from", "9s"), "no selected frame was recorded"),
+        (("--web", "--port", "99999"), "cannot listen on"),
     ],
 )
 def test_mistakes_are_one_message_and_leave_nothing(played, tmp_path, monkeypatch, capsys, words, message) -> None:

@@ -235,7 +235,7 @@ def test_a_chosen_span_of_time_is_what_is_drawn(played: Recording) -> None:
 
 
 def test_nothing_chosen_is_an_error(played: Recording) -> None:
-    with pytest.raises(WheellegError, match="holds nothing"):
+    with pytest.raises(WheellegError, match="has no data"):
         recording_plots.default_page(played, selection=Selection(begin=Length(99.0, False)))
 
 

@@ -72,7 +72,7 @@ def test_names_may_have_dots_brackets_and_quotes():
     ],
 )
 def test_what_is_no_condition_is_refused_and_never_run(text):
-    with pytest.raises(WheellegError, match="is no condition"):
+    with pytest.raises(WheellegError, match="is not a condition"):
         Condition(text)
 
 
@@ -193,7 +193,7 @@ def test_lengths_have_units(text, length):
 
 @pytest.mark.parametrize("text", ["", "s", "5 m", "1e999s", "nan", "0x10", "5 5s"])
 def test_what_is_no_length_is_told(text):
-    with pytest.raises(WheellegError, match=r"no length of time.*0\.5s"):
+    with pytest.raises(WheellegError, match=r"not a length of time.*0\.5s"):
         parse_length(text, "--around")
 
 

@@ -46,7 +46,7 @@ def test_the_newest_play_or_any_other(run):
 def test_a_file_belongs_to_no_run(tmp_path):
     target = find_target(play(tmp_path / "any.rrd"), "runs")
     assert (target.path, target.run, target.others()) == (tmp_path / "any.rrd", None, [])
-    with pytest.raises(WheellegError, match=r"--play: .* is no run"):
+    with pytest.raises(WheellegError, match=r"--play: .* is not a run"):
         find_target(tmp_path / "any.rrd", "runs", play=True)
 
 
@@ -75,7 +75,7 @@ def test_wrong_words_are_told_with_the_nearest(run, tmp_path):
     with pytest.raises(RunDirectoryError, match=r"there is no run 'latets'.*did you mean 'latest'"):
         find_target("latets", "runs")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(RunDirectoryError, match="'empty' is no run, and holds no recordings"):
+    with pytest.raises(RunDirectoryError, match="'empty' is not a run, and contains no recordings"):
         find_target("empty", "runs")
 
 
@@ -83,5 +83,5 @@ def test_a_folder_with_one_recording_stands_for_it(tmp_path):
     play(tmp_path / "one.rrd")
     assert find_target(tmp_path, "runs").path == tmp_path / "one.rrd"
     play(tmp_path / "two.rrd")
-    with pytest.raises(RunDirectoryError, match=r"holds 2 recordings; expected one of one\.rrd, two\.rrd"):
+    with pytest.raises(RunDirectoryError, match=r"contains 2 recordings; expected one of one\.rrd, two\.rrd"):
         find_target(tmp_path, "runs")

@@ -82,7 +82,7 @@ def test_a_training_is_shown_sample_by_sample(trained: Recording, selection: Sel
 def test_nothing_chosen_is_told_with_what_there_is(trained: Recording, tmp_path: Path) -> None:
     with pytest.raises(WheellegError) as caught:
         video(trained, tmp_path / "a.mp4", selection=Selection(iterations=(3, 4)), **SMALL)
-    assert "samples begin at the iterations 0, 5, 10" in str(caught.value)
+    assert "samples start at the iterations 0, 5, 10" in str(caught.value)
 
 
 @pytest.mark.parametrize(

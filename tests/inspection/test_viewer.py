@@ -120,9 +120,9 @@ def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> 
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
-        with pytest.raises(WheellegError, match="cannot be listened on"):
+        with pytest.raises(WheellegError, match="cannot listen on"):
             WebViewer(Path(played.path), holder.getsockname()[1])
-    with pytest.raises(WheellegError, match="cannot be listened on"):
+    with pytest.raises(WheellegError, match="cannot listen on"):
         WebViewer(Path(played.path), 70000)
 
 

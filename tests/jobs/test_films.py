@@ -46,7 +46,7 @@ def filmed(tmp_path_factory) -> tuple[Path, list[np.ndarray]]:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         patch.setattr(LivePictures, "draw", lambda self, qpos: (drawn.append(qpos), draw(self, qpos))[1])
         said = wheelleg("train", *FILMED, f"run.root={root}")
-    if "nothing can be drawn" in said.err:
+    if "drawing is not possible" in said.err:
         pytest.skip(said.err)
     assert said.status == 0, said.err
     return only(root), drawn
@@ -100,7 +100,7 @@ def test_a_machine_that_cannot_draw_says_so_before_there_is_a_run(tmp_path, monk
     monkeypatch.setattr(renderer, "backends", lambda: ("none",))
     said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert said.status == 2
-    assert said.err.count("recording.video_every: nothing can be drawn on this machine") == 1
+    assert said.err.count("recording.video_every: drawing is not possible on this machine") == 1
     assert "expected 0 for no films, or a driver" in " ".join(said.err.split())
     assert not (tmp_path / "runs").exists()
 

@@ -18,11 +18,11 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 @dataclass(frozen=True)
 class Parting:
-    """Where a number first differs.
+    """The first difference of a number.
 
     Attributes:
-        step: the control step; None when the values are the same and the rows are not.
-        time_s: simulated time, s; None when it is not known.
+        step: the control step; None if the values are equal and only the rows differ.
+        time_s: simulated time, s; None if unknown.
         first, second: the values there.
     """
 
@@ -34,14 +34,14 @@ class Parting:
 
 @dataclass(frozen=True)
 class NumberDifference:
-    """A number that differs.
+    """A number that differs between two recordings.
 
     Attributes:
-        name: its name with dots.
-        parting: where it first differs among the steps that both have.
-        largest: the largest size of its difference there.
-        rows: how many rows each has.
-        first, second: its statistics in each.
+        name: its dotted name.
+        parting: its first difference among the common steps.
+        largest: its largest absolute difference there.
+        rows: number of rows in each recording.
+        first, second: its statistics in each recording.
     """
 
     name: str
@@ -54,13 +54,13 @@ class NumberDifference:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """How two recordings compare, by entity and to the last bit.
+    """The bitwise comparison of two recordings by entity.
 
     Attributes:
-        equal: paths of the entities that are the same.
-        different: paths of those that are not.
-        only_first, only_second: paths of those that only one has.
-        numbers: the numbers that differ, the one that parts first before the others.
+        equal: paths of equal entities.
+        different: paths of different entities.
+        only_first, only_second: paths of entities in only one recording.
+        numbers: the numbers that differ, the earliest difference first.
     """
 
     equal: list[str]
@@ -71,19 +71,19 @@ class RecordingComparison:
 
     @property
     def is_equal(self) -> bool:
-        """Whether both hold the same."""
+        """Whether the recordings have the same content."""
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as a plain mapping."""
+        """Return the comparison as a plain mapping."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 
 def compare(first: Recording, second: Recording) -> RecordingComparison:
-    """Return how two recordings compare; texts, properties and wall-clock times are left out.
+    """Compare two recordings, without texts, properties, and wall-clock times.
 
     Raises:
-        RunDirectoryError: rows are damaged, or larger than is read.
+        RunDirectoryError: rows are damaged or too large.
     """
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
@@ -99,15 +99,15 @@ def compare(first: Recording, second: Recording) -> RecordingComparison:
 
 
 def _completed(first: Recording, second: Recording, entities: set[str]) -> set[str]:
-    """Return the entities whose last rows may stand in the journal of one of the two."""
-    told = first.journal_entities | second.journal_entities
-    return {e for e in entities & told if first.static(e) == second.static(e)}
+    """Return the entities whose last rows can be in the journal of one of the two."""
+    in_journal = first.journal_entities | second.journal_entities
+    return {e for e in entities & in_journal if first.static(e) == second.static(e)}
 
 
 def _number_differences(
     first: Recording, second: Recording, entities: set[str]
 ) -> Iterator[tuple[tuple[str, str], NumberDifference]]:
-    """Yield the numbers that differ by entity and name; those of no environment once."""
+    """Yield the numbers that differ by entity and name. A number without an environment occurs once."""
     for env_id in sorted({*first.env_ids} & {*second.env_ids}):
         mine, theirs = first.all_numbers(env_id), second.all_numbers(env_id)
         several = len(first.env_ids) > 1

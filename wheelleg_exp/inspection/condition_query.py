@@ -51,7 +51,7 @@ class Condition:
         text: the condition.
 
     Raises:
-        WheellegError: it is none.
+        WheellegError: the text is not a condition.
     """
 
     def __init__(self, text: str) -> None:
@@ -60,10 +60,10 @@ class Condition:
         _require_known(self._tree, text)
         self.names = list(dict.fromkeys(_names(self._tree)))
         if not self.names:
-            raise _wrong(text, "it names nothing that was recorded")
+            raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return where it holds, (n,), for the values (n,) of each of ``names``."""
+        """Return where the condition is true, (n,), given the values (n,) of each of ``names``."""
         rows = len(values[self.names[0]])
         with np.errstate(all="ignore"):
             return np.broadcast_to(_truth(_value(self._tree, values)), (rows,)).copy()
@@ -83,7 +83,7 @@ def _parsed(text: str) -> ast.expr:
 
 
 def _depth(tree: ast.AST) -> int:
-    """Return how deep a tree is, counted without recursion."""
+    """Return the depth of a tree, computed without recursion."""
     depth, level = 0, [tree]
     while level:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
@@ -91,18 +91,18 @@ def _depth(tree: ast.AST) -> int:
 
 
 def _require_known(node: ast.expr, text: str) -> None:
-    """Raise unless a tree consists of what a condition may hold."""
+    """Raise WheellegError unless the tree only has operations that conditions allow."""
     if _name(node) is not None or _is_number(node):
         return
     parts = _parts(node)
     if parts is None:
-        raise _wrong(text, f"'{ast.unparse(node)}' is not understood")
+        raise _wrong(text, f"'{ast.unparse(node)}' is not allowed")
     for part in parts:
         _require_known(part, text)
 
 
 def _parts(node: ast.expr) -> list[ast.expr] | None:
-    """Return what an operation is made of; None when it is none that is known."""
+    """Return the operands of an operation; None if the operation is not allowed."""
     match node:
         case ast.BoolOp(values=values):
             return values
@@ -127,7 +127,7 @@ def _names(node: ast.expr) -> Iterator[str]:
 
 
 def _name(node: ast.expr) -> str | None:
-    """Return the name that a node is: ``a``, ``a.b``, ``a.b[c]`` or a text in quotes."""
+    """Return the name that a node stands for: ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     inner = node
@@ -190,17 +190,17 @@ def _any(parts: list[Any]) -> Value:
 
 def _wrong(text: str, reason: str) -> WheellegError:
     shown = text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
-    return WheellegError(f"'{shown}' is no condition: {reason}", key="--where", expected=_EXPECTED)
+    return WheellegError(f"'{shown}' is not a condition: {reason}", key="--where", expected=_EXPECTED)
 
 
 @dataclass(frozen=True)
 class Hit:
-    """A stretch of frames in which a condition holds without a break.
+    """Consecutive frames in which a condition is true.
 
     Attributes:
         first, last: its first and last frame.
-        frames: how many it has.
-        around: the rows from some time before to some time after it; None unless asked for.
+        frames: number of frames.
+        around: the rows from before the first to after the last frame; None unless requested.
     """
 
     first: Moment
@@ -217,17 +217,17 @@ def find_hits(
     around: Length | None = None,
     selection: Selection | None = None,
 ) -> list[Hit]:
-    """Return the stretches in which a condition holds, by environment and time.
+    """Return the stretches in which a condition is true, by environment and time.
 
     Args:
         recording: the recording.
         condition: the condition.
-        columns: the numbers of the rows around; by default those of the condition.
-        around: how long before and after.
-        selection: where to look; the rows around may lie outside of it.
+        columns: the numbers of the surrounding rows; by default those of the condition.
+        around: time before and after each stretch.
+        selection: the rows to search; surrounding rows can be outside.
 
     Raises:
-        WheellegError: a name is wrong, or no row is chosen.
+        WheellegError: a name is wrong, or no row is selected.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))

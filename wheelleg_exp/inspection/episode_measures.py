@@ -21,19 +21,18 @@ _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode as far as it was recorded.
+    """The recorded part of one episode.
 
     Attributes:
         env_id: the environment.
-        iteration, last_iteration: the training iterations of its first and last recorded frame; None outside of
-            training.
-        first_step, last_step: the first and last recorded control step.
-        frames: how many frames were recorded.
-        duration_s: how long it had lasted at the last recorded frame, s.
-        is_from_start: whether it was recorded from its beginning.
-        outcome: ``failed``, ``time out``, or ``unfinished`` when the recording ends or pauses before it.
+        iteration, last_iteration: training iterations of its first and last recorded frame; None outside of training.
+        first_step, last_step: its first and last recorded control step.
+        frames: number of recorded frames.
+        duration_s: its duration at the last recorded frame, s.
+        is_from_start: whether its first frame was recorded.
+        outcome: ``failed``, ``time out``, or ``unfinished`` if its end was not recorded.
         ended_by: the terminations that fired.
-        total_reward: sum of the recorded rewards; None when they were not recorded.
+        total_reward: sum of the recorded rewards; None if they were not recorded.
     """
 
     env_id: int
@@ -50,34 +49,34 @@ class Episode:
 
 
 def whole(found: Sequence[Episode]) -> list[Episode]:
-    """Return the episodes that were recorded from beginning to end.
+    """Return the episodes that were recorded from start to end.
 
-    The others are in no figure: one that was under way when recording began is likely a long one, one that was when it
-    stopped has no end yet, and neither has its sum of rewards.
+    Only these count in averages. An episode that was running when recording started is probably long. An episode that
+    was running when recording stopped has no end and no final sum of rewards.
     """
     return [episode for episode in found if episode.is_from_start and episode.outcome != UNFINISHED]
 
 
 def survival(found: Sequence[Episode]) -> float | None:
-    """Return the share of the whole episodes that reached the time-out; None when there are none."""
+    """Return the share of the complete episodes that reached the time-out; None without any."""
     kept = whole(found)
     return sum(episode.outcome == TIMED_OUT for episode in kept) / len(kept) if kept else None
 
 
 def mean_duration(found: Sequence[Episode]) -> float | None:
-    """Return how long the whole episodes lasted, s; None when there are none."""
+    """Return the mean duration of the complete episodes, s; None without any."""
     kept = whole(found)
     return float(np.mean([episode.duration_s for episode in kept])) if kept else None
 
 
 def mean_reward(found: Sequence[Episode]) -> float | None:
-    """Return the mean sum of rewards of the whole episodes; None when there are none, or none with rewards."""
+    """Return the mean sum of rewards of the complete episodes; None without any."""
     rewards = [episode.total_reward for episode in whole(found) if episode.total_reward is not None]
     return float(np.mean(rewards)) if rewards else None
 
 
 def episodes(view: View) -> list[Episode]:
-    """Return the episodes of the chosen environments, by environment and time."""
+    """Return the episodes of the selected environments, by environment and time."""
     return [episode for env_id in view.env_ids for episode in _of_env(view, env_id)]
 
 
@@ -93,7 +92,7 @@ def _of_env(view: View, env_id: int) -> list[Episode]:
 
 
 class _Marks:
-    """What tells episodes apart in the frames of one environment."""
+    """The signals that separate the episodes of one environment."""
 
     def __init__(self, view: View, env_id: int, ends: Frames, fired: NDArray[np.bool_]) -> None:
         self._env_id, self._ends, self._fired = env_id, ends, fired
@@ -101,12 +100,12 @@ class _Marks:
         self._step_dt = view.recording.step_dt or 0.0
         self._own = _own_marks(view.frames("episode", env_id), len(ends))
         self._rewards = view.frames("rewards", env_id)
-        told = view.recording.events("episodes", env_id)
-        self._failed_steps = {event.step for event in told if event.level in _FAILED_LEVELS}
+        events = view.recording.events("episodes", env_id)
+        self._failed_steps = {event.step for event in events if event.level in _FAILED_LEVELS}
 
     @property
     def begins(self) -> NDArray[np.bool_]:
-        """Whether a new episode begins with a row, (n,); the first row's is left out."""
+        """Whether an episode starts at a row, (n,); always false for the first row."""
         if self._own is not None:
             return np.diff(self._own.column("number"), prepend=self._own.column("number")[:1]) != 0
         begins = np.zeros(len(self._steps), dtype=bool)
@@ -143,7 +142,7 @@ class _Marks:
         return FAILED if failed else TIMED_OUT if over else UNFINISHED
 
     def _reward(self, first: int, last: int) -> float | None:
-        """Return the sum of the rewards from one step to another."""
+        """Return the sum of the rewards between two steps."""
         if self._rewards is None or _TOTAL not in self._rewards.names:
             return None
         steps = self._rewards.column(STEP)
@@ -151,32 +150,32 @@ class _Marks:
         return float(np.nansum(self._rewards.column(_TOTAL)[rows]) * self._step_dt)
 
     def _age(self, rows: slice) -> int:
-        """Return how many control steps the episode had lasted at its last recorded frame."""
+        """Return the episode's number of control steps at its last recorded frame."""
         if self._own is not None:
             return int(self._own.column("episode.step")[rows.stop - 1])
         return int(rows.stop - rows.start)
 
 
 def _own_marks(frames: Frames | None, rows: int) -> Frames | None:
-    """Return what was recorded of the episodes themselves; None when it is not there for every frame."""
+    """Return the recorded episode counters; None unless every frame has them."""
     if frames is None or len(frames) != rows or not set(_OWN) <= set(frames.names):
         return None
     return frames if all(np.isfinite(frames.column(name)).all() for name in _OWN) else None
 
 
 TOTAL = "total"
-_AT_LIMIT = 1.0 - 1e-6  # float32 against the float64 of the limit
+_AT_LIMIT = 1.0 - 1e-6  # efforts are float32, limits are float64
 
 
 @dataclass(frozen=True)
 class TrackingError:
-    """How a velocity followed its command: what it was minus what was asked for, over all frames.
+    """The error of a velocity, actual minus commanded, over all frames.
 
     Attributes:
         command: the command.
-        name: which velocity: ``v_x``, ``v_y`` (m/s), ``w_z`` (rad/s).
-        rmse, mean_absolute, mean, largest: root mean square, mean size, mean and largest size of the error.
-        mean_command: the mean of what was asked for.
+        name: the velocity: ``v_x``, ``v_y`` (m/s), ``w_z`` (rad/s).
+        rmse, mean_absolute, mean, largest: root mean square, mean absolute, mean, and largest absolute error.
+        mean_command: the mean command.
     """
 
     command: str
@@ -193,11 +192,11 @@ class ForceExtreme:
     """The contact force of one body.
 
     Attributes:
-        sensor, body: where it was measured.
-        largest_n: the largest norm within a step, N; where that was not recorded, at the end of one.
-        at: when that was.
+        sensor, body: the sensor and the body.
+        largest_n: the largest norm within a step, N; if that was not recorded, the largest at the end of a step.
+        at: the moment of the largest norm.
         mean_n: the mean norm at the end of a step, N.
-        contact_share: share of the frames with any force at their end.
+        contact_share: share of the frames with a force at their end.
     """
 
     sensor: str
@@ -210,12 +209,12 @@ class ForceExtreme:
 
 @dataclass(frozen=True)
 class EffortUse:
-    """How much of its effort a joint used.
+    """The use of a joint's effort limit.
 
     Attributes:
         joint: the joint.
-        limit: its effort limit, N·m (N); None when it was not recorded or there is none.
-        rms, largest: root mean square and largest size of the applied effort.
+        limit: its effort limit, N·m (N); None if it is unknown or unlimited.
+        rms, largest: root mean square and largest absolute applied effort.
         saturated_share: share of the frames at the limit; None without a limit.
     """
 
@@ -228,14 +227,14 @@ class EffortUse:
 
 @dataclass(frozen=True)
 class RewardShare:
-    """What one reward term gave.
+    """The contribution of one reward term.
 
     Attributes:
         term: the term.
-        weight: its weight as configured; None when it was not recorded.
-        mean: its mean, 1/s; None when there is no number.
+        weight: its configured weight; None if it was not recorded.
+        mean: its mean, 1/s; None without values.
         total: its sum over the recorded time.
-        share: its share of the sum of the terms' sizes, 0 to 1; None when that is 0.
+        share: its share of the sum of the terms' absolute values, 0 to 1; None if that sum is 0.
     """
 
     term: str
@@ -246,7 +245,7 @@ class RewardShare:
 
 
 def tracking_errors(view: View) -> list[TrackingError]:
-    """Return the errors of every commanded number that the base has by the same name."""
+    """Return the errors of every commanded number that the base has under the same name."""
     found = []
     for name in view.names("commands"):
         command, _, part = name.rpartition(".")
@@ -260,13 +259,13 @@ def tracking_errors(view: View) -> list[TrackingError]:
 
 
 def base_motion(view: View) -> dict[str, Statistics]:
-    """Return the statistics of the base's height and angles, as far as they were recorded."""
+    """Return the statistics of the base's recorded height and angles."""
     present = [name for name in ("height", "roll", "pitch") if name in view.names("base")]
     return {name: statistics(view.column("base", name), lambda row: view.moment("base", row)) for name in present}
 
 
 def force_extremes(view: View) -> list[ForceExtreme]:
-    """Return the contact forces of every sensor and body; peaks within a step where they were recorded."""
+    """Return the contact forces of every sensor and body, with peaks within a step if recorded."""
     names = view.names("contacts")
     found = []
     for sensor, body in _bodies(view):
@@ -283,7 +282,7 @@ def force_extremes(view: View) -> list[ForceExtreme]:
 
 
 def effort_use(view: View) -> list[EffortUse]:
-    """Return how much of its effort each joint used."""
+    """Return the use of each joint's effort limit."""
     joints = [name.removesuffix(".effort") for name in view.names("joints") if name.endswith(".effort")]
     found = []
     for joint in joints:
@@ -297,7 +296,7 @@ def effort_use(view: View) -> list[EffortUse]:
 
 
 def reward_shares(view: View) -> list[RewardShare]:
-    """Return the share of each reward term."""
+    """Return the contribution of each reward term."""
     static = view.static("rewards")
     weights = dict(zip(static.get("terms", []), static.get("weights", []), strict=False))
     rows = {name: view.column("rewards", name) for name in view.names("rewards") if name != TOTAL}
@@ -317,7 +316,7 @@ def reward_shares(view: View) -> list[RewardShare]:
 
 
 def _together(view: View, names: tuple[str, ...], env_id: int) -> list[Frames]:
-    """Return the rows of numbers side by side; nothing when the environment has not all of them."""
+    """Return the rows of several numbers; empty if the environment lacks one of them."""
     known = view.recording.all_numbers(env_id)
     if not all(name in known for name in names):
         return []
@@ -354,12 +353,12 @@ def _bodies(view: View) -> Iterator[tuple[str, str]]:
 
 def _limit(view: View, joint: str) -> float | None:
     entity = view.recording.all_numbers(view.env_ids[0])[f"joints.{joint}.effort"].entity
-    said = view.recording.static(entity.rpartition("/")[0]).get("effort_limit")
-    limit = as_number(said[0]) if said else None
+    recorded = view.recording.static(entity.rpartition("/")[0]).get("effort_limit")
+    limit = as_number(recorded[0]) if recorded else None
     return limit if limit is not None and np.isfinite(limit) else None
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:
-    """Return the mean of the numbers among values, None when there are none."""
+    """Return the mean of the values without NaN; None without any."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else None

@@ -19,17 +19,17 @@ from wheelleg_exp.inspection.plot_style import FAINT, INK, MUTED, PROGRESS, Pane
 Array = np.ndarray[Any, Any]
 Episodes = Mapping[str, Array]
 
-# Of shares: what fails is dark red, what succeeds pale; of errors as of progress, pale is little.
+# Shares: dark red is failure, pale blue is success. Errors use the map of progress: pale is small.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # of a colour map: beyond it letters are white
+_DARK = 0.4  # position in a colour map beyond which text is white
 _DEGREES = 180.0 / math.pi
 
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
-    """Return the panels of an evaluation by test, of those tests that can be drawn.
+    """Return the panels of an evaluation by test, for the tests that have plots.
 
     Args:
-        episodes: the columns, as ``Evaluation.episodes`` has them.
+        episodes: the columns of ``Evaluation.episodes``.
     """
     found = {}
     for test, draw in _TESTS.items():
@@ -40,7 +40,7 @@ def panels(episodes: Episodes) -> dict[str, list[Panel]]:
 
 
 def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write the panels of an evaluation into a folder, ``walk.png``, ``push.png``, ...; return the files."""
+    """Write the panels of an evaluation into a folder as ``walk.png``, ``push.png``, ...; return the files."""
     files = []
     for test, shown in panels(evaluation.episodes).items():
         files.append(folder / f"{test}.png")
@@ -70,7 +70,7 @@ def _of_standing(rows: Episodes) -> list[Panel]:
 
 
 def _spread(title: str, values: Array) -> Panel:
-    """Return a panel of the values of all episodes, smallest first."""
+    """Return a panel of the sorted values of all episodes."""
 
     def draw(axes: Axes) -> None:
         ordered = np.sort(values[np.isfinite(values)])
@@ -86,7 +86,7 @@ def _of_walking(rows: Episodes) -> list[Panel]:
     def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
-        # An error is of those that lived, as in the tables: one that falls has driven for a moment only.
+        # Errors are those of survivors, as in the tables: a robot that falls has driven for a moment only.
         counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
         if not np.isfinite(rows[name] * counts).any():
             return None
@@ -109,7 +109,7 @@ def _of_walking(rows: Episodes) -> list[Panel]:
 
 
 def _of_pushing(rows: Episodes) -> list[Panel]:
-    """Return the median limit in each direction, for each length of push."""
+    """Return the median limit in each direction, for each duration of a push."""
     names = list(dict.fromkeys(rows["cell_name"].tolist()))
     kinds = list(dict.fromkeys(name.partition(" over ")[2] for name in names))
 
@@ -120,7 +120,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             angles = np.radians([float(name.partition("°")[0]) for name in mine])
             limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
             angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
-            # Forwards is up, left is left.
+            # Forward points up, and left points left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
         _rings(axes, largest or 1.0)
@@ -157,7 +157,7 @@ def _of_terrain(rows: Episodes) -> list[Panel]:
 
 
 def _of_worlds(rows: Episodes) -> list[Panel]:
-    """Return survival over the values of each sweep, the unchanged world as a line across."""
+    """Return survival over the values of each sweep, with the unchanged world as a horizontal line."""
     plain = rows["sweep"] == "nominal"
 
     def over(sweep: str) -> Panel:
@@ -187,7 +187,7 @@ _TESTS: Mapping[str, Callable[[Episodes], list[Panel]]] = {
 
 
 def _two_digits(value: float) -> str:
-    """Return a number with two digits that count, and without an exponent when it is large."""
+    """Return a number with two significant digits, without an exponent for large numbers."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
@@ -201,7 +201,7 @@ def _rms(values: Array) -> float:
 
 
 def _grid(across: Array, up: Array, values: Array, of: Callable[..., Any]) -> tuple[Array, list[float], list[float]]:
-    """Return a statistic of the values of each pair, (up, across), with the two scales; NaN where there is none."""
+    """Return a statistic of the values of each pair, (up, across), and the two scales; NaN without values."""
     columns, lines = np.unique(across), np.unique(up)
     found = np.full((len(lines), len(columns)), np.nan)
     for i, line in enumerate(lines):
@@ -223,7 +223,7 @@ def _map(
     is_share: bool,
     height: float = 2.6,
 ) -> Panel:
-    """Return a map whose cells hold their number."""
+    """Return a map with a number in each cell."""
 
     def draw(axes: Axes) -> None:
         top = 1.0 if is_share else max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-9)

@@ -30,7 +30,7 @@ _TIME_UNITS = {STEP: "control steps", SIM_TIME: "s", ITERATION: "iterations"}
 
 @dataclass(frozen=True)
 class Exported:
-    """One written file: where it is, what it holds."""
+    """A written file: its path, group, and size."""
 
     path: Path
     group: str
@@ -46,26 +46,26 @@ def export(
     terms: Sequence[str] = (),
     selection: Selection | None = None,
 ) -> list[Exported]:
-    """Write the numbers of a recording: a folder with one file a group, or one file of chosen numbers.
+    """Write the numbers of a recording: a folder with one file per group, or one file of selected numbers.
 
-    Every table has the columns ``step``, ``sim_time`` (s), ``iteration`` in a training, ``env`` where several
-    environments were recorded, and one float64 column a number. Parquet keeps each column's unit in the field's
-    metadata (``unit``) and what the recording is in the schema's (``wheelleg``). A folder of CSV files has the units
-    in ``units.json``. Numbers in CSV are written so that reading them gives the same bits; NaN is ``nan``, and an
-    empty field is a number that has no row at that step.
+    Every table has the columns ``step``, ``sim_time`` (s), ``iteration`` in a training, ``env`` if several environments
+    were recorded, and one float64 column per number. Parquet stores each column's unit in the field's metadata
+    (``unit``), and facts on the recording in the schema's (``wheelleg``). A folder of CSV files has the units in
+    ``units.json``. Numbers in CSV keep all bits. NaN is written as ``nan``. An empty field means that the number has no
+    row at that step.
 
     Args:
-        recording: what is exported.
+        recording: the recording.
         kind: ``parquet`` or ``csv``.
-        output: the folder, or with ``terms`` the file; it must not be there yet, and appears whole or not at all.
-        terms: dotted names of the numbers, such as ``rewards.base_height``; none means all, by group.
-        selection: which rows.
+        output: the folder, or with ``terms`` the file. It must not exist, and appears only when complete.
+        terms: dotted names of the numbers, such as ``rewards.base_height``; empty for all, by group.
+        selection: the rows.
 
     Raises:
         WheellegError: a name, the selection or the path is wrong.
     """
     if kind not in KINDS:
-        raise WheellegError(f"'{kind}' is not written", key="--export", expected=" or ".join(KINDS))
+        raise WheellegError(f"'{kind}' is not an export format", key="--export", expected=" or ".join(KINDS))
     require_new(output)
     chosen = Selection() if selection is None else selection
     if terms:
@@ -73,12 +73,12 @@ def export(
         if not len(table) and not chosen.is_all:
             raise nothing_chosen(recording)
         write_new(output, encoded(table, kind))
-        return [_told(output, "terms", table)]
+        return [_exported(output, "terms", table)]
     tables = {group: table for group in _groups(recording) if (table := _of_group(recording, group, chosen)).num_rows}
     if not tables:
         raise nothing_chosen(recording)
     _write_folder(output, tables, kind)
-    return [_told(output / f"{_file_name(group)}.{kind}", group, table) for group, table in tables.items()]
+    return [_exported(output / f"{_file_name(group)}.{kind}", group, table) for group, table in tables.items()]
 
 
 def encoded(table: pa.Table, kind: str) -> bytes:
@@ -92,13 +92,13 @@ def encoded(table: pa.Table, kind: str) -> bytes:
 
 
 def units(table: pa.Table) -> dict[str, str]:
-    """Return the units of a table's columns, of those that have one."""
+    """Return the units of a table's columns that have one."""
     found = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
     return {name: value.decode() for name, value in found.items() if value}
 
 
 def _groups(recording: Recording) -> list[str]:
-    """Return the groups of an environment, and those of none, without those within others."""
+    """Return the top-level groups of numbers."""
     names = (number.split(".")[0] for env_id in recording.env_ids for number in recording.all_numbers(env_id))
     return list(dict.fromkeys(names))
 
@@ -115,17 +115,17 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
         is_own = any(is_of_env(number) for number in numbers.values())
         tables.append(_described(table, entities, recording, env_id if is_own else None))
         if not is_own:
-            break  # these numbers are of no environment
+            break  # these numbers belong to no environment
     return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
 
 
 def _file_name(group: str) -> str:
-    """Return a group's name as a file's: a group of another's recording may be called like any path."""
+    """Return a file name for a group. A group of a foreign recording can have any name, even a path."""
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 
 def _within(group: str, name: str) -> str:
-    """Return a number's name without its group, unless it would then be called like a time."""
+    """Return a number's name without its group, unless that would be the name of a timeline."""
     short = name.removeprefix(f"{group}.")
     return name if short in (*TIMES, ENV) else short
 
@@ -140,11 +140,11 @@ def _of_terms(recording: Recording, terms: Sequence[str], selection: Selection) 
 
 
 def _described(table: pa.Table, entities: Mapping[str, str], recording: Recording, env_id: int | None) -> pa.Table:
-    """Return a table whose fields say their units, with the environment as a column where it is one of several."""
+    """Return a table with units in its fields and, if needed, the environment as a column."""
     fields = []
     for field in table.schema:
-        told = _TIME_UNITS.get(field.name) or unit(entities.get(field.name, ""))
-        fields.append(field.with_metadata({"unit": told} if told else None))
+        word = _TIME_UNITS.get(field.name) or unit(entities.get(field.name, ""))
+        fields.append(field.with_metadata({"unit": word} if word else None))
     columns = list(table.columns)
     if env_id is not None:
         place = sum(name in TIMES for name in table.column_names)
@@ -165,11 +165,11 @@ def _write_folder(output: Path, tables: Mapping[str, pa.Table], kind: str) -> No
             with (aside / f"{_file_name(group)}.{kind}").open("xb") as file:
                 file.write(encoded(table, kind))
         if kind == "csv":
-            told = {group: units(table) for group, table in tables.items()}
-            (aside / UNITS_NAME).write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", "utf-8")
+            by_group = {group: units(table) for group, table in tables.items()}
+            (aside / UNITS_NAME).write_text(json.dumps(by_group, indent=2, ensure_ascii=False) + "\n", "utf-8")
         require_new(output)
         aside.rename(output)
 
 
-def _told(path: Path, group: str, table: pa.Table) -> Exported:
+def _exported(path: Path, group: str, table: pa.Table) -> Exported:
     return Exported(path, group, table.num_rows, table.num_columns)

@@ -30,7 +30,7 @@ _SHORT = 1.75
 
 
 def tracking(source: Source) -> list[Panel]:
-    """Return velocities against commands, height against its target, roll and pitch."""
+    """Return panels of velocities with commands, height with its target, roll, and pitch."""
     command = _velocity_command(source)
     panels = [_velocity(source, name, title, unit, command) for name, title, unit in _VELOCITIES]
     height = _over_time(source, ("base", "height"), "Height of the base", "m", target=source.target_height())
@@ -42,7 +42,7 @@ def tracking(source: Source) -> list[Panel]:
 
 
 def joints(source: Source) -> list[Panel]:
-    """Return each joint against its target, and its effort within its limits; of a training, the last sample."""
+    """Return panels of each joint's target and effort limits. For a training, they show the last sample."""
     panels: list[Panel] = []
     for joint in source.below("joints"):
         kind, unit = ("velocity", "rad/s") if is_driven(source, joint) else ("position", "rad")
@@ -56,9 +56,9 @@ def joints(source: Source) -> list[Panel]:
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return the contact force of every body that was touched, at the end of each step and in the sensor's history.
+    """Return panels of the contact force of every touched body, at the end of steps and in the sensor's history.
 
-    Of a training, in the last sample.
+    For a training, they show the last sample.
     """
     panels = []
     for sensor in source.below("contacts"):
@@ -79,7 +79,7 @@ def contact_forces(source: Source) -> list[Panel]:
 
 
 def terminations(source: Source) -> list[Panel]:
-    """Return when each termination fired in the recorded environment."""
+    """Return a panel of the times at which each termination fired."""
     fired = source.fired()
     if not fired:
         return []
@@ -102,7 +102,7 @@ def terminations(source: Source) -> list[Panel]:
 
 
 def rewards(source: Source) -> list[Panel]:
-    """Return the mean weighted reward of each term over the recording, and the terms over time, stacked."""
+    """Return panels of the mean weighted reward per term, and of each term over time."""
     terms = source.weighted()
     if not terms:
         return []
@@ -117,7 +117,7 @@ def rewards(source: Source) -> list[Panel]:
 
 
 def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
-    """Return a panel for each number of an entity, over time or over iterations."""
+    """Return a panel for each number of an entity, over time or iterations."""
     series = source.series(entity)
     many = series.values.shape[1] > 1
 
@@ -133,7 +133,7 @@ def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
 
 
 def with_unit(title: str, entity: str) -> str:
-    """Return a title with the unit of an entity, where that has one."""
+    """Return a title with the unit of an entity, if it has one."""
     found = unit(entity)
     return f"{title} ({found})" if found else title
 
@@ -146,7 +146,7 @@ def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
 
 
 def is_driven(source: Source, joint: str) -> bool:
-    """Return whether a joint is driven at a velocity instead of held at a position."""
+    """Return whether a joint's drive follows a velocity instead of a position."""
     stiffness = source.drive(joint, "stiffness")
     if stiffness is not None:
         return stiffness == 0.0
@@ -175,7 +175,7 @@ def _over_time(
     target: float | None = None,
     wanted: Series | None = None,
 ) -> Panel | None:
-    """Return a panel of one number; of a training, one line a sample, from pale (early) to dark (late)."""
+    """Return a panel of one number. A training has one line per sample, from pale (early) to dark (late)."""
     series = source.maybe(*parts)
     if series is None:
         return None
@@ -207,8 +207,8 @@ def _draw_samples(axes: Axes, source: Source, series: Series, wanted: Series | N
         time, values = broken(part, source.ends())
         axes.plot(time - part.time[0], values, color=shade, label=_label(sample))
         if wanted is not None:
-            told = sample.of(wanted)
-            axes.plot(told.time - part.time[0], told.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
+            commanded = sample.of(wanted)
+            axes.plot(commanded.time - part.time[0], commanded.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
 
 
 def _label(sample: Sample) -> str:
@@ -223,7 +223,7 @@ def _mark_ends(axes: Axes, source: Source) -> None:
 
 
 def _last(source: Source, series: Series) -> Series:
-    """Return a training's last sample, and anything else whole."""
+    """Return the last sample of a training, or the whole series of another recording."""
     samples = source.samples() if source.is_training else []
     return samples[-1].of(series) if samples else series
 
@@ -257,7 +257,7 @@ def _effort(source: Source, entity: str, limit: float | None) -> Callable[[Axes]
 
 
 def _peak(source: Source, sensor: str, series: Series) -> Series | None:
-    """Return the largest forces within each step, row by row beside those at its end; None when not recorded so."""
+    """Return the largest forces within each step, aligned with the forces at its end; None if not recorded."""
     peak = source.maybe("contacts", sensor, "peak")
     if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
         return None

@@ -23,7 +23,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 Numbers = NDArray[np.float64]
 Scalars = Mapping[str, tuple[Any, Any]]
 _LARGEST = 1e100
-_LONGEST_CONFIG = 1 << 20  # letters
+_LONGEST_CONFIG = 1 << 20  # characters
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Series:
         time: simulated time, s, (n,).
         iteration: training iterations, (n,), or None.
         values: the numbers, (n, width).
-        names: one a number.
+        names: one name per number.
     """
 
     step: NDArray[np.int64]
@@ -57,12 +57,12 @@ class Series:
 
 @dataclass(frozen=True)
 class Sample:
-    """A stretch of steps recorded without a gap.
+    """Consecutive recorded steps.
 
     Attributes:
         first: its first step.
         last: its last step.
-        iteration: the training iteration at its beginning, or None.
+        iteration: the training iteration at its start, or None.
     """
 
     first: int
@@ -75,12 +75,12 @@ class Sample:
 
 
 class Source:
-    """A recording as plots see it.
+    """A recording as a source of plots.
 
     Args:
         recording: the recording.
-        env: which recorded environment; by default the selection's, else the first.
-        selection: which rows.
+        env: the recorded environment; by default the selection's, or else the first.
+        selection: the rows.
 
     Attributes:
         env_id: the environment.
@@ -100,35 +100,35 @@ class Source:
 
     @property
     def whose(self) -> str:
-        """Which of several recorded environments it is, in words; empty when one alone was recorded."""
+        """The name of the environment; empty if only one was recorded."""
         return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
-        """Return the path of something of the environment."""
+        """Return the path of an entity of the environment."""
         return join(self.branch, *parts)
 
     def has(self, entity: str) -> bool:
-        """Return whether something was recorded over time at an entity."""
+        """Return whether an entity has rows over time."""
         return self.recording.has_rows(entity)
 
     def below(self, *parts: str) -> list[str]:
-        """Return the names of what stands directly below a path: in the environment's order, where it was recorded."""
+        """Return the names directly below a path, in the environment's order if it was recorded."""
         root = self.path(*parts)
         found, statics = self.children(root), self.recording.static(root)
         order = [str(name) for name in statics.get("terms", statics.get("names", []))]
         return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
     def children(self, root: str) -> list[str]:
-        """Return the names of what stands directly below an entity."""
+        """Return the names directly below an entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
         return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
-        """Return the entity that a dotted name means, None when there is none.
+        """Return the entity of a dotted name, or None.
 
-        ``rewards.base_height`` is ``rewards/base_height`` of the environment; a training scalar may be written with
-        or without ``training.``, and with slashes.
+        ``rewards.base_height`` is ``rewards/base_height`` of the environment. The prefix ``training.`` of a training
+        scalar is optional, and slashes can replace dots.
         """
         parts = parts_of(term) if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
@@ -140,11 +140,11 @@ class Source:
         """Return the numbers of an entity.
 
         Raises:
-            RunDirectoryError: there are none, or none is chosen.
+            RunDirectoryError: it has no numbers, or no row is selected.
         """
         found = self._series(entity)
         if not found.values.size:
-            raise RunDirectoryError(f"no row of '{entity}' of '{self.recording.path}' is chosen")
+            raise RunDirectoryError(f"no row of '{entity}' of '{self.recording.path}' is selected")
         return found
 
     def _series(self, entity: str) -> Series:
@@ -158,7 +158,7 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return the numbers of something of the environment; None when there are none, or none is chosen."""
+        """Return the numbers of an entity of the environment; None without numbers or selected rows."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
@@ -177,11 +177,11 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether it records a training."""
+        """Whether the recording is of a training."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
-        """Return the stretches that were recorded without a gap, in order of time."""
+        """Return the stretches of consecutive steps in order of time."""
         clock = self.clock()
         if clock is None or not len(clock.step):
             return []
@@ -189,7 +189,7 @@ class Source:
         return [_sample(clock, a, b) for a, b in pairwise(cuts)]
 
     def shown_samples(self, count: int = 4) -> list[Sample]:
-        """Return the first sample, the last, and some between, evenly."""
+        """Return the first sample, the last, and evenly spaced ones between."""
         samples = self.samples()
         if len(samples) <= count:
             return samples
@@ -197,30 +197,30 @@ class Source:
         return [samples[i] for i in dict.fromkeys(picked.tolist())]
 
     def clock(self) -> Series | None:
-        """Return a series that has a row at every recorded step of the environment."""
+        """Return a series with a row at every recorded step of the environment."""
         for parts in (("state", "qpos"), ("base", "height"), ("rewards", "total")):
             if (series := self.maybe(*parts)) is not None:
                 return series
         return None
 
     def fired(self) -> dict[str, Series]:
-        """Return each termination's flags by its name."""
+        """Return each termination's flags by name."""
         found = {name: self.maybe("terminations", name) for name in self.below("terminations")}
         return {name: series for name, series in found.items() if series is not None}
 
     def ends(self) -> NDArray[np.int64]:
-        """Return the steps at which episodes ended."""
+        """Return the last steps of episodes."""
         steps = [series.step[series.first > 0] for series in self.fired().values()]
         return np.unique(np.concatenate(steps)) if steps else np.empty(0, dtype=np.int64)
 
     def weighted(self) -> dict[str, Series]:
-        """Return each reward term's weighted values, 1/s, by its name; the sum is left out."""
+        """Return each reward term's weighted values, 1/s, by name, without the sum."""
         names = [name for name in self.below("rewards") if name != "total"]
         found = {name: self.maybe("rewards", name) for name in names}
         return {name: series for name, series in found.items() if series is not None}
 
     def target_height(self) -> float | None:
-        """Return the base height that a reward term asks for, m, when the kept config has one."""
+        """Return the base height that the recorded config's rewards name, m, or None."""
         for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
             height = as_number(_mapping(term).get("target_height"))
             if height is not None:
@@ -228,13 +228,13 @@ class Source:
         return None
 
     def drive(self, joint: str, name: str) -> float | None:
-        """Return a number of a joint's drive, such as ``effort_limit``; None where it was not recorded."""
+        """Return a number of a joint's drive, such as ``effort_limit``, or None."""
         kept = self.recording.static(self.path("joints", joint)).get(name)
         return as_number(kept[0]) if kept else None
 
 
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
-    """Return times and values with a gap after each step in ``ends``, so that no line is drawn across a reset."""
+    """Return times and values with a gap after each step in ``ends``, so that no line crosses a reset."""
     cuts = np.flatnonzero(np.isin(series.step, ends)) + 1
     cuts = np.union1d(cuts, np.flatnonzero(np.diff(series.step) > 1) + 1)
     cuts = cuts[cuts < len(series.step)]
@@ -245,7 +245,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the places of the rows that a selection chooses, by their moments."""
+    """Return the indices of the rows that a selection selects."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
@@ -255,20 +255,20 @@ def chosen_rows(
 
 
 def drawable(values: Any) -> Numbers:
-    """Return numbers as they can be drawn: what is not finite, or too large for an axis, is a gap."""
+    """Return numbers with NaN for values that are not finite or too large for an axis."""
     found = np.asarray(values, dtype=np.float64)
     return np.where(np.abs(found) < _LARGEST, found, np.nan)
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of the numbers that can be drawn; 0 without any."""
+    """Return the mean of the drawable numbers; 0 without any."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0
 
 
 def seconds(table: pa.Table) -> Numbers:
-    """Return the simulated times of a table, s; zeros where it has none."""
+    """Return the simulated times of a table, s; zeros if it has none."""
     if SIM_TIME not in table.column_names:
         return np.zeros(len(table))
     column = table.column(SIM_TIME).combine_chunks()
@@ -296,7 +296,7 @@ def _sample(clock: Series, a: int, b: int) -> Sample:
 
 
 def _config(recording: Recording) -> dict[str, Any]:
-    """Return the composed config that is kept as a text, empty when there is none."""
+    """Return the recorded config, or an empty mapping."""
     text = recording.document("config")
     if text is None or len(text) > _LONGEST_CONFIG:
         return {}

@@ -27,7 +27,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# From light to dark, readable on white and in grey print: what was early is pale, what is late is dark.
+# From pale (early) to dark (late), readable on white and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
@@ -83,18 +83,18 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # a name may hold any sign
+    "text.parse_math": False,  # a name can contain any character, also $
 }
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One small picture of one subject.
+    """One plot of a figure.
 
     Attributes:
-        title: what it shows, with the unit.
-        draw: draws it into axes that are styled and titled.
-        height: in, where its figure leaves the choice.
+        title: its title, with the unit.
+        draw: draws into axes with style and title.
+        height: its height in inches, if the figure's size is free.
         wide: whether it takes a whole row.
     """
 
@@ -106,28 +106,28 @@ class Panel:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply the style and, afterwards, whatever the process had before."""
+    """Apply the style, and restore the previous settings afterwards."""
     with mpl.rc_context(rc={**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE}):
         yield
 
 
 @contextmanager
 def _saved(figure: Figure) -> Iterator[None]:
-    """Let the body draw a figure: names with signs that no XML may hold, or that the font lacks, are no matter."""
+    """Prepare a figure for saving: replace characters that XML forbids, and silence warnings on missing glyphs."""
     for text in figure.findobj(Text):
         text.set_text(printable(text.get_text()))
     with styled(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of signs, and of titles that are too long
+        warnings.simplefilter("ignore", UserWarning)  # missing glyphs, and titles that are too long
         yield
 
 
 def colour(index: int) -> str:
-    """Return the ``index``-th colour for things without an order."""
+    """Return the ``index``-th colour for unordered items."""
     return PALETTE[index % len(PALETTE)]
 
 
 def shades(count: int) -> list[Any]:
-    """Return ``count`` colours from pale to dark, for things in an order of time."""
+    """Return ``count`` colours from pale to dark, for items ordered in time."""
     if count == 1:
         return [BLUE]
     return [PROGRESS(i / (count - 1)) for i in range(count)]
@@ -139,34 +139,34 @@ def tile(
     title: str | None = None,
     size: tuple[float, float] | None = None,
 ) -> Figure:
-    """Return a figure of panels, side by side.
+    """Return a figure of panels in a grid.
 
     Args:
-        panels: what it shows, at least one.
+        panels: at least one panel.
         title: a line above them.
-        size: width and height, in; by default as wide as a page, as high as the panels ask for.
+        size: width and height, inches; by default the page's width and the panels' heights.
     """
     with styled():
         return _tiled([(title, panels)], size)
 
 
 def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
-    """Return one figure of several titled groups of panels, from top to bottom."""
+    """Return a figure of several titled groups of panels, from top to bottom."""
     with styled():
         return _tiled(sections)
 
 
 def figure_svg(figure: Figure) -> str:
-    """Return a figure as an SVG document: the same text for the same figure, without a date.
+    """Return a figure as an SVG document without a date, so that equal figures give equal files.
 
-    Letters stay text, in the reader's own font; the root has a ``viewBox``, so that a page may scale it.
+    Text stays text in the reader's font. The root has a ``viewBox``, so that a page can scale it.
     """
     with _saved(figure):
         buffer = io.StringIO()
         nothing: Mapping[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
         FigureCanvasSVG(figure).print_svg(buffer, metadata=dict(nothing))
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]  # an XML declaration has no place inside HTML
+    text = text[text.index("<svg") :]  # HTML forbids the XML declaration
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     return re.sub(r' d="[^"]+"', lambda path: _NUMBER.sub(_short, path[0]), text)
@@ -208,7 +208,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return as many panels as a figure can hold, the last of which says how many there are beyond."""
+    """Return as many panels as a figure can have. The last panel counts the remaining ones."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"

@@ -24,7 +24,7 @@ QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
 @dataclass(frozen=True)
 class Moment:
-    """When something was: control step, simulated time in s, training iteration, environment; None where unknown."""
+    """A moment: control step, simulated time in s, training iteration, and environment; None if unknown."""
 
     step: int | None
     time_s: float | None
@@ -34,16 +34,16 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What one number was like; all of it over the finite values, None when there are none.
+    """Statistics of one number over its finite values; None without any.
 
     Attributes:
-        count: how many values, whether finite or not.
-        nan, infinite: how many of them are no number, and how many infinite.
+        count: number of values, finite or not.
+        nan, infinite: number of NaN and of infinite values.
         mean, std, rms: mean, standard deviation (over n), root mean square.
         minimum, maximum: the extremes.
-        quantiles: values by share, interpolated linearly between the two nearest.
-        minimum_at, maximum_at: when the extremes were first reached.
-        first_at, last_at: the moments of the first and the last value, whatever it is.
+        quantiles: values by share, interpolated linearly.
+        minimum_at, maximum_at: first moments of the extremes.
+        first_at, last_at: moments of the first and the last value, finite or not.
     """
 
     count: int
@@ -61,12 +61,12 @@ class Statistics:
     last_at: Moment | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as a plain mapping."""
+        """Return the statistics as a plain mapping."""
         return asdict(self)
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of ``values`` (n,); ``at`` tells when a row was."""
+    """Return the statistics of ``values`` (n,). ``at`` returns the moment of a row."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -78,7 +78,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
         return Statistics(**counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers near the largest there are
+    with np.errstate(over="ignore", invalid="ignore"):  # squares of huge values overflow
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
     return Statistics(
         **counts,
@@ -103,7 +103,7 @@ class Frames:
     """Rows of one environment.
 
     Attributes:
-        table: the timelines and one float64 column a number.
+        table: the timelines and one float64 column per number.
         env_id: the environment.
     """
 
@@ -123,32 +123,27 @@ class Frames:
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
-        """Return when a row was."""
+        """Return the moment of a row."""
         step, time_s, iteration = (
             self.table.column(name)[row].as_py() if name in self.table.column_names else None for name in TIMES
         )
         return Moment(step, time_s, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return the rows where ``mask`` holds."""
+        """Return the rows where ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
 @dataclass(frozen=True)
 class View:
-    """The chosen rows of a recording.
-
-    Attributes:
-        recording: the recording.
-        selection: which rows.
-    """
+    """The selected rows of a recording."""
 
     recording: Recording
     selection: Selection = field(default_factory=Selection)
 
     @property
     def env_ids(self) -> list[int]:
-        """The chosen environments."""
+        """The selected environments."""
         return self.selection.env_ids(self.recording)
 
     def has(self, group: str, env_id: int) -> bool:
@@ -158,7 +153,7 @@ class View:
         return path in self.recording.groups() or "scalars" in self.recording.columns(path)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return the rows of a group of one environment; None when it has no numbers there."""
+        """Return the rows of a group of one environment; None if it has no numbers there."""
         if not self.has(group, env_id):
             return None
         return Frames(self.selection.apply(self.recording.numbers(group, env_id)), env_id)
@@ -169,12 +164,12 @@ class View:
         return [] if frames is None else frames.names
 
     def column(self, group: str, name: str) -> NDArray[np.float64]:
-        """Return a number over the rows of all chosen environments, one after the other."""
+        """Return a number over the rows of all selected environments, concatenated."""
         parts = [frames.column(name) for frames in self._all(group) if name in frames.names]
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return when a row of ``column`` was."""
+        """Return the moment of a row of ``column``."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)
@@ -182,12 +177,12 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return what holds at all times at a path of the first chosen environment."""
+        """Return the static components at a path of the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
     def events(self, kind: str) -> list[Event]:
-        """Return what was told in words of the chosen rows."""
+        """Return the recorded messages within the selected rows."""
         found = [event for env_id in self.env_ids for event in self.recording.events(kind, env_id)]
         return [
             event for event in dict.fromkeys(found) if self.selection.has(event.step, event.time_s, event.iteration)
@@ -207,14 +202,14 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
     """Return the number of a name.
 
     Raises:
-        WheellegError: there is none, with the nearest that there is.
+        WheellegError: there is none; the error names the nearest one.
     """
     numbers = recording.all_numbers(env_id)
     for word in (name, name.strip("/").replace("/", ".")):
         if word in numbers:
             return numbers[word]
     raise WheellegError(
-        f"nothing of the name '{name}' was recorded",
+        f"no number '{name}' was recorded",
         key=key,
         expected=_expected(name, list(numbers)),
         nearest=_nearest(name, list(numbers)),
@@ -222,10 +217,10 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
-    """Return the chosen rows of numbers, for each chosen environment, by the names that were asked for.
+    """Return the selected rows of numbers for each selected environment, by the given names.
 
     Raises:
-        WheellegError: one of the names is wrong, or the selection is.
+        WheellegError: a name or the selection is wrong.
     """
     words, found = list(dict.fromkeys(names)), []
     for env_id in selection.env_ids(recording):
@@ -234,17 +229,17 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
         shared = bool(recording.branch(env_id)) and not any(is_of_env(number) for number in numbers)
         found.append(Frames(selection.apply(recording.columns_of(named)), None if shared else env_id))
         if shared:
-            break  # these numbers are of no environment
+            break  # these numbers belong to no environment
     return found
 
 
 def is_of_env(number: Number) -> bool:
-    """Return whether a number is of one of several recorded environments."""
+    """Return whether a number belongs to one of several recorded environments."""
     return BRANCH.match(number.entity) is not None
 
 
 def _expected(name: str, names: list[str]) -> str:
-    """Return those that begin like the name, or what the names begin with."""
+    """Return the names with the same first part, or the first parts of all names."""
     top = name.replace("/", ".").split(".")[0]
     below = [n for n in names if n.startswith(f"{top}.")]
     shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in names)]
@@ -259,14 +254,14 @@ def _nearest(name: str, names: list[str]) -> str | None:
 
 @dataclass(frozen=True)
 class NumberEntry:
-    """One recorded number: its name, and how many rows it has."""
+    """One recorded number: its name and number of rows."""
 
     name: str
     rows: int
 
 
 def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return every recorded number of one environment, and of none.
+    """Return every recorded number of one environment, and those of none.
 
     Raises:
         RunDirectoryError: that environment was not recorded.
@@ -275,7 +270,7 @@ def number_list(recording: Recording, env_id: int | None = None) -> list[NumberE
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:
-    """Return the unit of each number that has one, by the name that was asked for.
+    """Return the unit of each number that has one, by the given name.
 
     Raises:
         WheellegError: a name is wrong.
@@ -285,7 +280,7 @@ def units(recording: Recording, names: Iterable[str], env_id: int | None = None)
 
 
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
-    """Return the statistics of numbers over all chosen environments.
+    """Return the statistics of numbers over all selected environments.
 
     Raises:
         WheellegError: a name or the selection is wrong.

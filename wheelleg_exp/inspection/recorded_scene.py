@@ -27,7 +27,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def shapes_in(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
-    """Yield the shapes of one entity, which may hold several of a kind; what has no size or place is left out."""
+    """Yield the drawable shapes of one entity, which can hold several of a kind."""
     found = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
     return filter(_is_drawable, found)
 
@@ -46,7 +46,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         rgba = rgba_of(_at(statics, ("colors",), i, None))
-        if "half_sizes" in statics:  # boxes and ellipsoids differ by name alone
+        if "half_sizes" in statics:  # boxes and ellipsoids differ only by archetype
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
         else:
@@ -59,7 +59,7 @@ def _round(
     radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
     if "centers" in statics:
         return Shape("cylinder", (radius, half), pos, quat, rgba)
-    # A recorded capsule begins at the centre of one cap; here it is centred.
+    # The origin of a recorded capsule is the centre of one cap; a shape's origin is its centre.
     centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
     return Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
@@ -92,7 +92,7 @@ def _at(statics: Mapping[str, list[Any]], names: Sequence[str], i: int, otherwis
 
 
 def rgba_of(packed: Any) -> tuple[float, ...]:
-    """Return a colour, 0 to 1, of a number 0xRRGGBBAA; grey for None."""
+    """Return a colour, 0 to 1, from a number 0xRRGGBBAA; grey for None."""
     if packed is None:
         return _GREY
     return tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
@@ -108,7 +108,7 @@ _ARROWS = {"actual": "velocity", "command": "commanded velocity"}
 
 @dataclass(frozen=True)
 class Arrows:
-    """Arrows of one kind: a colour, a radius, m, and for each frame their origins and vectors, (k, 3), m."""
+    """Arrows of one kind: colour, radius, m, and per frame their origins and vectors, (k, 3), m."""
 
     name: str
     rgba: tuple[float, ...]
@@ -119,7 +119,7 @@ class Arrows:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the scene moves, frame by frame.
+    """The motion of a scene, frame by frame.
 
     Attributes:
         step: control steps, (n,).
@@ -127,8 +127,8 @@ class Motion:
         iteration: training iterations, (n,), or None.
         pos: positions of the bodies, m, (n, B, 3).
         quat: their orientations, wxyz, (n, B, 4).
-        arrows: what is drawn over the scene.
-        commands: velocity command, by the name of each number, (n,).
+        arrows: the arrows over the scene.
+        commands: velocity command by the name of each number, (n,).
     """
 
     step: NDArray[np.int64]
@@ -140,22 +140,22 @@ class Motion:
     commands: Mapping[str, Numbers] = field(default_factory=dict)
 
     def iteration_at(self, row: int) -> int | None:
-        """Return the training iteration of a frame, None where there is none."""
+        """Return the training iteration of a frame, or None."""
         known = self.iteration is not None and self.iteration[row] >= 0
         return int(self.iteration[row]) if known and self.iteration is not None else None
 
 
 def scene_of(source: Source) -> Scene:
-    """Return the shapes of a recording.
+    """Return the scene of a recording.
 
     Raises:
-        RunDirectoryError: the recording holds no robot.
+        RunDirectoryError: the recording has no robot.
     """
     bodies = {name: list(_shapes_below(source, source_body(source, name))) for name in _bodies(source)}
     if not any(bodies.values()):
-        said = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
+        reason = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
         raise RunDirectoryError(
-            f"'{source.recording.path}' holds no robot that moves{said}",
+            f"'{source.recording.path}' contains no moving robot{reason}",
             expected="a recording of at least one whole step",
         )
     fixed = list(_shapes_below(source, f"{GROUND}/terrain"))
@@ -165,16 +165,16 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene; a pose that is not finite is the last one that was.
+    """Return the recorded motion of a scene. The last finite pose replaces a pose that is not finite.
 
     Raises:
-        RunDirectoryError: the bodies have no step in common.
+        RunDirectoryError: the bodies have no common step.
     """
     tables = _at_common_steps([source.recording.table(source_body(source, name)) for name in scene.bodies])
     first = tables[0]
     if not len(first):
         raise RunDirectoryError(
-            f"the bodies of '{source.recording.path}' were never recorded at one step", expected="a whole recording"
+            f"the bodies of '{source.recording.path}' have no common step", expected="a complete recording"
         )
     step = np.asarray(first.column(STEP).combine_chunks())
     pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
@@ -197,7 +197,7 @@ def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
 
 
 def _at_common_steps(tables: Sequence[pa.Table]) -> list[pa.Table]:
-    """Return the rows of the steps that all have: a file that was cut off may end with the rows of some bodies."""
+    """Return the rows of the common steps. A truncated file can end with the rows of only some bodies."""
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if all(np.array_equal(own, steps[0]) for own in steps):
         return list(tables)
@@ -215,7 +215,7 @@ def _has_poses(source: Source, entity: str) -> bool:
 
 
 def _root(source: Source, names: list[str]) -> int:
-    """Return the base: by the recording's properties, else the body whose height is the recorded one's."""
+    """Return the base: by the recording's properties, or else the body at the recorded base height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))
@@ -304,13 +304,13 @@ def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
 
 
 def _vectors(table: pa.Table, name: str, width: int) -> Numbers:
-    """Return the first vector of each row of a component, (n, width); NaN where a row has none."""
+    """Return the first vector of each row of a component, (n, width); NaN for an empty row."""
     rows = [row[:1] if len(row) else np.full((1, width), np.nan) for row in _ragged(table, name, width)]
     return np.concatenate(rows) if rows else np.empty((0, width))
 
 
 def _ragged(table: pa.Table, name: str, width: int = 3) -> list[Numbers]:
-    """Return a component that holds any number of vectors a row, (k, width) each."""
+    """Return the vectors of each row of a component, (k, width) each."""
     column = table.column(name).combine_chunks()
     lengths = np.asarray(pc.fill_null(pc.list_value_length(column), 0), dtype=np.int64)
     flat = np.asarray(column.flatten().flatten(), dtype=np.float64)
@@ -331,7 +331,7 @@ _LOOKED_AT = 12
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that keeps its distance, m, and direction; what it looks at moves: (n, 3), m, one a frame."""
+    """A camera with constant distance, m, and direction, and a moving target, (n, 3), m, one per frame."""
 
     distance: float
     lookat: Array
@@ -342,7 +342,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
 
     Args:
         scene: the shapes.
-        motion: how they move.
+        motion: their motion.
         rows: the frames, in order.
         aspect: width of the picture over its height.
     """
@@ -357,7 +357,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
 
 
 def _smoothed(path: Array, time: Array, size: float) -> Array:
-    """Return a path without its shaking; it is cut where the robot was put somewhere else."""
+    """Return a smoothed path. It is cut where the robot was moved to another place."""
     jumped = np.linalg.norm(np.diff(path, axis=0), axis=1) > size
     cuts = np.flatnonzero(jumped) + 1
     parts = np.split(np.arange(len(path)), cuts)
@@ -379,29 +379,29 @@ _COMMANDS = (("v_x", "forward", "m/s"), ("v_y", "sideways", "m/s"), ("w_z", "tur
 
 
 def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[str]:
-    """Return what is said of a frame: environment, iteration, time, and the command if there ever was one."""
-    said = [f"t = {motion.time[row]:.2f} s"]
+    """Return the caption of a frame: environment, iteration, time, and the command if it is ever nonzero."""
+    facts = [f"t = {motion.time[row]:.2f} s"]
     if (iteration := motion.iteration_at(row)) is not None:
-        said.insert(0, f"iteration {iteration}")
+        facts.insert(0, f"iteration {iteration}")
     if env_id is not None:
-        said.insert(0, f"environment {env_id}")
-    told = [
+        facts.insert(0, f"environment {env_id}")
+    command = [
         f"{word} {motion.commands[name][row]:+.2f} {unit}"
         for name, word, unit in _COMMANDS
         if name in motion.commands and np.any(np.abs(np.nan_to_num(motion.commands[name])) > 1e-9)
     ]
-    return [" · ".join(said), *(["command: " + ", ".join(told)] if told else [])]
+    return [" · ".join(facts), *(["command: " + ", ".join(command)] if command else [])]
 
 
 def arrow_legend(motion: Motion) -> dict[str, tuple[float, ...]]:
-    """Return the meaning and the colour of the arrows that are ever seen."""
+    """Return the colours of the arrows that are ever visible, by their meaning."""
     return {a.name: a.rgba for a in motion.arrows if any(np.abs(v).max(initial=0.0) > 0 for v in a.vectors)}
 
 
 def write_caption(
     pixels: NDArray[np.uint8], texts: Sequence[str], colours: Mapping[str, tuple[float, ...]]
 ) -> NDArray[np.uint8]:
-    """Return a picture (h, w, 3) with texts at its lower left and the meaning of arrows at its lower right."""
+    """Return a picture (h, w, 3) with texts at its lower left and the legend of arrows at its lower right."""
     image = Image.fromarray(pixels).convert("RGBA")
     layer = Image.new("RGBA", image.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
@@ -451,5 +451,5 @@ def _legend(
 
 @lru_cache
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return the font that matplotlib brings, so that pictures are the same everywhere."""
+    """Return matplotlib's own font, so that pictures are the same on every machine."""
     return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)

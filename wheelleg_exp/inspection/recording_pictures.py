@@ -23,19 +23,15 @@ from wheelleg_exp.rendering.render_scene import AZIMUTH, ELEVATION, Scene
 from wheelleg_exp.rendering.renderer import drawing
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-_FINER = 2  # drawn so many times larger and then shrunk, against jagged edges
+_FINER = 2  # supersampling factor, against jagged edges
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # arrows, in robots' heights: shorter ones are left out, longer ones end there
+_SHORTEST, _LONGEST = 0.02, 1.2  # lengths of arrows in robot heights: shorter ones are hidden, longer ones are cut
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """A recording ready to be drawn: where it is from, its shapes, its motion, its samples.
-
-    Attributes:
-        env_id: which environment it is; None when one alone was recorded.
-    """
+    """A recording ready to draw: its source, shapes, motion, and samples."""
 
     source: Source
     scene: Scene
@@ -44,29 +40,29 @@ class Scenery:
 
     @property
     def env_id(self) -> int | None:
-        """Which of several recorded environments it is; None when one alone was recorded."""
+        """The environment; None if only one was recorded."""
         return self.source.env_id if len(self.source.recording.env_ids) > 1 else None
 
 
 def scenery(
     recording: Recording, env: int | None = None, at: str | None = None, iteration: int | None = None
 ) -> Scenery:
-    """Return what a recording shows of one of its environments.
+    """Return the scene and motion of one environment of a recording.
 
     Args:
         recording: the recording.
-        env: which environment; by default that in which ``at`` happened first, else the first.
+        env: the environment; by default the one in which ``at`` happened first, or else the first.
         at: a moment in words, see ``screenshot``.
-        iteration: the training iteration in which that is looked for.
+        iteration: the training iteration in which to search for ``at``.
 
     Raises:
-        RunDirectoryError: it holds no moving robot, or not that environment.
+        RunDirectoryError: the recording has no moving robot, or lacks that environment.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
     motion = motion_of(source, scene)
     if not len(motion.step):
-        raise RunDirectoryError(f"'{recording.path}' holds no motion", expected="a recording with frames")
+        raise RunDirectoryError(f"'{recording.path}' contains no motion", expected="a recording with frames")
     return Scenery(source, scene, motion, source.samples() or [_everything(motion)])
 
 
@@ -82,26 +78,26 @@ def screenshot(
     iteration: int | None = None,
     caption: bool = True,
 ) -> float:
-    """Write a picture of the robot; whole or not at all.
+    """Write a picture of the robot, complete or not at all.
 
     Args:
-        recording: what it is drawn from.
-        path: the file: .png, .jpg or .webp; it must not be there yet.
-        time_s: the moment, simulated time, s; with ``iteration`` from where that begins. By default the middle of the
-            iteration, or of the last sample.
-        env: which recorded environment; by default the first, or that in which the term of ``at`` happened first.
+        recording: the recording.
+        path: the file: .png, .jpg or .webp; it must not exist.
+        time_s: the moment in simulated time, s; with ``iteration``, counted from its start. By default the middle of
+            the iteration, or of the last sample.
+        env: the recorded environment; by default the first, or the one in which the term of ``at`` happened first.
         width: px.
         height: px.
         at: the moment in words: ``1.5s``, ``400ms``, ``90steps``, or a term such as ``terminations.base_contact`` for
             the first time that it is not zero.
         iteration: the training iteration.
-        caption: whether time, command and the meaning of arrows are written into it.
+        caption: whether to write time, command, and a legend into the picture.
 
     Returns:
         The simulated time of the picture, s.
 
     Raises:
-        WheellegError: the moment, the size or the path is wrong, or nothing can be drawn on this machine.
+        WheellegError: the moment, the size, or the path is wrong, or drawing is not possible on this machine.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -111,7 +107,7 @@ def screenshot(
 
 
 def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, caption: bool = True) -> None:
-    """Write the picture of a frame; whole or not at all (raises as ``screenshot``)."""
+    """Write the picture of a frame, complete or not at all (raises as ``screenshot``)."""
     kind = _kind(Path(path))
     buffer = io.BytesIO()
     image = Image.fromarray(picture(shown, row, width, height, caption=caption))
@@ -123,7 +119,7 @@ def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool 
     """Return a picture (height, width, 3) of one frame.
 
     Raises:
-        WheellegError: the size is wrong, or nothing can be drawn on this machine.
+        WheellegError: the size is wrong, or drawing is not possible on this machine.
     """
     return pictures(shown, [row], width, height, caption=caption)[0]
 
@@ -134,7 +130,7 @@ def pictures(
     """Return a picture (height, width, 3) of each of some frames, all from the same distance.
 
     Raises:
-        WheellegError: the size is wrong, or nothing can be drawn on this machine.
+        WheellegError: the size is wrong, or drawing is not possible on this machine.
     """
     require_size(width, height)
     finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
@@ -165,7 +161,7 @@ def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float)
 
 
 def _arrow(rgba: tuple[float, ...], size: float, origin: NDArray[np.float64], vector: NDArray[np.float64]) -> Arrow:
-    """Return an arrow, thinner where it is short, so that it stays one."""
+    """Return an arrow; a short arrow is thin, so that it keeps its shape."""
     length = float(np.linalg.norm(vector))
     shown = min(length, _LONGEST * size)
     return Arrow(rgba, min(0.016 * size, 0.12 * shown), origin, origin + vector * (shown / length))
@@ -196,7 +192,7 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
 
 
 def sample_at(shown: Scenery, iteration: int) -> Sample:
-    """Return the sample that was recorded at an iteration.
+    """Return the sample of an iteration.
 
     Raises:
         WheellegError: there is none.
@@ -213,13 +209,13 @@ def sample_at(shown: Scenery, iteration: int) -> Sample:
 
 
 def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
-    """Return the frames that were recorded during an iteration (WheellegError when there are none)."""
+    """Return the frames of an iteration; raise WheellegError without any."""
     sample_at(shown, iteration)
     return np.flatnonzero(shown.motion.iteration == iteration)
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which a term is first not zero; None for a time, or when it never is."""
+    """Return the environment in which a term is first nonzero; None for a time, or if it is always zero."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}
@@ -233,7 +229,7 @@ def first_env(recording: Recording, at: str, iteration: int | None = None) -> in
 
 
 def _length(words: str) -> Length | None:
-    """Return the moment that words such as ``1.5s`` say, None when they name something else."""
+    """Return the length of time of a text such as ``1.5s``; None for other texts."""
     try:
         return parse_length(words, "--at")
     except WheellegError:
@@ -241,20 +237,23 @@ def _length(words: str) -> Length | None:
 
 
 def _step_dt(shown: Scenery) -> float:
-    """Return what a control step lasts, s."""
+    """Return the duration of a control step, s."""
     return shown.source.recording.step_dt or float(shown.motion.time[-1]) / max(int(shown.motion.step[-1]), 1)
 
 
 def require_size(width: int, height: int) -> None:
     """Raise WheellegError unless a picture of this size, px, can be drawn."""
     if not (16 <= width <= _LARGEST and 16 <= height <= _LARGEST):
-        raise WheellegError(f"a picture of {width} x {height} is not drawn", expected=f"16 to {_LARGEST} pixels each")
+        expected = f"16 to {_LARGEST} pixels each"
+        raise WheellegError(f"a picture of {width} x {height} cannot be drawn", expected=expected)
 
 
 def _kind(path: Path) -> str:
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
-        raise WheellegError(f"'{path}' says no kind of picture", expected="a name that ends with .png, .jpg or .webp")
+        raise WheellegError(
+            f"'{path}' is not a name of a picture", expected="a name that ends with .png, .jpg or .webp"
+        )
     require_new(path)
     return kind
 
@@ -265,13 +264,13 @@ def _everything(motion: Motion) -> Sample:
 
 
 def _seen(shown: Scenery, row: int, aspect: float) -> tuple[int, Camera]:
-    """Return the camera of the sample that a frame stands in, and the frame's place in it."""
+    """Return the camera of a frame's sample, and the frame's index in it."""
     rows = _around(shown, row)
     return int(np.flatnonzero(rows == row)[0]), follow_robot(shown.scene, shown.motion, rows, aspect)
 
 
 def _around(shown: Scenery, row: int) -> NDArray[np.intp]:
-    """Return the frames of the sample that a frame stands in."""
+    """Return the frames of a frame's sample."""
     step = shown.motion.step[row]
     for sample in shown.samples:
         if sample.first <= step <= sample.last:
@@ -296,7 +295,7 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
 
 
 def _steps_of_term(source: Source, entity: str, iteration: int | None = None) -> NDArray[np.int64]:
-    """Return the steps, by default of all iterations, at which a number of an entity is not zero."""
+    """Return the steps at which a number of an entity is nonzero, by default in all iterations."""
     series = source.series(entity)
     happened = np.any(np.nan_to_num(series.values) != 0, axis=1)
     if iteration is not None and series.iteration is not None:

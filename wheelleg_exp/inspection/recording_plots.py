@@ -39,10 +39,10 @@ class Plot:
     Attributes:
         name: its name.
         title: the line above it.
-        about: what can be read from it, in one sentence.
-        panels: returns its panels; none when a recording holds nothing for it.
+        about: its purpose in one sentence.
+        panels: returns its panels; empty if a recording lacks their data.
         is_of_all: whether it shows all environments of a training, from its scalars.
-        is_of_last: whether it shows the last sample alone of a training.
+        is_of_last: whether it shows only the last sample of a training.
     """
 
     name: str
@@ -53,36 +53,36 @@ class Plot:
     is_of_last: bool = False
 
     def applies(self, recording: Recording) -> bool:
-        """Return whether a recording holds what the figure shows."""
+        """Return whether a recording has the data of the figure."""
         return bool(self.each(recording))
 
     def make(self, recording: Recording, *, selection: Selection | None = None) -> Figure:
-        """Return the figure, as wide as a page and as high as needed.
+        """Return the figure with the width of a page.
 
         Args:
-            recording: what is shown.
-            selection: which rows.
+            recording: the recording.
+            selection: the rows.
 
         Raises:
-            RunDirectoryError: the recording holds nothing for it.
+            RunDirectoryError: the recording lacks its data.
         """
         source = Source(recording, None, selection)
         panels = self.panels(source)
         if not panels:
-            raise RunDirectoryError(f"'{recording.path}' holds nothing for the plot '{self.name}'")
+            raise RunDirectoryError(f"'{recording.path}' has no data for the plot '{self.name}'")
         figure = tile(panels, title=self.heading(source))
         figure.set_label(self.name)
         return figure
 
     def heading(self, source: Source) -> str:
-        """Return the title, with the environment where one of several is shown, and the sample where it is of one."""
+        """Return the title with the environment and the sample, if there are several."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
         return ", ".join([*words, *(f"last sample, from iteration {sample.iteration} on" for sample in samples[-1:])])
 
     def each(self, recording: Recording) -> list[Panel]:
-        """Return the panels one by one, for pages that flow; ``style.tile([panel], size=...)`` draws one."""
+        """Return the panels one by one; ``plot_style.tile([panel], size=...)`` draws one."""
         return self.panels(Source(recording))
 
 
@@ -155,7 +155,7 @@ def make(recording: Recording, name: str, *, selection: Selection | None = None)
     """Return a default figure by its name.
 
     Raises:
-        WheellegError: there is no such figure, or the recording holds nothing for it.
+        WheellegError: there is no such figure, or the recording lacks its data.
     """
     if name not in PLOTS:
         raise WheellegError(
@@ -165,17 +165,17 @@ def make(recording: Recording, name: str, *, selection: Selection | None = None)
 
 
 def default_page(recording: Recording, *, selection: Selection | None = None) -> Figure:
-    """Return one figure of what matters for the recording's purpose.
+    """Return one figure of the default plots for the recording's purpose.
 
     Raises:
-        RunDirectoryError: the recording holds nothing that a default figure shows.
+        RunDirectoryError: the recording lacks the data of all default plots.
     """
     source = Source(recording, selection=selection)
     plots = [PLOTS[name] for name in PAGES[source.is_training]]
     sections = [(plot.heading(source), panels) for plot in plots if (panels := plot.panels(source))]
     if not sections:
         raise RunDirectoryError(
-            f"'{recording.path}' holds nothing that the default figures show", expected="--term with one of its terms"
+            f"'{recording.path}' has no data for the default plots", expected="--term with one of its terms"
         )
     return page(sections)
 
@@ -195,15 +195,15 @@ def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selec
 def overlay(
     recordings: Mapping[str, Recording], terms: str | Sequence[str], *, selection: Selection | None = None
 ) -> Figure:
-    """Return a figure with one line a recording, by label, for each number of some terms.
+    """Return a figure with one line per recording for each number of some terms.
 
     Args:
-        recordings: what is laid over each other, by label.
-        terms: dotted names; none means what matters for the recordings' purpose.
-        selection: which rows of each.
+        recordings: the recordings by label.
+        terms: dotted names; by default those that suit the recordings' purpose.
+        selection: the rows of each.
 
     Raises:
-        RunDirectoryError: a term is in none of the recordings, or they have nothing in common.
+        RunDirectoryError: no recording has a term, or the recordings have no common term.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
@@ -212,24 +212,24 @@ def overlay(
         return tile([panel for term in words for panel in _overlaid(sources, term)])
     panels = [panel for term in _overlaid_terms(sources) for panel in _overlaid(sources, term, small=True)]
     if not panels:
-        raise RunDirectoryError("the recordings hold nothing that could be laid over each other")
+        raise RunDirectoryError("the recordings have no common term to overlay")
     return tile(panels)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, by the ending of the file's name; whole or not at all.
+    """Write a figure as PNG, SVG, or PDF by the file's suffix, complete or not at all.
 
     Raises:
-        WheellegError: the ending is another, the file exists, or cannot be written.
+        WheellegError: the suffix is unknown, or the file exists or cannot be written.
     """
     write_new(Path(path), figure_bytes(figure, require_path(Path(path))))
 
 
 def require_path(path: Path) -> str:
-    """Return the kind of figure that a new file's name says; WheellegError when it says none or is taken."""
+    """Return the kind of figure of a new file; raise WheellegError if the suffix is unknown or the file exists."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
-        raise WheellegError(f"'{path}' says no kind of picture", expected="a name that ends with .png, .svg or .pdf")
+        raise WheellegError(f"'{path}' is not a name of a plot", expected="a name that ends with .png, .svg or .pdf")
     require_new(path)
     return kind
 
@@ -237,7 +237,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # raises, naming what there is
+        source.series(source.path(*term.split(".")))  # raises, and lists the recorded names
         return []
     if entity.startswith(f"{TRAINING}/"):
         return [_training_panel(source, entity, term)]
@@ -267,14 +267,14 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # raises, naming what there is
+        next(iter(sources.values())).series(term)  # raises, and lists the recorded names
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     widest = max(series.values(), key=lambda s: s.values.shape[1])
     return [_overlaid_panel(sources, series, i, term, widest, small) for i in range(widest.values.shape[1])]
 
 
 def _title(term: str) -> str:
-    """Return the title that a term has in the default figures, else its name."""
+    """Return the title of a term in the default figures, or else its name."""
     word = term.removeprefix(f"{TRAINING}/")
     named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
     return named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))

@@ -41,15 +41,15 @@ from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
 @dataclass(frozen=True)
 class Trend:
-    """How one scalar of the training went.
+    """The course of one scalar of the training.
 
     Attributes:
         name: its name, such as ``Train/mean_reward``.
-        count: how many iterations have it.
-        first, last: its value in the first and the last iteration that have it.
+        count: number of iterations that have it.
+        first, last: its values in the first and the last of these iterations.
         last_at: that last iteration.
         lowest, highest: its extremes.
-        lowest_at, highest_at: the iterations of these.
+        lowest_at, highest_at: the iterations of the extremes.
     """
 
     name: str
@@ -65,16 +65,16 @@ class Trend:
 
 @dataclass(frozen=True)
 class Sample:
-    """The episodes that were recorded of a training at one time, of all environments.
+    """The episodes of a training that were recorded at one time, of all environments.
 
     Attributes:
-        iteration, last_iteration: the training iterations of its first and last frame.
-        first_step, last_step: the control steps of these.
-        episodes: how many were recorded from beginning to end, which the figures are of.
-        cut: how many were recorded in part.
-        survival: share of the whole ones that reached the time-out; None when there are none.
-        mean_duration_s: how long the whole ones lasted; None when there are none.
-        mean_reward: their mean sum of rewards; None when there are none.
+        iteration, last_iteration: training iterations of its first and last frame.
+        first_step, last_step: control steps of these frames.
+        episodes: number of complete episodes; the figures are over these.
+        cut: number of incomplete episodes.
+        survival: share of the complete episodes that reached the time-out; None without any.
+        mean_duration_s: their mean duration; None without any.
+        mean_reward: their mean sum of rewards; None without any.
     """
 
     iteration: int
@@ -89,7 +89,7 @@ class Sample:
 
 
 def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
-    """Return the trend of every training scalar over the chosen rows, by name."""
+    """Return the trend of every training scalar over the selected rows, by name."""
     found = []
     for entity in recording.entities():
         parts = [unescaped(part) for part in parts_of(entity)]
@@ -103,8 +103,8 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Return the samples by time.
 
-    Each environment's begins with its next episode, so that those of one sample begin less than a longest episode
-    apart.
+    Each environment starts a sample with its next episode. So the episodes of one sample start within the longest
+    episode's duration.
 
     Args:
         found: the episodes.
@@ -121,7 +121,7 @@ def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
 
 
 def _stretches(found: Sequence[Episode]) -> Iterator[list[Episode]]:
-    """Yield the episodes of a training that an environment lived through without a gap between them."""
+    """Yield the consecutive training episodes of one environment."""
     stretch: list[Episode] = []
     for episode in sorted(found, key=lambda e: (e.env_id, e.first_step)):
         before = stretch[-1] if stretch else None
@@ -172,7 +172,7 @@ def _sample(found: list[Episode]) -> Sample:
 
 @dataclass(frozen=True)
 class Span:
-    """From where to where the recording reaches on one timeline; ``sim_time`` in s."""
+    """The first and last value of one timeline; ``sim_time`` in s."""
 
     first: float
     last: float
@@ -180,7 +180,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Part:
-    """What stands below one path, of all environments: how many entities, and how many rows they have together."""
+    """The content below one path, of all environments: its number of entities and rows."""
 
     name: str
     entities: int
@@ -189,18 +189,18 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Episodes together; but for the counts, of those that were recorded from beginning to end.
+    """Figures of episodes. All but the counts are over complete episodes.
 
     Attributes:
-        count: how many were recorded, at least in part.
-        whole: how many of them from beginning to end.
-        begun_before: how many were under way when recording began.
-        unfinished: how many had not ended when it paused or stopped.
-        failed, timed_out: how the whole ones ended.
-        survival: share of them that reached the time-out; None when there are none.
-        ended_by: how many each termination ended; one that two ended counts once, under both names.
-        mean_duration_s, longest_s: how long they lasted; None when there are none.
-        mean_reward: mean sum of rewards; None when there are none.
+        count: number of recorded episodes.
+        whole: number of complete ones.
+        begun_before: number of episodes that were running when recording started.
+        unfinished: number of episodes that were running when recording paused or stopped.
+        failed, timed_out: endings of the complete episodes.
+        survival: share of them that reached the time-out; None without any.
+        ended_by: number of episodes by termination. An episode with two terminations counts once, under both names.
+        mean_duration_s, longest_s: their durations; None without any.
+        mean_reward: mean sum of rewards; None without any.
     """
 
     count: int
@@ -218,30 +218,30 @@ class EpisodeFigures:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recording holds and tells.
+    """The content of a recording.
 
     Attributes:
-        path, recording_id, purpose: which recording; the purpose is None for another tool's.
-        properties: what it says of itself.
-        health: how whole the file is, and its size.
-        env_ids: the environments that the figures are of.
-        sample: which sample of a training the figures are of, the last with a whole episode; None where rows were
-            chosen, and outside of training: they are of all that was chosen.
+        path, recording_id, purpose: the recording; the purpose is None for another tool's recording.
+        properties: its recorded properties.
+        health: completeness and size of the file.
+        env_ids: the environments of the figures.
+        sample: the sample of a training that the figures are over: the last one with a complete episode. None for
+            selected rows and outside of training; then the figures are over all selected rows.
         step_dt: simulated time of a control step, s.
-        timelines: from where to where it reaches.
-        parts: what stands below each first part of the entity paths.
-        notes: what happened to the recording itself, such as a bound on its size that was reached.
-        frames: how many frames of motion the figures are of, and of how many; None where no motion was recorded.
+        timelines: range of each timeline.
+        parts: the content below each first part of the entity paths.
+        notes: messages about the recording itself, such as a size limit that was reached.
+        frames: number of frames of the figures, and of all frames; None without motion.
         figures: the episodes together.
-        episodes: each that was chosen, of all samples.
-        tracking: errors of velocities against commands.
-        base: statistics of height (m), roll and pitch (rad).
+        episodes: each selected episode, of all samples.
+        tracking: errors of velocities.
+        base: statistics of height (m), roll, and pitch (rad).
         forces: the largest contact force of each sensor and body.
-        efforts: how much of its effort each joint used.
-        rewards: the share of each term.
-        events: how often each event happened.
-        training: how each scalar of the training went.
-        samples: what the episodes of each sample were like; empty outside of training.
+        efforts: the use of each joint's effort limit.
+        rewards: the contribution of each term.
+        events: number of occurrences of each event.
+        training: the trend of each scalar of the training.
+        samples: the figures of each sample; empty outside of training.
     """
 
     path: str
@@ -268,22 +268,22 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as a plain mapping."""
+        """Return the summary as a plain mapping."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
-    """Return the summary of a recording; what it does not hold is empty or None.
+    """Return the summary of a recording. Missing data is empty or None.
 
     Args:
         recording: the recording.
-        selection: which rows the figures are of; by default all, of a training those of the last sample. What the
-            recording holds, its samples and scalars are told of all of it.
+        selection: the rows of the figures; by default all, or the last sample of a training. The content, samples, and
+            scalars always cover the whole recording.
 
     Raises:
-        RunDirectoryError: rows are damaged or larger than is read, or the chosen environment was not recorded.
+        RunDirectoryError: rows are damaged or too large, or the selected environment was not recorded.
     """
-    with np.errstate(all="ignore"):  # a recording may hold any numbers
+    with np.errstate(all="ignore"):  # a recording can contain NaN and inf
         return _summary(View(recording, selection or Selection()))
 
 
@@ -291,7 +291,7 @@ def _summary(chosen: View) -> Summary:
     recording, found = chosen.recording, episodes(chosen)
     longest = recording.properties.get("wheelleg", {}).get("max_episode_length")
     samples = sample_episodes(found, longest if isinstance(longest, int) else 1)
-    sample = _told(samples) if chosen.selection == Selection(env_id=chosen.selection.env_id) else None
+    sample = _final_sample(samples) if chosen.selection == Selection(env_id=chosen.selection.env_id) else None
     view, shown = (chosen, found) if sample is None else _of_sample(chosen, found, sample)
     return Summary(
         path=str(recording.path),
@@ -319,8 +319,8 @@ def _summary(chosen: View) -> Summary:
     )
 
 
-def _told(samples: list[Sample]) -> Sample | None:
-    """Return the sample that says what a training ended as: the last with a whole episode, else the last."""
+def _final_sample(samples: list[Sample]) -> Sample | None:
+    """Return the sample that shows the training's outcome: the last with a complete episode, or else the last."""
     return next((sample for sample in reversed(samples) if sample.episodes), samples[-1] if samples else None)
 
 
@@ -331,7 +331,7 @@ def _of_sample(view: View, found: list[Episode], sample: Sample) -> tuple[View, 
 
 
 def episode_figures(found: list[Episode]) -> EpisodeFigures:
-    """Return the figures of episodes together."""
+    """Return the figures of episodes."""
     kept = whole(found)
     outcomes = Counter(episode.outcome for episode in kept)
     return EpisodeFigures(
@@ -355,7 +355,7 @@ def _timelines(recording: Recording) -> dict[str, Span]:
 
 
 def _frames(view: View) -> tuple[int, int] | None:
-    """Return how many frames are chosen, and of how many of the chosen environments."""
+    """Return the number of selected frames, and of all frames of the selected environments."""
     for group in ("episode", "base", "terminations", "rewards"):
         found = [frames for env_id in view.env_ids if (frames := view.frames(group, env_id)) is not None]
         if found:

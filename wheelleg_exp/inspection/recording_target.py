@@ -20,19 +20,14 @@ _SUFFIX = ".rrd"
 
 @dataclass(frozen=True)
 class Target:
-    """A recording.
-
-    Attributes:
-        path: its file.
-        run: the run that it belongs to; None when it belongs to none.
-    """
+    """A recording's file, and its run if it has one."""
 
     path: Path
     run: RunDirectory | None
 
     @property
     def status(self) -> str | None:
-        """The status of the run whose training it is of; None for anything else."""
+        """The status of the run if this is its training's recording, or None."""
         from wheelleg_exp.run.run_list import effective_status
 
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
@@ -41,14 +36,14 @@ class Target:
 
     @contextmanager
     def resting(self) -> Iterator[None]:
-        """Keep the run whose training it is of from going on while the body runs.
+        """Lock the run of the recording while the body runs, so that it cannot continue.
 
         Raises:
-            RunDirectoryError: the run is being written.
+            RunDirectoryError: a process is writing the run.
         """
         run = self.run if self.status is not None else None
         lock = None if run is None else run.path / RUN_LOCK
-        if run is None or lock is None or not os.access(lock, os.W_OK):  # nobody writes there
+        if run is None or lock is None or not os.access(lock, os.W_OK):  # no process can write the run
             yield
             return
         with RunLock(run).held():
@@ -61,25 +56,25 @@ class Target:
 
 
 def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
-    """Return the recording that a word names.
+    """Return the recording of a word from the command line.
 
     Args:
-        word: a file; a folder with a recording, such as ``<run>/play/<time>``; a run's path or id, or ``latest``, which
-            stand for the recording of its training.
+        word: a file; a folder with a recording, such as ``<run>/play/<time>``; or a run by path, id, or ``latest``, for
+            its training's recording.
         root: the folder of all runs.
-        play: take the newest play of the run instead.
+        play: whether to return the newest play of the run instead.
 
     Raises:
         RunDirectoryError: there is no such recording.
-        WheellegError: ``play`` is asked of what is no run.
+        WheellegError: ``play`` is set, but the word is not a run.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):
         if play:
-            raise WheellegError(f"'{path}' is no run", key="--play", expected="a run, whose newest play is meant")
+            raise WheellegError(f"'{path}' is not a run", key="--play", expected="a run with a recorded play")
         return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
-        raise RunDirectoryError(f"'{path}' is a link to nothing", expected="a recording")
+        raise RunDirectoryError(f"'{path}' is a broken link", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
         raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=_like(path))
     run = RunDirectory.open(word, root)
@@ -87,13 +82,13 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
 
 
 def names_a_run(word: str | Path) -> bool:
-    """Return whether a word names a run, unless it names nothing: what exists and is none is a file or its folder."""
+    """Return whether a word is a run. A word that is no path counts as a run's id."""
     path = Path(word)
     return not path.exists() or (path.is_dir() and (path / MANIFEST_NAME).is_file())
 
 
 def recordings_of(run: RunDirectory) -> list[Path]:
-    """Return the recordings of a run: its training's, then those of its plays and evaluations, by name."""
+    """Return the recordings of a run: the training's, then those of its plays and evaluations by name."""
     later = [path for folder in (run.play, run.evaluation) for path in sorted(folder.glob(f"**/*{_SUFFIX}"))]
     return [path for path in (run.recording, *later) if path.is_file()]
 
@@ -130,7 +125,8 @@ def _in_folder(folder: Path) -> Path:
     if len(found) == 1:
         return folder / found[0]
     expected = "one of " + ", ".join(found) if found else f"a run, a recording, or a folder with {RECORDING}"
-    raise RunDirectoryError(f"'{folder}' is no run, and holds {len(found) or 'no'} recordings", expected=expected)
+    count = len(found) or "no"
+    raise RunDirectoryError(f"'{folder}' is not a run, and contains {count} recordings", expected=expected)
 
 
 def _run_around(path: Path) -> RunDirectory | None:
@@ -138,7 +134,7 @@ def _run_around(path: Path) -> RunDirectory | None:
         if (folder / MANIFEST_NAME).is_file():
             try:
                 return RunDirectory.open(folder, folder.parent)
-            except WheellegError:  # a damaged run may still hold a recording
+            except WheellegError:  # a damaged run can still have a readable recording
                 return None
     return None
 

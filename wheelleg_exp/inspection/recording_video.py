@@ -28,7 +28,7 @@ _MOST_PICTURES = 200_000
 
 @dataclass(frozen=True)
 class Video:
-    """What was written: frames, their rate, 1/s, the codec's name, and which of several recorded environments."""
+    """A written video: frames, their rate, 1/s, the codec's name, and the environment if there are several."""
 
     frames: int
     fps: float
@@ -37,7 +37,7 @@ class Video:
 
     @property
     def duration(self) -> float:
-        """How long it plays, s."""
+        """Its duration, s."""
         return self.frames / self.fps
 
 
@@ -53,22 +53,22 @@ def video(
     caption: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Video:
-    """Write a video of the robot (H.264 in an .mp4, as browsers play it); whole or not at all.
+    """Write a video of the robot (H.264 in an .mp4, which browsers play), complete or not at all.
 
     Args:
-        recording: what it is drawn from.
-        path: the file: .mp4, .mkv or .mov; it must not be there yet.
-        selection: which environment, by default the first, and which rows; by default a few samples of a training,
-            one after the other, and the whole of anything else.
-        fps: pictures a second.
-        speed: simulated seconds a second: 0.25 is slow motion.
+        recording: the recording.
+        path: the file: .mp4, .mkv or .mov; it must not exist.
+        selection: the environment, by default the first, and the rows; by default a few samples of a training in
+            sequence, or the whole of another recording.
+        fps: pictures per second.
+        speed: simulated seconds per second: 0.25 is slow motion.
         width: px, even.
         height: px, even.
-        caption: whether time, command and the meaning of arrows are written into it.
-        progress: called with the frames so far and in all.
+        caption: whether to write time, command, and a legend into the picture.
+        progress: called with the number of finished frames and of all frames.
 
     Raises:
-        WheellegError: something of this is wrong, or nothing can be drawn on this machine.
+        WheellegError: an argument is wrong, or drawing is not possible on this machine.
     """
     path = Path(path)
     _require(path, fps, speed, width, height)
@@ -77,15 +77,15 @@ def video(
     takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
     pictures = _pictures(shown, takes, width, height, caption)
     total = sum(map(len, takes))
-    told = None if progress is None else lambda done: progress(done, total)
-    codec = video_file.write(path, pictures, fps, (width, height), told)
+    report = None if progress is None else lambda done: progress(done, total)
+    codec = video_file.write(path, pictures, fps, (width, height), report)
     return Video(total, fps, codec, shown.env_id)
 
 
 def _require(path: Path, fps: float, speed: float, width: int, height: int) -> None:
     if path.suffix.lower() not in video_file.KINDS:
         expected = "a name that ends with " + ", ".join(video_file.KINDS)
-        raise WheellegError(f"'{path}' says no kind of video", expected=expected)
+        raise WheellegError(f"'{path}' is not a name of a video", expected=expected)
     require_new(path)
     require_size(width, height)
     if width % 2 or height % 2:
@@ -105,7 +105,7 @@ def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
     found = [rows for s in samples if len(rows := np.intersect1d(frames_of(motion, s), chosen))]
     if not found:
         raise WheellegError(
-            "nothing that is chosen was recorded",
+            "no selected frame was recorded",
             expected=f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s" + _iterations(shown),
         )
     return found
@@ -113,17 +113,17 @@ def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
 
 def _iterations(shown: Scenery) -> str:
     known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
-    return f"; samples begin at the iterations {', '.join(known)}" if known else ""
+    return f"; samples start at the iterations {', '.join(known)}" if known else ""
 
 
 def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float) -> NDArray[np.intp]:
-    """Return the frame that is shown in each picture: the last recorded one at its time."""
+    """Return the frame of each picture: the last recorded one at its time."""
     time = np.nan_to_num(shown.motion.time[rows])
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else speed / fps
     count = max(1, round((time[-1] - time[0] + spacing) * fps / speed))
     if count > _MOST_PICTURES:
         raise WheellegError(
-            f"it would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
+            f"the video would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
         )
     moments = time[0] + np.arange(count) * speed / fps
     places = np.searchsorted(time, moments + 1e-9, side="right") - 1
@@ -133,7 +133,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
 def _pictures(
     shown: Scenery, takes: Sequence[NDArray[np.intp]], width: int, height: int, caption: bool
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures; the camera keeps one distance throughout."""
+    """Yield the pictures, with the camera at one distance."""
     cameras = [follow_robot(shown.scene, shown.motion, rows, width / height) for rows in takes]
     distance = max(camera.distance for camera in cameras)
     colours = recorded_scene.arrow_legend(shown.motion)

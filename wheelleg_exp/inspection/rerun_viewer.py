@@ -35,52 +35,52 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer
 from wheelleg_exp.rendering.renderer import NoGraphics
 
 _PATIENCE_S = 5.0
-_TELLING = ("adapter", "panic", "error", "failed")  # words of the line that says why, best first
+_CAUSES = ("adapter", "panic", "error", "failed")  # words of the line with the cause, best first
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Yield a running viewer and what it says; it is ended, with all that it started, when the body ends.
+    """Yield a running viewer and its output. It is stopped with all its child processes when the body ends.
 
     Args:
-        arguments: what it is told beside the address that it binds to.
+        arguments: its arguments, in addition to its address.
     """
-    with tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder, tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder, tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
             [rerun_program(), "--bind", LOOPBACK, *arguments],
             stdin=subprocess.DEVNULL,
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
-            env=viewer_environment(),  # sends nothing, and leaves the user's settings alone
+            env=viewer_environment(),  # no usage statistics, and no change of the user's settings
             cwd=folder,
-            start_new_session=True,  # Ctrl-C is ours to answer
+            start_new_session=True,  # this process handles Ctrl-C
         )
         try:
-            yield process, said
+            yield process, output
         finally:
             end_process(process)
 
 
 def end_process(process: subprocess.Popen[bytes]) -> None:
-    """End a process that leads its own session, and whatever it started."""
+    """Stop a process that leads its own session, and all its child processes."""
     for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
         _signal(process, number)
         with suppress(subprocess.TimeoutExpired):
             process.wait(_PATIENCE_S)
             break
-    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # those that outlived it
+    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # child processes that are still running
 
 
-def failure_line(said: IO[bytes]) -> str:
-    """Return the line that tells best why a viewer failed."""
-    said.seek(0)
-    text = said.read().decode(errors="replace")
+def failure_line(output: IO[bytes]) -> str:
+    """Return the output line that explains a viewer's failure best."""
+    output.seek(0)
+    text = output.read().decode(errors="replace")
     lines = [line for line in (_COLOUR.sub("", raw).strip() for raw in text.splitlines()) if line]
-    for word in _TELLING:
+    for word in _CAUSES:
         if found := [line for line in lines if word in line.lower()]:
             return found[0][:300]
-    return lines[-1][:300] if lines else "it said nothing"
+    return lines[-1][:300] if lines else "no output"
 
 
 def _signal(process: subprocess.Popen[bytes], number: int) -> None:
@@ -114,11 +114,11 @@ Files = Mapping[str, tuple[str, bytes]]
 
 
 class WebViewer:
-    """A server of the web viewer and one recording; ``with`` starts and ends it.
+    """A server of the web viewer and one recording; ``with`` starts and stops it.
 
     Args:
         path: the recording.
-        port: of the loopback address; 0 takes a free one.
+        port: port on the loopback address; 0 for a free one.
 
     Raises:
         WheellegError: the port is taken, or the viewer does not start.
@@ -126,24 +126,24 @@ class WebViewer:
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
-            raise RunDirectoryError(f"there is no recording '{path}'", expected="a rerun recording")
+            raise RunDirectoryError(f"the recording '{path}' does not exist", expected="a rerun recording")
         files = viewer_files()
         try:
             self._server = _Server((LOOPBACK, port), partial(_Handler, files, Path(path)))
         except (OSError, OverflowError) as error:
             raise WheellegError(
-                f"port {port} cannot be listened on: {error}", key="--port", expected="a free port, or none"
+                f"cannot listen on port {port}: {error}", key="--port", expected="a free port, or none"
             ) from error
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port of the server."""
         return int(self._server.server_address[1])
 
     @property
     def url(self) -> str:
-        """What a browser opens."""
+        """The address for a browser."""
         return f"http://{LOOPBACK}:{self.port}/"
 
     def __enter__(self) -> Self:
@@ -157,21 +157,21 @@ class WebViewer:
 
 
 def viewer_files() -> Files:
-    """Return the files of the web viewer by path, with their types, as rerun's own server hands them out.
+    """Return the files of the web viewer by path, with their types, from rerun's own server.
 
     Raises:
         SimulationFailure: rerun's server does not start.
     """
     port, grpc = free_port(), free_port()
     arguments = ["--serve-web", "--port", str(grpc), "--web-viewer-port", str(port)]
-    with viewer(arguments) as (process, said):
+    with viewer(arguments) as (process, output):
         end = time.monotonic() + _WEB_START_S
         while True:
             try:
                 return {f"/{name}": _fetched(port, name) for name in _FILES}
             except OSError as error:
                 if process.poll() is not None or time.monotonic() > end:
-                    raise SimulationFailure(f"the web viewer does not start: {failure_line(said)}") from error
+                    raise SimulationFailure(f"the web viewer does not start: {failure_line(output)}") from error
                 time.sleep(0.05)
 
 
@@ -194,7 +194,7 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away is no error."""
+        """Ignore a browser that closes its connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -205,20 +205,20 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*args)
 
     def do_GET(self) -> None:
-        """Answer with a file of the viewer, or the recording."""
+        """Send a file of the viewer, or the recording."""
         self._answer(with_body=True)
 
     def do_HEAD(self) -> None:
-        """Answer as to GET, without the content."""
+        """Send the headers of GET without the content."""
         self._answer(with_body=False)
 
     def log_message(self, *_: Any) -> None:
-        """Say nothing."""
+        """Do not log requests."""
 
     def _answer(self, *, with_body: bool) -> None:
         _, port = cast("tuple[str, int]", self.server.server_address)
         if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
-            self._empty(HTTPStatus.FORBIDDEN)  # a foreign page that made its name point here
+            self._empty(HTTPStatus.FORBIDDEN)  # DNS rebinding: a foreign host name that resolves to this machine
             return
         address = urlsplit(self.path)
         if address.path == "/" and "url=" not in address.query:
@@ -234,7 +234,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._empty(HTTPStatus.NOT_FOUND)
 
     def _send_recording(self, with_body: bool) -> None:
-        """Send the file as it is now; a run may be writing to it."""
+        """Send the current content of the file. A run can be writing it."""
         try:
             file = self._recording.open("rb")
         except OSError:
@@ -273,11 +273,11 @@ Say = Callable[[str], None]
 
 
 def open_window(path: Path) -> None:
-    """Show a recording in a window, until that is closed.
+    """Show a recording in a window until the window is closed.
 
     Raises:
         WheellegError: there is no display.
-        SimulationFailure: the viewer ends by itself.
+        SimulationFailure: the viewer fails.
     """
     if not has_display():
         raise WheellegError(
@@ -285,9 +285,9 @@ def open_window(path: Path) -> None:
             key="--open",
             expected="a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture",
         )
-    with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, said):
+    with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, output):
         if process.wait() != 0:
-            raise SimulationFailure(f"the viewer ended with status {process.returncode}: {failure_line(said)}")
+            raise SimulationFailure(f"the viewer ended with status {process.returncode}: {failure_line(output)}")
 
 
 def has_display() -> bool:
@@ -298,83 +298,83 @@ def has_display() -> bool:
 
 
 def serve(path: Path, say: Say, *, port: int = 0, browser: bool = True) -> None:
-    """Serve the web viewer with a recording on the loopback address, until interrupted.
+    """Serve the web viewer with a recording on the loopback address until Ctrl-C.
 
     Args:
         path: the recording.
-        say: receives the lines for people; the first ends with the address.
-        port: where; 0 takes a free port.
-        browser: whether a browser is opened, where there is one.
+        say: prints lines; the first line ends with the address.
+        port: the port; 0 for a free one.
+        browser: whether to open a browser, if there is one.
 
     Raises:
         WheellegError: the port is taken.
-        KeyboardInterrupt: it was interrupted.
+        KeyboardInterrupt: the user pressed Ctrl-C.
     """
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
         opened = browser and _open_browser(running.url)
-        say("Ctrl-C ends it" if opened else "open this address in a browser on this machine; Ctrl-C ends it")
+        say("Ctrl-C stops it" if opened else "open this address in a browser on this machine; Ctrl-C stops it")
         while True:
             time.sleep(3600.0)
 
 
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
-    """Write a picture of rerun's viewer with a recording in it; whole or not at all.
+    """Write a screenshot of rerun's viewer with a recording, complete or not at all.
 
     Args:
         path: the recording.
         output: the picture, .png.
-        time_s: the simulated time that it stands at, s; None is where the viewer begins.
+        time_s: the simulated time to show, s; None for the viewer's default.
         width: px.
         height: px.
 
     Raises:
-        NoGraphics: there is no Vulkan driver; the message says what to install.
+        NoGraphics: there is no Vulkan driver; the message names the packages to install.
         WheellegError: the path is wrong.
     """
     if output.suffix.lower() != ".png":
-        raise WheellegError(f"'{output}' says no kind of picture", expected="a name that ends with .png")
+        raise WheellegError(f"'{output}' is not a name of a picture", expected="a name that ends with .png")
     require_new(output)
     port = free_port()
     arguments = ["--headless", "--port", str(port), "--window-size", f"{width}x{height}", "--hide-welcome-screen"]
-    with viewer(arguments) as (process, said), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the client is experimental, and says so
+    with viewer(arguments) as (process, log), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # rerun warns that its client is experimental
         try:
-            client = _connected(port, process, said)
+            client = _connected(port, process, log)
             client.open(str(path.absolute()))
             if time_s is not None:
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # it answers first, and finds no driver then
+            with suppress(subprocess.TimeoutExpired):  # a viewer without a driver stops only after it has answered
                 process.wait(_ENDING_S)
             if process.returncode is not None:
-                raise _no_graphics(said) from error
-            raise SimulationFailure(f"the viewer draws nothing: {str(error).splitlines()[0]}") from error
+                raise _no_graphics(log) from error
+            raise SimulationFailure(f"the viewer cannot draw: {str(error).splitlines()[0]}") from error
     write_new(output, picture)
 
 
-def _connected(port: int, process: subprocess.Popen[bytes], said: IO[bytes]) -> Any:
+def _connected(port: int, process: subprocess.Popen[bytes], output: IO[bytes]) -> Any:
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + _START_S
     while True:
         if process.poll() is not None:
-            raise _no_graphics(said)
+            raise _no_graphics(output)
         try:
             return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         except ConnectionError as error:
             if time.monotonic() > end:
-                raise SimulationFailure(f"the viewer does not answer: {failure_line(said)}") from error
+                raise SimulationFailure(f"the viewer does not answer: {failure_line(output)}") from error
             time.sleep(0.1)
 
 
-def _no_graphics(said: IO[bytes]) -> NoGraphics:
-    return NoGraphics(f"the viewer cannot be drawn on this machine ({failure_line(said)})", expected=INSTALL)
+def _no_graphics(output: IO[bytes]) -> NoGraphics:
+    return NoGraphics(f"the viewer cannot be drawn on this machine ({failure_line(output)})", expected=INSTALL)
 
 
 def _still(client: Any) -> bytes:
-    """Return a picture once two in a row are the same: data and plots come in over several frames."""
+    """Return a screenshot once two in a row are equal, because data and plots appear over several frames."""
     before = bytes(client.take_screenshot())
     for _ in range(_STILL):
         time.sleep(_SETTLE_S)
@@ -386,7 +386,7 @@ def _still(client: Any) -> bytes:
 
 
 def _open_browser(url: str) -> bool:
-    """Open a browser if that can be seen."""
+    """Open a browser if there is a display."""
     if not has_display():
         return False
     try:

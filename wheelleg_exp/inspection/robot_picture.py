@@ -33,17 +33,18 @@ _BALL, _ROD = 0.025, 0.006  # of the robot's size, radii
 
 
 def require_picture(path: Path) -> None:
-    """Raise RunDirectoryError where no picture can be written: a taken name, or one that does not end in .png."""
+    """Raise RunDirectoryError unless the name ends in .png and is free."""
     if path.suffix.lower() != ".png":
-        raise RunDirectoryError(f"'{path}' is no name for a picture", key="--screenshot", expected="a name in .png")
+        expected = "a name that ends with .png"
+        raise RunDirectoryError(f"'{path}' is not a name of a picture", key="--screenshot", expected=expected)
     require_new(path)
 
 
 def write_picture(robot: CompiledRobot, path: Path) -> None:
-    """Write a picture of a robot from the side and from ahead; whole or not at all.
+    """Write a picture of a robot from the side and from the front, complete or not at all.
 
     Raises:
-        WheellegError: the name is taken, or nothing can be drawn on this machine.
+        WheellegError: the file exists, or drawing is not possible on this machine.
     """
     require_picture(path)
     buffer = io.BytesIO()
@@ -61,7 +62,7 @@ def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     distance = render_scene.camera_distance(cloud - lookat, _WIDTH / _HEIGHT)
     base = robot.model.body(robot.anatomy.base).id
     left = robot.data.xmat[base].reshape(3, 3) @ np.array(robot.anatomy.left or (0.0, 1.0, 0.0))
-    side = float(np.degrees(np.arctan2(left[1], left[0])))  # looking left, so that ahead is to the right
+    side = float(np.degrees(np.arctan2(left[1], left[0])))  # the camera looks left, so that forward is to the right
     pictures = []
     with drawing(Order(scene, _FINER * _WIDTH, _FINER * _HEIGHT, _SAMPLES)) as process:
         for azimuth, elevation in ((side, 0.0), (render_scene.AZIMUTH, render_scene.ELEVATION)):
@@ -90,7 +91,7 @@ def _colliders(robot: CompiledRobot) -> list[Shape]:
 
 
 def _marks(robot: CompiledRobot) -> list[Shape]:
-    """Return the centre of mass with its plumb line, the wheels' contacts, and the lines between them."""
+    """Return the centre of mass with its plumb line, the wheels' contacts, and the support polygon."""
     model, data, anatomy = robot.model, robot.data, robot.anatomy
     base, size = model.body(anatomy.base).id, anatomy.size
     frame, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
@@ -105,7 +106,7 @@ def _marks(robot: CompiledRobot) -> list[Shape]:
 
 
 def _in_order(points: list[Array]) -> list[Array]:
-    """Return points on the ground in order around their middle."""
+    """Return points on the ground in order around their centre."""
     if not points:
         return []
     middle = np.mean(points, axis=0)

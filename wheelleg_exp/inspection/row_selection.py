@@ -24,7 +24,7 @@ class Length:
 
     Attributes:
         value: seconds, or steps.
-        is_steps: which.
+        is_steps: whether the value is in steps.
     """
 
     value: float
@@ -34,13 +34,13 @@ class Length:
         """Return the nearest number of control steps of ``step_dt`` seconds.
 
         Raises:
-            WheellegError: it is in seconds, and how long a step lasts is not known.
+            WheellegError: the value is in seconds, and the duration of a step is unknown.
         """
         if self.is_steps:
             return round(self.value)
         if not step_dt:
             raise WheellegError(
-                "how long a step lasts is not known of this recording",
+                "the duration of a control step is not in this recording",
                 key=f"{self.value:g}s",
                 expected="steps: 30steps",
             )
@@ -48,33 +48,33 @@ class Length:
 
 
 def parse_length(text: str, key: str) -> Length:
-    """Return the length that a text says; without a unit in seconds.
+    """Return the length of a text; without a unit, in seconds.
 
     Raises:
-        WheellegError: it says none.
+        WheellegError: the text is not a length.
     """
     match = _WORDS.fullmatch(text)
     if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
         value, unit = float(match.group(1)), match.group(2)
         return Length(value, True) if unit in _STEPS else Length(value * _SECONDS[unit], False)
     raise WheellegError(
-        f"'{text}' is no length of time", key=key, expected="a number with s, ms or steps, such as 0.5s"
+        f"'{text}' is not a length of time", key=key, expected="a number with s, ms or steps, such as 0.5s"
     )
 
 
-_CLOSE = 1e-6  # s: times are written in whole microseconds
+_CLOSE = 1e-6  # s: recorded times are whole microseconds
 
 
 @dataclass(frozen=True)
 class Selection:
-    """A choice of rows; what is None chooses nothing.
+    """A selection of rows. An attribute that is None does not restrict it.
 
-    A time means the control step that is nearest to it, so that times may be given as they are printed.
+    A time stands for the nearest control step, so that printed times can be typed.
 
     Attributes:
         env_id: the recorded environment.
         iterations: the first and last training iteration.
-        begin, end: from when to when, both included.
+        begin, end: the first and last moment, both included.
     """
 
     env_id: int | None = None
@@ -84,14 +84,14 @@ class Selection:
 
     @property
     def is_all(self) -> bool:
-        """Whether every row is chosen."""
+        """Whether every row is selected."""
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:
-        """Return the chosen environments.
+        """Return the selected environments.
 
         Raises:
-            RunDirectoryError: the chosen one was not recorded.
+            RunDirectoryError: the selected one was not recorded.
         """
         if self.env_id is None:
             return list(recording.env_ids)
@@ -99,10 +99,10 @@ class Selection:
         return [self.env_id]
 
     def apply(self, table: pa.Table) -> pa.Table:
-        """Return the chosen rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``.
+        """Return the selected rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``.
 
         Raises:
-            WheellegError: the table has no such timeline.
+            WheellegError: the table lacks a timeline.
         """
         mask = np.ones(len(table), dtype=bool)
         if self.iterations is not None:
@@ -116,7 +116,7 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether a moment is chosen; one that is not known is not."""
+        """Return whether a moment is selected; an unknown moment is not."""
         if self.iterations is not None and not (iteration is not None and _within(iteration, *self.iterations)):
             return False
         lower = [(bound, +1) for bound in (self.begin,) if bound is not None]
@@ -129,14 +129,14 @@ class Selection:
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return the error of a selection that chooses no row, which says what there is."""
+    """Return the error for a selection without rows. It names the recorded range."""
     spans = []
     for name, words in ((SIM_TIME, "times from {:.3f} to {:.3f} s"), (STEP, "steps {:.0f} to {:.0f}")):
         reach = recording.reach(name)
         spans += [words.format(*reach)] if reach is not None else []
     reach = recording.reach(ITERATION)
     spans += [f"iterations {reach[0]:.0f} to {reach[1]:.0f}"] if reach is not None else []
-    return WheellegError("no recorded row is chosen", expected=", ".join(spans) or "a recording with rows")
+    return WheellegError("no recorded row is selected", expected=", ".join(spans) or "a recording with rows")
 
 
 def require_order(selection: Selection) -> None:

@@ -1,4 +1,4 @@
-"""The process that draws what cameras of a model see: positions in, pictures out (see ``render_job``)."""
+"""The child process that draws camera sensors: it reads positions and writes pictures (see ``render_job``)."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from wheelleg_exp.rendering.render_job import READY
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# Of one pixel: how many numbers, and their type.
+# Channels and data type of one pixel.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # of the farthest distance: there the depth buffer is empty
+_BEYOND = 0.999  # share of the farthest distance from which the depth buffer is empty
 _AMBIENT = 0.4
-_HIDDEN = 5  # a group of geoms that is not drawn
+_HIDDEN = 5  # a geom group that MuJoCo does not draw
 
 
 @dataclass(frozen=True)
 class CameraOrder:
-    """What is to be drawn.
+    """A camera to draw.
 
     Attributes:
         model: the compiled scene.
@@ -32,7 +32,7 @@ class CameraOrder:
         width: px.
         height: px.
         clipping_range: nearest and farthest distance along the camera's axis, m.
-        layers: colours; distances along the axis, m, inf where nothing is; geoms' numbers, -1 where nothing is.
+        layers: colours; distances along the axis, m, inf without a surface; geom ids, -1 without a geom.
     """
 
     model: Any
@@ -45,7 +45,7 @@ class CameraOrder:
 
 @dataclass(frozen=True)
 class Poses:
-    """Positions of some simulations, (n, nq); each is drawn by itself, and all its layers after one another."""
+    """Positions of some simulations, (n, nq). Each simulation is drawn alone, with all its layers."""
 
     qpos: Array
 
@@ -54,7 +54,7 @@ def main() -> None:
     """Draw until standard input ends."""
     source = sys.stdin.buffer
     target = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a driver prints is no picture
+    os.dup2(2, 1)  # a driver's printed output must not mix with pictures
     order: CameraOrder = pickle.load(source)
     import mujoco
 
@@ -79,12 +79,12 @@ def _serve(source: BinaryIO, target: BinaryIO, draw: _Draw) -> None:
 
 
 def _prepared(order: CameraOrder) -> Any:
-    """Return the model with a picture's size and range; of a body's shapes those are drawn that are to be seen."""
+    """Return the model with the picture's size, the clipping range, and only its visible geoms."""
     from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # A light at the camera: a surface that faces it is as bright as its material, and none shines.
+    # A light at the camera: a surface facing it has its material's brightness, without highlights.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range
@@ -112,7 +112,7 @@ class _Draw:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        for _ in range(2):  # MuJoCo lays an infinite plane about the place where the camera was before
+        for _ in range(2):  # MuJoCo centres an infinite plane at the camera's previous position
             self._renderer.update_scene(self._data, self._order.camera, self._option)
         return [getattr(self, layer)() for layer in self._order.layers]
 
@@ -130,7 +130,7 @@ class _Draw:
         return np.where(depth < _BEYOND * far, depth, np.float32(np.inf))
 
     def geom(self) -> np.ndarray[Any, Any]:
-        """Return the geoms' numbers, (height, width) int32."""
+        """Return the geom ids, (height, width) int32."""
         import mujoco
 
         self._renderer.enable_segmentation_rendering()

@@ -24,9 +24,9 @@ _SAMPLES = 4
 
 
 class LivePictures:
-    """Draws a compiled scene at positions; the camera follows the robot at one distance.
+    """Draw a compiled scene at positions; the camera follows the robot at one distance.
 
-    The process that draws begins with the first picture and ends with ``close``.
+    The child process starts with the first picture and stops with ``close``.
 
     Args:
         model: the compiled scene.
@@ -46,8 +46,8 @@ class LivePictures:
         """Return a picture (height, width, 3) of the scene at positions (nq,).
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message says what to install.
-            SimulationFailure: the graphics driver gave up.
+            NoGraphics: drawing is not possible on this machine; the message names the packages to install.
+            SimulationFailure: the graphics driver failed.
         """
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         if not self._started:
@@ -59,7 +59,7 @@ class LivePictures:
         return self._process.draw(view).copy()
 
     def close(self) -> None:
-        """End the process that draws; the next picture begins another."""
+        """Stop the child process. The next picture starts another one."""
         self._open.close()
         self._started = False
 
@@ -73,7 +73,7 @@ class LivePictures:
 
 
 class CameraPictures:
-    """Draws the pictures of one camera; the process that draws begins with the first and ends with the object.
+    """Draw the pictures of one camera. The child process starts with the first picture and stops with the object.
 
     Args:
         model: the compiled scene.
@@ -81,7 +81,7 @@ class CameraPictures:
         width: px.
         height: px.
         clipping_range: nearest and farthest distance along the camera's axis, m.
-        layers: what is drawn (see ``CameraOrder``).
+        layers: the layers (see ``CameraOrder``).
     """
 
     def __init__(
@@ -102,8 +102,8 @@ class CameraPictures:
         """Return each layer, (n, height, width, channels), of the scene at positions (n, nq).
 
         Raises:
-            NoGraphics: nothing can be drawn on this machine; the message says what to install.
-            SimulationFailure: the graphics driver gave up.
+            NoGraphics: drawing is not possible on this machine; the message names the packages to install.
+            SimulationFailure: the graphics driver failed.
         """
         if self._worker is None:
             self._worker = self._open.enter_context(working("wheelleg_exp.rendering.camera_job", self._order))
@@ -119,6 +119,6 @@ class CameraPictures:
         }
 
     def close(self) -> None:
-        """End the process that draws; the next picture begins another."""
+        """Stop the child process. The next picture starts another one."""
         self._open.close()
         self._worker = None

@@ -1,6 +1,6 @@
-"""The process that draws: reads a scene and views from standard input, writes raw pictures to standard output.
+"""The child process that draws: it reads a scene and views from its input and writes raw pictures to its output.
 
-A process of its own, because a graphics driver may abort it, and because MuJoCo chooses its backend when imported.
+It is a separate process because a graphics driver can abort it, and because MuJoCo selects its backend on import.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ READY = b"ready\n"
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be drawn: a scene, at a size, px, with so many samples of a pixel."""
+    """A scene to draw, the picture's size, px, and the number of samples per pixel."""
 
     scene: Scene
     width: int
@@ -31,7 +31,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Arrow:
-    """One arrow: its colour, radius, m, and its two ends, m."""
+    """An arrow: its colour, radius, m, and two ends, m."""
 
     rgba: tuple[float, ...]
     radius: float
@@ -41,9 +41,9 @@ class Arrow:
 
 @dataclass(frozen=True)
 class View:
-    """One picture: where the bodies are, (B, 3) and (B, 4), wxyz, and where it is seen from.
+    """The view of one picture: poses of the bodies, (B, 3) and (B, 4), wxyz, arrows, and camera.
 
-    Angles in degrees, as MuJoCo's camera has them.
+    Angles are in degrees, as in MuJoCo's camera.
     """
 
     pos: Array
@@ -59,7 +59,7 @@ def main() -> None:
     """Draw until standard input ends."""
     source = sys.stdin.buffer
     target = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a driver prints is no picture
+    os.dup2(2, 1)  # a driver's printed output must not mix with pictures
     order: Order = pickle.load(source)
     import mujoco
 
@@ -106,7 +106,7 @@ def _add(scene: Any, arrow: Arrow) -> None:
     geom = scene.geoms[scene.ngeom]
     kind = mujoco.mjtGeom.mjGEOM_ARROW
     mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
-    # MuJoCo draws an arrow half as long as it is told.
+    # MuJoCo draws an arrow at half of the given length.
     mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
     geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
     scene.ngeom += 1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # m, from where on nothing is drawn
+FAR = 1e6  # m; nothing beyond this distance is drawn
 
 
 @dataclass(frozen=True)
@@ -22,14 +22,14 @@ class Shape:
     """One shape in the frame of its body.
 
     Attributes:
-        kind: box, ellipsoid, cylinder, capsule or mesh.
-        size: half sizes, m; radius and half length of what is round; empty for a mesh.
+        kind: box, ellipsoid, cylinder, capsule, or mesh.
+        size: half sizes, m; radius and half length of a cylinder or capsule; empty for a mesh.
         pos: centre, m.
         quat: orientation, wxyz.
         rgba: colour, 0 to 1.
-        vertices: of a mesh, (n, 3), m.
-        faces: of a mesh, (m, 3).
-        normals: of a mesh, (n, 3), or None.
+        vertices: vertices of a mesh, (n, 3), m.
+        faces: triangles of a mesh, (m, 3).
+        normals: normals of a mesh, (n, 3), or None.
     """
 
     kind: str
@@ -42,7 +42,7 @@ class Shape:
     normals: NDArray[np.float64] | None = None
 
     def corners(self) -> Array:
-        """Return points (n, 3), m, in the body's frame, between which the shape lies."""
+        """Return the corners of a box around the shape, (n, 3), m, in the body's frame."""
         if self.vertices is not None:
             low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         else:
@@ -55,14 +55,14 @@ class Shape:
 
 
 def rotated(quat: Sequence[float] | Array, vectors: Array) -> Array:
-    """Return vectors (..., 3) turned by a unit quaternion, wxyz."""
+    """Return vectors (..., 3) rotated by a unit quaternion, wxyz."""
     w, axis = quat[0], np.asarray(quat[1:])
     cross = np.cross(axis, vectors)
     return np.asarray(vectors + 2 * (w * cross + np.cross(axis, cross)))
 
 
 def moved(shape: Shape, offset: Any) -> Shape:
-    """Return a shape at a place that is ``offset`` (3,), m, away."""
+    """Return a shape moved by ``offset`` (3,), m."""
     return replace(shape, pos=tuple((np.asarray(shape.pos) + np.asarray(offset)).tolist()))
 
 
@@ -76,14 +76,14 @@ class Ground:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn.
+    """A scene to draw.
 
     Attributes:
         bodies: the shapes of each moving body, by name.
-        fixed: shapes that never move.
+        fixed: static shapes.
         ground: the plane, or None.
-        root: which body the eye follows.
-        size: about how tall the robot stands, m.
+        root: the body that the camera follows.
+        size: approximate height of the robot, m.
     """
 
     bodies: Mapping[str, Sequence[Shape]]
@@ -94,7 +94,7 @@ class Scene:
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, between which the robot lies when its bodies are at (B, 3), (B, 4)."""
+    """Return points (n, 3), m, that enclose the robot with its bodies at (B, 3), (B, 4)."""
     found = [
         rotated(quat[b], np.concatenate([shape.corners() for shape in shapes])) + pos[b]
         for b, shapes in enumerate(scene.bodies.values())
@@ -103,15 +103,15 @@ def points(scene: Scene, pos: Array, quat: Array) -> Array:
     return np.concatenate(found)
 
 
-AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as MuJoCo's camera has them
-_FOV = np.radians(30.0)  # upright; render_model.FOV
-_FILLED = 0.64  # of the picture's height and width: the rest is for arrows and captions
+AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as in MuJoCo's camera
+FOV = 30.0  # degrees, vertical: a long lens, so that small robots are not distorted
+_FILLED = 0.64  # the robot's share of the picture's height and width; arrows and captions need the remaining space
 
 
 def camera_distance(cloud: Array, aspect: float) -> float:
-    """Return the distance at which a cloud of points about the origin fills its part of the picture."""
+    """Return the distance at which a cloud of points around the origin fills its share of the picture."""
     right, up, back = camera_axes()
-    tall = _FILLED * np.tan(_FOV / 2)
+    tall = _FILLED * np.tan(np.radians(FOV) / 2)
     wide = tall * aspect
     return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / wide, np.abs(cloud @ up) / tall)))
 

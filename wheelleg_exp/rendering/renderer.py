@@ -21,10 +21,10 @@ from wheelleg_exp.rendering.render_job import READY, Order, View
 
 
 def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
-    """Return the mistake of more environments than a camera may draw, or None.
+    """Return the error for more environments than a camera may draw, or None.
 
     Args:
-        num_envs: the environments.
+        num_envs: the number of environments.
         limit: the camera's ``max_num_envs``.
         sensor_key: its config key.
     """
@@ -33,7 +33,7 @@ def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
     return ConfigError(
         f"{num_envs} environments would be drawn one after another at every reading",
         key=f"{sensor_key}.max_num_envs",
-        expected=f"env.num_envs at most {limit}, or a higher limit here; a RayCasterCamera measures distances of many",
+        expected=f"env.num_envs at most {limit}, or a higher limit here; a RayCasterCamera is fast for many",
     )
 
 
@@ -46,18 +46,18 @@ _PATIENCE_S = 20.0
 
 
 class NoGraphics(WheellegError):
-    """No backend draws on this machine."""
+    """No MuJoCo backend can draw on this machine."""
 
 
 class Worker:
-    """A running process with a graphics driver in it, which answers what it is asked with bytes.
+    """A child process with a graphics driver that answers requests with bytes.
 
     Args:
-        module: the process's module: it reads an order from standard input, says ``READY``, then answers.
-        order: the first thing that it is told.
+        module: its module. It reads an order from standard input, writes ``READY``, and then answers requests.
+        order: the first object that it reads.
         backend: MuJoCo's backend.
-        errors: the file that it complains into.
-        folder: where it runs.
+        errors: the file of its standard error.
+        folder: its working directory.
     """
 
     def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
@@ -69,7 +69,7 @@ class Worker:
             stdout=subprocess.PIPE,
             stderr=errors,
             env=_environment(backend),
-            cwd=folder,  # MuJoCo leaves its log where it runs
+            cwd=folder,  # MuJoCo writes its log into the working directory
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -81,27 +81,27 @@ class Worker:
             self.is_ready = False
 
     def ask(self, what: Any, count: int) -> bytes:
-        """Return ``count`` bytes of an answer.
+        """Send a request and return ``count`` bytes of its answer.
 
         Raises:
-            SimulationFailure: the graphics driver gave up.
+            SimulationFailure: the graphics driver failed.
         """
         data = b""
         with suppress(OSError):
             self._send(what)
             data = self._stdout.read(count)
         if len(data) != count:
-            raise SimulationFailure(f"the graphics driver gave up while drawing ({self.backend}): {self.reason()}")
+            raise SimulationFailure(f"the graphics driver failed while drawing ({self.backend}): {self.reason()}")
         return data
 
     def reason(self) -> str:
-        """Return the last line that the process said."""
+        """Return the last line of the process's error output."""
         self._errors.seek(0)
         lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
 
     def close(self) -> None:
-        """End the process."""
+        """Stop the process."""
         for stream in (self._stdin, self._stdout):
             with suppress(OSError):
                 stream.close()
@@ -117,7 +117,7 @@ class Worker:
 
 
 class Drawing:
-    """Draws views in a worker."""
+    """Draw views in a worker."""
 
     def __init__(self, worker: Worker, order: Order) -> None:
         self._worker, self._size = worker, (order.height, order.width, 3)
@@ -127,7 +127,7 @@ class Drawing:
         """Return a picture, (height, width, 3).
 
         Raises:
-            SimulationFailure: the graphics driver gave up.
+            SimulationFailure: the graphics driver failed.
         """
         data = self._worker.ask(view, int(np.prod(self._size)))
         return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
@@ -135,10 +135,10 @@ class Drawing:
 
 @contextmanager
 def drawing(order: Order) -> Iterator[Drawing]:
-    """Yield what draws views of a scene.
+    """Yield an object that draws views of a scene.
 
     Raises:
-        NoGraphics: none of the backends works here; the message says what to install.
+        NoGraphics: no backend works here; the message names the packages to install.
     """
     with working("wheelleg_exp.rendering.render_job", order) as worker:
         yield Drawing(worker, order)
@@ -146,10 +146,10 @@ def drawing(order: Order) -> Iterator[Drawing]:
 
 @contextmanager
 def working(module: str, order: Any) -> Iterator[Worker]:
-    """Yield a process with a graphics driver that works (see ``Worker``).
+    """Yield a child process with a working graphics driver (see ``Worker``).
 
     Raises:
-        NoGraphics: none of the backends works here; the message says what to install.
+        NoGraphics: no backend works here; the message names the packages to install.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-") as folder, tempfile.TemporaryFile() as errors:
         found = _first_that_works(module, order, errors, Path(folder))
@@ -169,11 +169,11 @@ def _first_that_works(module: str, order: Any, errors: IO[bytes], folder: Path) 
         reasons.append(f"{backend}: {candidate.reason()}")
         errors.seek(0)
         errors.truncate()
-    raise NoGraphics(f"nothing can be drawn on this machine ({'; '.join(reasons)})", expected=INSTALL)
+    raise NoGraphics(f"drawing is not possible on this machine ({'; '.join(reasons)})", expected=INSTALL)
 
 
 def backends() -> Sequence[str]:
-    """Return the backends that are tried: the one that MUJOCO_GL names first."""
+    """Return the backends to try, the one in MUJOCO_GL first."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     return tuple(dict.fromkeys([*([wanted] if wanted in BACKENDS else []), *BACKENDS]))
 

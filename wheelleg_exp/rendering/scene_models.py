@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.rendering.render_scene import Array, Ground, Scene, Shape
+from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
-VISUAL_GROUP = 2  # MuJoCo's convention for geoms that are only looked at
+VISUAL_GROUP = 2  # MuJoCo's convention for visual geoms
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 _PLANE_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE),)
 _SOLIDS = {
@@ -30,7 +30,7 @@ _TILES_PER_HEIGHT = 2.0
 
 
 class Surface(NamedTuple):
-    """A surface of triangles: corners (n, 3), m, triangles (m, 3), and the normals at the corners, (n, 3)."""
+    """A triangle mesh: corners (n, 3), m, triangles (m, 3), and normals at the corners, (n, 3)."""
 
     vertices: Array
     faces: NDArray[np.int64]
@@ -38,12 +38,12 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return what is drawn of a compiled scene.
+    """Return the scene of a compiled model.
 
     Args:
-        model: the scene; its bodies but the world are the scene's, in order.
-        root: the body that the eye follows.
-        size: how tall the robot stands, m.
+        model: the model; its bodies except the world become the scene's, in order.
+        root: the body that the camera follows.
+        size: height of the robot, m.
     """
     bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
     planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
@@ -57,7 +57,7 @@ def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
 
 
 def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
-    """Return a geom's shape in the frame of its body; None for a type that is not drawn (signed distance fields)."""
+    """Return a geom's shape in the frame of its body; None for signed distance fields, which are not drawn."""
     kind = int(model.geom_type[geom])
     pos, quat = tuple(model.geom_pos[geom].tolist()), tuple(model.geom_quat[geom].tolist())
     rgba = tuple((colour(model, geom) / 255).tolist())
@@ -71,7 +71,7 @@ def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
 
 
 def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
-    """Return a geom's colour (4,), 0 to 255: its own unless that is MuJoCo's default, else its material's."""
+    """Return a geom's colour (4,), 0 to 255: its own, or its material's if its own is MuJoCo's default."""
     rgba = model.geom_rgba[geom]
     material = int(model.geom_matid[geom])
     if material >= 0 and np.allclose(rgba, _DEFAULT_RGBA):
@@ -80,19 +80,19 @@ def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
 
 
 def is_collider(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom can touch others."""
+    """Return whether a geom can collide."""
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def is_plane(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom is an (infinite) plane, which is drawn as ground and not as a shape."""
+    """Return whether a geom is an infinite plane. Planes are drawn as ground, not as shapes."""
     return int(model.geom_type[geom]) in _PLANE_TYPES
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to be drawn, and its colliders when they are not those.
+    """Return a body's geoms to draw, and its colliders if they are others.
 
-    Drawn are the geoms of the visual group; a body without any is drawn by its colliders.
+    A body without geoms in the visual group is drawn by its colliders.
     """
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
@@ -102,13 +102,13 @@ def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
 
 
 def mesh(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return the surface of a mesh or of a height field, in the frame of the geom."""
+    """Return the surface of a mesh or a height field in the frame of the geom."""
     is_field = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
     return _height_field(model, geom) if is_field else _mesh(model, geom)
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return a mesh with one normal a face; MuJoCo's averaged ones are wrong at sharp edges."""
+    """Return a mesh with one normal per face. MuJoCo averages normals, which is wrong at sharp edges."""
     number = int(model.geom_dataid[geom])
     faces = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
     corners = model.mesh_vertadr[number] + model.mesh_face[faces].ravel()
@@ -120,7 +120,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
 
 
 def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return the surface of a height field as a mesh; data is row by row along x, scaled by the elevation."""
+    """Return the surface of a height field as a mesh. Its data is row by row along x, scaled by the elevation."""
     field = int(model.geom_dataid[geom])
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     radius_x, radius_y, elevation, _ = model.hfield_size[field]
@@ -140,7 +140,7 @@ def _grid_normals(height: Array, x: Array, y: Array) -> Array:
 
 
 class Kinematics:
-    """Forward kinematics on an own ``MjData``, so that nothing of the simulations is touched.
+    """Forward kinematics on a separate ``MjData``, so that the simulation is not changed.
 
     Args:
         model: the compiled scene.
@@ -153,7 +153,7 @@ class Kinematics:
         self.xquat: Array = self._data.xquat
 
     def update(self, qpos: Array) -> None:
-        """Make ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, the world poses of all bodies at ``qpos`` (nq,)."""
+        """Set ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, to the world poses of all bodies at ``qpos`` (nq,)."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
 
@@ -167,9 +167,9 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return how tall the tree below ``root`` stands at ``qpos``, m: its vertical extent by bounding spheres.
+        """Return the height of the tree below ``root`` at ``qpos``, m: the vertical extent of its bounding spheres.
 
-        At least 1 cm, so that it can serve as a length scale.
+        It is at least 1 cm, so that it can serve as a length scale.
         """
         self.update(qpos)
         geoms = [g for g in tree_geoms(self._model, root) if not is_plane(self._model, g)]
@@ -193,7 +193,6 @@ def tree_geoms(model: mujoco.MjModel, root: int) -> list[int]:
     return np.flatnonzero(np.isin(model.geom_bodyid, tree_bodies(model, root))).tolist()
 
 
-FOV = 30.0  # degrees, as MuJoCo wants it: a long lens, so that small robots are not distorted
 RIG = "rig"
 _FINE_SHADOWS_FROM = 800  # px
 _FLOOR_LIGHT, _FLOOR_DARK = (0.80, 0.815, 0.83), (0.70, 0.725, 0.75)
@@ -208,13 +207,13 @@ _KINDS = {
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled model.
+    """Return the compiled MuJoCo model of a scene.
 
     Args:
-        scene: the shapes; the mocap bodies stand in their order, after the light's rig.
-        width: of the pictures, px.
-        height: of the pictures, px.
-        samples: of a pixel, against jagged edges; 0 when the driver can do none.
+        scene: the scene; its mocap bodies follow the light's rig, in order.
+        width: width of the pictures, px.
+        height: height of the pictures, px.
+        samples: samples per pixel, against jagged edges; 0 if the driver has none.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)
@@ -252,7 +251,7 @@ def _look(spec: Any, size: float, width: int, height: int, samples: int) -> None
 
 
 def _shadows(visual: Any, *, is_fine: bool, is_wide: bool) -> None:
-    """Set how far around the robot there are shadows: on a terrain their border shows, and has to be out of sight."""
+    """Set the extent of the shadows. On a terrain their border would be visible, so it must be out of sight."""
     visual.map.shadowclip = 8.0 if is_wide else 2.5
     visual.quality.shadowsize = 4096 if is_fine or is_wide else 2048
 
@@ -262,7 +261,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # A texture holds two tiles along an edge.
+    # A texture has two tiles along an edge.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(
@@ -272,7 +271,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
 
 
 def _lights(spec: Any, size: float) -> None:
-    """Add a key light with shadows and a fill light from the other side, both at a rig that follows the robot."""
+    """Add a key light with shadows and a fill light from the other side, on a rig that follows the robot."""
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
         position = np.array(place) * 4.0 * size
@@ -294,7 +293,7 @@ def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:
 
 
 def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
-    """Add a mesh as an open shell, since a terrain has no volume; a mesh without an area is left out."""
+    """Add a mesh as an open shell, because a terrain has no volume. Skip a mesh without area."""
     if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
         return False
     a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)

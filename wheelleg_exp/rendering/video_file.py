@@ -26,14 +26,14 @@ def write(
     size: tuple[int, int],
     progress: Callable[[int], None] | None = None,
 ) -> str:
-    """Write pictures (height, width, 3) as a video, whole or not at all, and return the codec's name.
+    """Write pictures (height, width, 3) as a video, complete or not at all, and return the codec's name.
 
     Args:
-        path: the file: .mp4, .mkv or .mov; it must not be there yet.
-        pictures: one after the other.
-        fps: pictures a second.
+        path: the file: .mp4, .mkv or .mov; it must not exist.
+        pictures: the pictures in order.
+        fps: pictures per second.
         size: width and height, px, even.
-        progress: called with the pictures so far.
+        progress: called with the number of finished pictures.
 
     Raises:
         WheellegError: the file cannot be written, or there is no encoder.
@@ -62,12 +62,12 @@ def write(
 
 
 def _options(kind: str) -> dict[str, str]:
-    """Return the container's options: the index at the front, so that a browser starts before it has read all."""
+    """Return the container's options: the index is at the front, so that a browser starts early."""
     return {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
 
 
 def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return an encoder and its name: H.264 where this PyAV brings one, else what every player knows."""
+    """Return an encoder and its name: H.264 if PyAV has it, or else a codec that every player supports."""
     import av
 
     for codec in _CODECS:
@@ -75,7 +75,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             continue
         try:
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # the name is a decoder's
+        except (ValueError, av.FFmpegError):  # the name is a decoder only
             continue
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"

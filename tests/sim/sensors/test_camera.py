@@ -223,7 +223,7 @@ def test_its_process_ends_with_it(make, monkeypatch):
 def test_where_nothing_can_be_drawn_the_sensor_is_named(make, monkeypatch):
     monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # no display here
     env = make()
-    with pytest.raises(NoGraphics, match=r"env\.scene\.sensors\.eye: nothing can be drawn.*libegl1"):
+    with pytest.raises(NoGraphics, match=r"env\.scene\.sensors\.eye: drawing is not possible.*libegl1"):
         place(env, [0.0, 0.0, 1.0])
 
 
