@@ -21,7 +21,7 @@ def test_writes_the_model_and_tells_what_became_of_what(tmp_path, capsys):
     assert output.is_file()
     for words in ("7, 0.5 kg in all", "Left out", f"Wrote {output}", "--mjcf="):
         assert words in told
-    assert told.splitlines()[0] == "wheelleg.usda: converted, and nothing is in doubt"
+    assert told.splitlines()[0] == "wheelleg.usda: converted without doubts"
 
 
 def test_joints_are_a_table_in_si_units_and_as_authored(tmp_path, capsys):

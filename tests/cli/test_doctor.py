@@ -77,7 +77,7 @@ def test_a_file_stands_alone(file, capsys):
     assert main(["doctor", file(HEALTHY), "env.num_envs=2"]) == 2
     assert "one word too many" in capsys.readouterr().err
     assert main(["doctor", file(HEALTHY), "--config-dir", "docs/examples/tron1"]) == 2
-    assert "--config-dir: is of a task" in capsys.readouterr().err
+    assert "--config-dir: applies only to a task" in capsys.readouterr().err
 
 
 def test_an_mjcf_that_cannot_be_read_is_wrong_input(file, capsys):

@@ -84,8 +84,8 @@ def test_contacts_say_of_which_steps_they_are(capsys):
     print_contacts("feet", [ContactFigures("wheel", 2.0, 4.0, 0.5, 120)])
     *words, columns, _ = capsys.readouterr().out.strip().splitlines()
     title = " ".join(words)
-    assert "at the end of a step, of 120 steps of all episodes and environments" in title
-    assert "from 0.2 s after a reset on with a tilt below 0.2 rad" in title
+    assert "at the end of a step, over 120 steps of all episodes and environments" in title
+    assert "at least 0.2 s after a reset and with a tilt below 0.2 rad" in title
     assert columns.split("  ")[0] == "link"
     assert "largest (N)" in columns
 

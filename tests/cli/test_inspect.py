@@ -89,7 +89,7 @@ def test_what_happened_to_the_recording_is_told(inspect):
     writer.close()
     out = inspect("r.rrd")[1]
     assert re.search(r"note +the bound of 3 MB is reached\n", out)
-    (holds,) = [line for line in out.splitlines() if line.startswith("holds")]
+    (holds,) = [line for line in out.splitlines() if line.startswith("contents")]
     assert "rewards" in holds
     assert "spring" not in holds  # nothing of it over time
 
@@ -163,7 +163,7 @@ def test_moments_with_the_rows_around(inspect):
         play("r.rrd"), "--where", "terminations.fallen", "--around", "40ms", "--term", "base.pitch"
     )
     assert status == 0
-    assert out.splitlines()[0] == "it holds once"
+    assert out.splitlines()[0] == "the condition becomes true once"
     marked = [line.split() for line in out.splitlines() if line.startswith("*")]
     assert [line[:3] for line in marked] == [["*", "50", "1.000"]]
     assert [line.split()[0] for line in out.splitlines()[4:6]] == ["48", "49"]
@@ -188,7 +188,7 @@ def test_repair_writes_beside_and_tells_what_is_lost(inspect, tmp_path):
     path.write_bytes(path.read_bytes()[:-2000])
     status, out, _ = inspect("r.rrd", "--repair")
     assert status == 0
-    assert "mended: r.repaired.rrd" in out
+    assert "repaired: r.repaired.rrd" in out
     assert "cut off at byte" in out
     status, _, err = inspect("r.rrd", "--repair")
     assert status == 2
@@ -238,20 +238,20 @@ def test_names_are_listed(inspect):
         (["r.rrd", "--term", "base.pitsh"], "did you mean 'base.pitch'"),
         (["r.rrd", "--where", "base.pitch >"], "is not a condition"),
         (["r.rrd", "--where", "base.pitch", "--around", "far"], "not a length of time"),
-        (["r.rrd", "--stats"], "--stats: it is not said of what"),
+        (["r.rrd", "--stats"], "--stats: names no number"),
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--play"], "is not a run"),
         (["text.rrd"], "no rerun recording"),
         (["gone.rrd"], "'gone.rrd' is a broken link"),
-        (["r.rrd", "--viewer"], "--viewer: it means nothing here; expected --screenshot beside it"),
-        (["r.rrd", "--at", "1s"], "expected --screenshot beside it"),
-        (["r.rrd", "--fps", "3", "--screenshot", "a.png"], "expected --video beside it"),
-        (["r.rrd", "--width", "3"], "expected --screenshot or --video beside it"),
-        (["r.rrd", "--port", "3"], "expected --web beside it"),
-        (["r.rrd", "--around", "1s"], "expected --where beside it"),
-        (["r.rrd", "-o", "x"], "--output: it means nothing here; expected --repair or --export beside it"),
-        (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: it means nothing here"),
+        (["r.rrd", "--viewer"], "--viewer: the option has no effect here; expected also --screenshot"),
+        (["r.rrd", "--at", "1s"], "expected also --screenshot"),
+        (["r.rrd", "--fps", "3", "--screenshot", "a.png"], "expected also --video"),
+        (["r.rrd", "--width", "3"], "expected also --screenshot or --video"),
+        (["r.rrd", "--port", "3"], "expected also --web"),
+        (["r.rrd", "--around", "1s"], "expected also --where"),
+        (["r.rrd", "-o", "x"], "--output: the option has no effect here; expected also --repair or --export"),
+        (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect here"),
         (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
         (["r.rrd", "--iteration", "5-2"], "ends before it begins"),
         (["r.rrd", "--from", "3s", "--to", "2s"], "it lies before --from"),
@@ -274,7 +274,7 @@ def test_a_recording_of_another_tool_tells_what_it_holds(inspect):
     writer.close()
     status, out, _ = inspect("r.rrd")
     assert status == 0
-    assert "not recorded by wheelleg" in out
+    assert "wheelleg did not write this recording" in out
     assert "camera" in out
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from wheelleg_exp import __version__
 from wheelleg_exp.cli import main as script
-from wheelleg_exp.cli.common import add_overrides
+from wheelleg_exp.cli.arguments import add_overrides
 from wheelleg_exp.cli.main import Command, main
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.machine import VARIABLES, prepare_threads
@@ -282,7 +282,7 @@ def test_only_the_chosen_command_is_imported_and_it_stays_light():
         "print(sorted(loaded), 'torch' in sys.modules, 'mujoco' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = [f"wheelleg_exp.cli.{name}" for name in ("common", "list", "main")]
+    loaded = [f"wheelleg_exp.cli.{name}" for name in ("arguments", "list", "main")]
     loaded += [f"wheelleg_exp.cli.printing{name}" for name in ("", ".terminal")]
     assert done.stdout.splitlines()[-1] == f"{loaded} False False"
 

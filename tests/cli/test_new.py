@@ -102,7 +102,7 @@ def made(tmp_path, monkeypatch):
 
 def test_it_says_what_was_made_and_what_comes_next(made):
     root, said = made
-    assert said.out.startswith(f"made myrobot: {len([p for p in root.rglob('*') if p.is_file()])} files\n")
+    assert said.out.startswith(f"created myrobot: {len([p for p in root.rglob('*') if p.is_file()])} files\n")
     assert "legs: l01, r01, l02, r02" in said.out
     assert "wheels: l03, r03" in said.out
     commands = [line.removeprefix("next:").strip() for line in said.out.splitlines() if "wheelleg " in line]

@@ -100,7 +100,7 @@ def test_a_checkpoint_that_somebody_has_changed_is_used_with_a_warning(run, comm
     after = wheelleg(command, "latest", *QUICKLY[command])
     assert after.status == 0, after.err
     (line,) = [line for line in after.err.splitlines() if line.startswith("warning: ")]
-    assert "model_2.pt is not what its run recorded" in line
+    assert "model_2.pt differs from its run's record" in line
     other = wheelleg(command, "latest", "--checkpoint", "1", *QUICKLY[command])
     assert (other.status, "warning" in other.err) == (0, False), other.err
 

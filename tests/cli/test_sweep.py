@@ -85,7 +85,7 @@ def test_a_failed_job_is_status_3_after_all_others(tmp_path):
     ]
     assert rows[1][-1] == "runs/stand/finish1"
     assert "2 of 5 jobs finished: runs/sweeps/" in said.out
-    assert "again: " in said.out
+    assert "retry: " in said.out
     assert " train run.name=fail seed=3" in said.out
     assert "job 1 run.name=fail failed: gone to NaN" in said.err
 
@@ -185,7 +185,7 @@ def test_the_last_lines_tell_the_jobs_and_what_comes_next(swept):
     assert any(" --logdir runs/stand" in line for line in lines)
     assert any("diff runs/stand/" in line for line in lines)
     assert any("play runs/stand/" in line for line in lines)
-    assert "again:" not in swept.said.out
+    assert "retry:" not in swept.said.out
 
 
 @pytest.mark.train

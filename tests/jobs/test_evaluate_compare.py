@@ -92,8 +92,8 @@ def test_metrics_that_no_episode_tells_of_take_one_line(run, capsys):
     alone = capsys.readouterr().out
     assert main(["evaluate", str(run.path), "--against", "reference", "--kept", *SHORT]) == 0
     beside = capsys.readouterr().out
-    assert "no episode tells of: drift, " in alone
-    assert "no episode tells of: stand/cost_of_transport_gross, " in beside  # the reference tells of the drift
+    assert "no episode has a value for: drift, " in alone
+    assert "no episode has a value for: stand/cost_of_transport_gross, " in beside  # the reference tells of the drift
     assert not [line for line in alone.splitlines() if line.split()[:3:2] == ["drift", "-"]]
 
 

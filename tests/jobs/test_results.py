@@ -163,7 +163,7 @@ def test_folders_of_the_users_own_are_handed_on(written, capsys, monkeypatch):
 def test_what_is_made_again_is_not_said_twice(written, capsys, word):
     status, told = again(written, capsys, word)
     assert status == 2
-    assert "--again: what is made again stands in the record" in told
+    assert "--again: the record determines the evaluations" in told
 
 
 @pytest.mark.parametrize(
@@ -348,7 +348,7 @@ def test_a_page_that_there_is_not_is_told_with_those_that_there_are(written, cap
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])
 def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
     assert main(["results", name, str(run.path), *SHORT, "--into", str(tmp_path / "results")]) == 2
-    assert "is no name of a page" in capsys.readouterr().err
+    assert "is not a valid name for a page" in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.md"))
 
 

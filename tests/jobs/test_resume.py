@@ -276,7 +276,7 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
         said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
     run = only(tmp_path)
     assert said.status == 3
-    assert "go on with: " in said.err
+    assert "resume with: " in said.err
     assert manifest(run)["status"] == "failed"
     resume(run)
     require_equal(run, straight)

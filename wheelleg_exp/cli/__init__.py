@@ -1,11 +1,12 @@
-"""The console script ``wheelleg``: one module a command, with the command's name; only here is anything printed.
+"""Run the console script ``wheelleg``. There is one module for each command, and only this package prints.
 
-| module | offers |
+| module | contents |
 |---|---|
-| ``main`` | finds the command, imports its module alone, returns the exit status |
-| ``common``, ``completion`` | what the commands share; completion in the shell |
-| ``train``, ``resume``, ``sweep``, ``replay``, ``play``, ``agents``, ``evaluate`` | commands that run |
-| ``configs``, ``list``, ``list_runs``, ``new`` | commands on configs and projects |
-| ``convert``, ``inspect``, ``verify``, ``report`` | commands that look |
-| ``inspecting``, ``printing`` | the actions of ``inspect``; how things look in a terminal |
+| `main` | finds the command, imports only its module, returns the exit status |
+| `arguments`, `completion` | the parser and shared options; completion in the shell |
+| `train`, `train_pipeline`, `train_sweep`, `resume`, `replay`, `agents` | commands that train or run a task |
+| `play`, `evaluate`, `results`, `export` | commands that use a policy |
+| `configs`, `list`, `list_runs`, `new` | commands on configs and projects |
+| `convert`, `inspect`, `inspect_actions`, `verify`, `report` | commands that read robots, recordings and runs |
+| `printing` | tables and progress in a terminal |
 """

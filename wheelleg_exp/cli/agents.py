@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 
 if TYPE_CHECKING:

@@ -8,12 +8,14 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-from wheelleg_exp.cli.common import Parser
+from wheelleg_exp.cli.arguments import Parser
 from wheelleg_exp.cli.configs.doctor import ROBOT
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
+from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# The shell hands over the line up to the cursor; bash also the letters at which it breaks words.
+# The shell passes the line up to the cursor in the first variable. bash passes the letters at which it splits words in
+# the second one.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 
@@ -57,7 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the shell's script, or answer one that asks."""
+    """Print the shell's script, or the candidates for a line if the script asks."""
     if args.shell != _QUERY:
         print(SCRIPTS[args.shell], end="")
         return EXIT_OK
@@ -71,8 +73,8 @@ def answer(line: str, breaks: str | None = None) -> list[str]:
 
     Args:
         line: the command line up to the cursor.
-        breaks: of bash, the letters at which it breaks words: it wants only what comes after the last of them,
-            and a space after a candidate that is complete.
+        breaks: the letters at which bash splits words; None for other shells. bash expects only the part after the
+            last such letter, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:
@@ -86,7 +88,7 @@ def answer(line: str, breaks: str | None = None) -> list[str]:
 
 
 def split(line: str) -> tuple[list[str], str, str]:
-    """Return the words before the last one, the last one (empty after a space), and the quote it stands in."""
+    """Return the words before the last one, the last word (empty after a space), and its opening quote."""
     for quote in ("", "'", '"'):
         try:
             words = shlex.split(line + quote)
@@ -99,18 +101,18 @@ def split(line: str) -> tuple[list[str], str, str]:
 
 
 def candidates(words: list[str], word: str) -> list[str]:
-    """Return what may stand in place of ``word`` after ``words``, the first of which is the program."""
+    """Return the candidates for ``word`` after ``words``, the first of which is the program."""
     from wheelleg_exp.cli.main import COMMANDS
 
-    rest = [w for w in words[1:] if w != "--debug"]
-    if not rest:
+    typed = [w for w in words[1:] if w != "--debug"]
+    if not typed:
         return ["--help", "--version", "--debug"] if word.startswith("-") else list(COMMANDS)
-    command = COMMANDS.get(rest[0])
+    command = COMMANDS.get(typed[0])
     if command is None:
         return []
-    parser = Parser(prog=rest[0])
+    parser = Parser(prog=typed[0])
     import_module(f"wheelleg_exp.cli.{command.module}").configure(parser)
-    return _arguments(parser, rest[1:], word, resumed=rest[0] == "resume")
+    return _arguments(parser, typed[1:], word, resumed=typed[0] == "resume")
 
 
 def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, resumed: bool) -> list[str]:
@@ -134,22 +136,22 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, 
 
 
 def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
-    """Return the candidates of one argument, by what its help calls it; a pipeline is resumed as a run is."""
+    """Return the candidates for one argument, chosen by its name in the help."""
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])
-    primary = given.get("primary", [_primary([*before, word])])[-1]
+    in_pipeline = any("." in text and names_pipeline(text) for text in (*before, word))
+    primary = given.get("primary", [PIPELINE if in_pipeline else "train"])[-1]
     if name.startswith("{"):
         return name.strip("{}").split(",")
     if action.choices is not None:
         return [str(choice) for choice in action.choices]
     if name in ("OVERRIDE", "KEY", ROBOT):
-        from wheelleg_exp.config.explaining import alternatives as config
+        from wheelleg_exp.config.explaining.alternatives import complete_key, complete_override
 
         files = _files(word) if name == ROBOT and "=" not in word else []
-        return files + (config.complete_key if name == "KEY" else config.complete_override)(
-            word, before, folders, primary
-        )
+        complete = complete_key if name == "KEY" else complete_override
+        return files + complete(word, before, folders, primary)
     if name in ("RUN", "A", "B"):
         root = Path(given.get("root", ["runs"])[-1])
         first = [] if name == "RUN" else _tasks(folders)
@@ -159,15 +161,10 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
 
         return catalog.groups(folders)
     if action.dest == "primary":
-        return _primaries()
+        from wheelleg_exp.paths import configs_dir
+
+        return sorted(path.stem for path in configs_dir().glob("*.yaml"))
     return _files(word) if isinstance(action.type, type) and issubclass(action.type, Path) else []
-
-
-def _primary(words: list[str]) -> str:
-    """Return the primary config of words that name none: a pipeline's where they are of one."""
-    from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
-
-    return PIPELINE if any("." in word and names_pipeline(word) for word in words) else "train"
 
 
 def _tasks(folders: list[Path]) -> list[str]:
@@ -188,14 +185,8 @@ def _pipelines(root: Path) -> list[str]:
     return sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
 
 
-def _primaries() -> list[str]:
-    from wheelleg_exp.paths import configs_dir
-
-    return sorted(path.stem for path in configs_dir().glob("*.yaml"))
-
-
 def _files(word: str) -> list[str]:
-    """Return files and folders whose path begins with ``word``."""
+    """Return files and folders whose path starts with ``word``."""
     folder, _, start = word.rpartition("/")
     place = Path(f"{folder}/" if folder or word.startswith("/") else ".").expanduser()
     try:

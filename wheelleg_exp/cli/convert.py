@@ -1,4 +1,4 @@
-"""``wheelleg convert``: a USD or URDF robot becomes an MJCF, with a report of what was read, assumed and left out."""
+"""``wheelleg convert``: convert a USD or URDF robot to MJCF, and report what was read, assumed and left out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.cli.common import add_json
+from wheelleg_exp.cli.arguments import add_json
 from wheelleg_exp.errors import EXIT_OK, AssetError
 from wheelleg_exp.stop_request import StopRequest
 
@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="OUT",
         type=Path,
         required=True,
-        help="MJCF file to write (.xml); beside it: the folder OUT's-stem_meshes, and OUT's-stem_scene.xml to look at",
+        help="MJCF file to write (.xml); next to it: the folder OUT's-stem_meshes, and OUT's-stem_scene.xml to view it",
     )
     parser.add_argument(
         "--base",
@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="SET=NAME",
         action="append",
         default=[],
-        help="choose a variant of a USD file in place of the authored one (may be repeated)",
+        help="select a variant of a USD file instead of the authored one (repeatable)",
     )
     add_json(parser)
     parser.set_defaults(run=run)
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     """Convert, and print the report.
 
     Raises:
-        AssetError: the source cannot be read or holds no robot, or the output cannot be written.
+        AssetError: the source cannot be read or does not contain a robot, or the output cannot be written.
     """
     variants = dict(_variant(text) for text in args.variant)
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
@@ -73,5 +73,5 @@ def _variant(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals and value):
         expected = "SET=NAME, such as Physics=PhysX"
-        raise AssetError(f"'{text}' chooses no variant", key="--variant", expected=expected)
+        raise AssetError(f"'{text}' does not select a variant", key="--variant", expected=expected)
     return name, value

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.terms.key_syntax import is_override
 
@@ -35,13 +35,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="RUN",
         action="append",
         default=[],
-        help="compare with this run, pair by pair of episodes, or with 'reference'; again for each of its seeds",
+        help="compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed",
     )
     parser.add_argument(
         "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too"
     )
     parser.add_argument(
-        "--kept", action="store_true", help="take what a run has kept of this protocol, and evaluate only the others"
+        "--kept",
+        action="store_true",
+        help="use a run's stored evaluation of this protocol, and evaluate only the other runs",
     )
     add_config_dir(parser)
     add_root(parser)
@@ -49,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate policies, print the metrics, keep them under the runs, and compare them where there are several."""
+    """Evaluate policies, print the metrics, store them in the runs, and compare several policies."""
     from wheelleg_exp.cli.printing.evaluation_tables import print_evaluation
     from wheelleg_exp.cli.printing.figures_table import shown
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
@@ -58,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
     overrides = [word for word in args.overrides if is_override(word)]
     others = [name for name in args.against if name != REFERENCE]
     if REFERENCE in args.against and others:
-        raise WheellegError("a comparison is with runs or with the reference", key="--against", expected="one of them")
+        message = "a comparison is either with runs or with the reference"
+        raise WheellegError(message, key="--against", expected="runs, or 'reference'")
     chosen, opposite = found(args, names), found(args, others)
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, overrides, display) for one in chosen]
@@ -99,10 +102,10 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return runs of one method, each with its checkpoint; to be asked of all before the first is evaluated.
+    """Return the runs of one method, each with its checkpoint.
 
     Raises:
-        WheellegError: there is no such run or checkpoint, or a run is named twice.
+        WheellegError: a run or a checkpoint does not exist, or a run is named twice.
     """
     from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -121,7 +124,7 @@ def evaluated(
     overrides: Sequence[str],
     display: ConsoleDisplay,
 ) -> Evaluated:
-    """Evaluate one run as the words of a command say, or take what it has kept."""
+    """Evaluate one run with the options of the command, or load its stored evaluation (``--kept``)."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 
@@ -14,14 +14,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="DIR", help="the folder to make; by default exported/bundle of the run"
+        "-o", "--output", type=Path, metavar="DIR", help="the folder to create; by default exported/bundle of the run"
     )
     add_root(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a deployer's bundle and print how much its policies differ from the simulation."""
+    """Write a bundle for deployment, and print how much its policies differ from the simulation."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
@@ -36,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({**found, "largest_difference": made.differences, "lacks": made.notes})
         return EXIT_OK
     print(f"exported {shown(made.checkpoint)} to {shown(made.folder)}")
-    told = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
-    print(f"largest difference of a step from the simulation: {told}")
+    differences = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
+    print(f"largest difference of a step from the simulation: {differences}")
     for note in made.notes:
         print(f"it lacks {note}")
     print(f"next: python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)")

@@ -1,7 +1,6 @@
-"""``wheelleg inspect RUN|FILE``: what a recording holds, and answers to questions about it.
+"""``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-Without an option that asks for something else the summary is printed. Every option that does something of its own
-is an action; several may stand together, and run in the order of the table.
+Without an action, the summary is printed. Several actions can be combined; they run in the order of ``ACTIONS``.
 """
 
 from __future__ import annotations
@@ -9,10 +8,10 @@ from __future__ import annotations
 import argparse
 import sys
 
-from wheelleg_exp.cli.common import add_json, add_root, print_json
-from wheelleg_exp.cli.inspect_actions import PICTURE_ACTIONS as PICTURES
-from wheelleg_exp.cli.inspect_actions import READING_ACTIONS as READING
+from wheelleg_exp.cli.arguments import add_json, add_root, print_json
 from wheelleg_exp.cli.inspect_actions import (
+    PICTURE_ACTIONS,
+    READING_ACTIONS,
     STATISTICS,
     SUMMARY,
     Action,
@@ -22,15 +21,15 @@ from wheelleg_exp.cli.inspect_actions import (
     selection_of,
 )
 
-# Files and figures first and the viewer last, because that one stays open.
-ACTIONS: tuple[Action, ...] = (*READING, *PICTURES)
+# The viewer is the last action, because it stays open.
+ACTIONS: tuple[Action, ...] = (*READING_ACTIONS, *PICTURE_ACTIONS)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("recording", metavar="RUN|FILE", help="a run directory, its id, 'latest', or a recording")
     parser.add_argument("--play", action="store_true", help="the run's newest play instead of its training")
-    parser.add_argument("--id", metavar="ID", help="which recording of a file that holds several")
+    parser.add_argument("--id", metavar="ID", help="which recording, if the file contains several")
     add_root(parser)
     add_selection(parser)
     for action in ACTIONS:
@@ -39,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what was asked for; the summary when nothing was."""
+    """Run the chosen actions; without one, print the summary, or with ``--term`` the statistics."""
     from wheelleg_exp.inspection.recording_target import find_target
 
     chosen = [action for action in ACTIONS if action.is_chosen(args)] or [STATISTICS if args.term else SUMMARY]

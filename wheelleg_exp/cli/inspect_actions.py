@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import UsageError
+from wheelleg_exp.cli.arguments import UsageError
 from wheelleg_exp.cli.printing.terminal import styled
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, RunDirectoryError
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
-ROWS = ("env", "iteration", "begin", "end")  # the options that choose rows
+ROWS = ("env", "iteration", "begin", "end")  # the options that select rows
 
 
 @dataclass(frozen=True)
 class Inspected:
-    """What the words on the command line name.
+    """The recording and the rows that the command line selects.
 
     Attributes:
-        target: the recording's file, and the run that it belongs to.
-        selection: the rows that are looked at (``--env``, ``--iteration``, ``--from``, ``--to``).
-        recording_id: which recording of a file that holds several.
+        target: the recording's file and its run.
+        selection: the selected rows (``--env``, ``--iteration``, ``--from``, ``--to``).
+        recording_id: the id of the recording, if the file contains several.
     """
 
     target: Target
@@ -47,7 +47,7 @@ class Inspected:
 
     @cached_property
     def recording(self) -> Recording:
-        """The recording, opened at the first use."""
+        """The recording, opened on first use."""
         from wheelleg_exp.recording.reading.recording_reader import Recording
 
         return Recording(self.path, recording_id=self.recording_id)
@@ -55,12 +55,12 @@ class Inspected:
 
 @dataclass(frozen=True)
 class Result:
-    """What an action found.
+    """The result of an action.
 
     Attributes:
-        document: for ``--json``, which prints it below the action's name.
-        show: prints it for people.
-        status: the command's exit status; of several actions the highest.
+        document: the JSON document of the action. ``--json`` prints it below the action's name.
+        show: prints the result as text.
+        status: the exit status of the action. The command returns the highest one.
         notes: lines for standard error.
     """
 
@@ -72,13 +72,13 @@ class Result:
 
 @dataclass(frozen=True)
 class Action:
-    """One thing that ``wheelleg inspect`` does.
+    """One action of ``wheelleg inspect``.
 
     Attributes:
-        name: the option's name in ``args``; the action runs when that is neither None nor False.
-        configure: adds its options.
-        run: does it.
-        options: the options, by their names in ``args``, that mean something to it.
+        name: the name of its option in ``args``. The action runs if the option is neither None nor False.
+        configure: adds the options of the action.
+        run: runs the action.
+        options: the other options that the action reads, by their names in ``args``.
     """
 
     name: str
@@ -87,26 +87,26 @@ class Action:
     options: tuple[str, ...] = ()
 
     def is_chosen(self, args: argparse.Namespace) -> bool:
-        """Return whether the command line asks for it."""
+        """Return whether the command line selects the action."""
         return getattr(args, self.name) not in (None, False)
 
 
-# Options whose names in ``args`` are others.
-_WORDS = {"begin": "--from", "end": "--to"}
+# The options with another name in ``args``.
+_OPTION_NAMES = {"begin": "--from", "end": "--to"}
 
 
 def require_used(args: argparse.Namespace, chosen: Sequence[Action], actions: Sequence[Action]) -> None:
-    """Raise UsageError when an option is given that means nothing to any of the chosen actions."""
+    """Raise UsageError if none of the chosen actions reads a given option."""
     used = {option for action in chosen for option in action.options}
     for option in dict.fromkeys(option for action in actions for option in action.options):
         if option not in used and getattr(args, option) not in (None, False, []):
-            word = _WORDS.get(option, "--" + option.replace("_", "-"))
+            word = _OPTION_NAMES.get(option, "--" + option.replace("_", "-"))
             users = [f"--{action.name}" for action in actions if option in action.options]
-            raise UsageError("it means nothing here", key=word, expected=" or ".join(users) + " beside it")
+            raise UsageError("the option has no effect here", key=word, expected="also " + " or ".join(users))
 
 
 def other_recording(args: argparse.Namespace) -> Recording:
-    """Return the recording that ``--compare`` names; ``--play`` and ``--id`` are meant for it where it has such."""
+    """Return the recording of ``--compare``. ``--play`` and ``--id`` also apply to it, if it has a play or that id."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -123,8 +123,8 @@ _LIMIT = 10  # lines that are printed
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Add the options that choose rows and columns."""
-    group = parser.add_argument_group("what is looked at")
+    """Add the options that select rows and columns."""
+    group = parser.add_argument_group("selection of rows and columns")
     group.add_argument("--env", type=int, metavar="N", help="one of the recorded environments")
     group.add_argument("--iteration", metavar="N|A-B", help="training iterations")
     group.add_argument(
@@ -134,11 +134,11 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--term", action="append", default=[], metavar="NAME", help="a number, such as rewards.base_height (repeatable)"
     )
-    group.add_argument("-o", "--output", type=Path, metavar="PATH", help="where a file is written")
+    group.add_argument("-o", "--output", type=Path, metavar="PATH", help="the file or folder to write")
 
 
 def selection_of(args: argparse.Namespace) -> Selection:
-    """Return the rows that the options choose (WheellegError when they are wrong)."""
+    """Return the rows that the options select; raise WheellegError if an option is wrong."""
     from wheelleg_exp.inspection.row_selection import Selection, parse_iterations, parse_length, require_order
 
     chosen = Selection(
@@ -167,7 +167,7 @@ def _statistics(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.recorded_numbers import term_statistics, units
 
     if not args.term:
-        raise UsageError("it is not said of what", key="--stats", expected="--term NAME, such as rewards.base_height")
+        raise UsageError("names no number", key="--stats", expected="also --term NAME, such as rewards.base_height")
     found = term_statistics(inspected.recording, args.term, inspected.selection)
     words = units(inspected.recording, found, inspected.selection.env_id)
     document = {name: {**value.as_dict(), "unit": words.get(name)} for name, value in found.items()}
@@ -204,13 +204,8 @@ def _compare(args: argparse.Namespace, inspected: Inspected) -> Result:
         document,
         lambda: print_comparison(found, inspected.recording, other, _limit(args)),
         EXIT_OK if found.is_equal else EXIT_FINDING,
-        _of_all(inspected),
+        () if inspected.selection.is_all else ("note: --compare compares the whole recordings",),
     )
-
-
-def _of_all(inspected: Inspected) -> tuple[str, ...]:
-    """Return what to know of the comparison when rows are chosen, which then are those of other actions."""
-    return () if inspected.selection.is_all else ("note: --compare compares the whole recordings",)
 
 
 def _limit(args: argparse.Namespace) -> int:
@@ -241,26 +236,28 @@ def _flag(name: str, text: str) -> Any:
 
 def _add_where(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--where", metavar="CONDITION", help="print when it holds: 'terminations.base_contact', 'base.pitch > 0.3'"
+        "--where",
+        metavar="CONDITION",
+        help="print the times at which a condition is true: 'terminations.base_contact', 'base.pitch > 0.3'",
     )
-    parser.add_argument("--around", metavar="LENGTH", help="with the rows around it: 0.5s, 200ms, 30steps")
-    parser.add_argument("--limit", type=_count, metavar="N", help="how many are printed (default: 10)")
+    parser.add_argument("--around", metavar="LENGTH", help="with --where: and the rows around it: 0.5s, 200ms, 30steps")
+    parser.add_argument("--limit", type=_count, metavar="N", help="the most lines to print (default: 10)")
 
 
 def _count(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of lines; expected 0 or more")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of lines; expected 0 or more")
     return int(text)
 
 
 def _add_compare(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--compare", metavar="RUN|FILE", help="another recording; exit status 1 when they differ")
+    parser.add_argument("--compare", metavar="RUN|FILE", help="another recording; exit status 1 if they differ")
 
 
-SUMMARY = Action("summary", _flag("--summary", "print the summary beside what else is asked for"), _summary, ROWS)
+SUMMARY = Action("summary", _flag("--summary", "print the summary in addition to other output"), _summary, ROWS)
 STATISTICS = Action("stats", _flag("--stats", "print the statistics of each --term"), _statistics, (*ROWS, "term"))
 READING_ACTIONS: tuple[Action, ...] = (
-    Action("repair", _flag("--repair", "write a mended copy of a recording that was cut off"), _repair, ("output",)),
+    Action("repair", _flag("--repair", "write a repaired copy of a truncated recording"), _repair, ("output",)),
     SUMMARY,
     Action("names", _flag("--names", "print the names of all recorded numbers"), _list, ("env",)),
     STATISTICS,
@@ -287,17 +284,13 @@ def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
         if args.term:
             return recording_plots.terms_figure(inspected.recording, args.term, selection=chosen)
         return recording_plots.default_page(inspected.recording, selection=chosen)
-    recordings = _with_other(args, inspected)
+    other = other_recording(args)
+    recordings = _labelled([(inspected.path, inspected.recording), (other.path, other)])
     return recording_plots.overlay(recordings, args.term, selection=chosen)
 
 
-def _with_other(args: argparse.Namespace, inspected: Inspected) -> dict[str, Any]:
-    other = other_recording(args)
-    return _labelled([(inspected.path, inspected.recording), (other.path, other)])
-
-
 def _labelled(pairs: list[tuple[Path, Any]]) -> dict[str, Any]:
-    """Return recordings by a short name that tells them apart."""
+    """Return two recordings by short and different names."""
     first, second = (path.resolve() for path, _ in pairs)
     names = [path.stem if path.stem != "recording" else path.parent.name for path in (first, second)]
     if names[0] == names[1]:
@@ -309,8 +302,8 @@ def _export(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.export_numbers import export
 
     if args.output is None:
-        expected = "-o FILE with --term, else -o FOLDER"
-        raise UsageError("it is not said where to", key="--export", expected=expected)
+        expected = "also -o FILE with --term, otherwise -o FOLDER"
+        raise UsageError("names no output", key="--export", expected=expected)
     found = export(inspected.recording, args.export, args.output, terms=args.term, selection=inspected.selection)
     files = [{"path": str(e.path), "group": e.group, "rows": e.rows, "columns": e.columns} for e in found]
 
@@ -336,21 +329,20 @@ def _screenshot(args: argparse.Namespace, inspected: Inspected) -> Result:
         viewer_screenshot(inspected.path, args.screenshot, time_s=time_s, width=width, height=height)
     else:
         recording_pictures.save(shown, row, args.screenshot, *_size(args, 1280, 720))
-    told = {
+    facts = {
         "time_s": time_s,
         "step": int(shown.motion.step[row]),
         "iteration": shown.motion.iteration_at(row),
         "env": shown.source.env_id,
     }
-    return _written(args.screenshot, told, f" ({_whose(shown.env_id)}t = {time_s:.3f} s)")
+    return _written(args.screenshot, facts, f" ({_environment(shown.env_id)}t = {time_s:.3f} s)")
 
 
 def _size(args: argparse.Namespace, width: int, height: int) -> tuple[int, int]:
     return width if args.width is None else args.width, height if args.height is None else args.height
 
 
-def _whose(env_id: int | None) -> str:
-    """Return of which of several recorded environments something is."""
+def _environment(env_id: int | None) -> str:
     return "" if env_id is None else f"environment {env_id}, "
 
 
@@ -368,28 +360,28 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
         height=height,
         progress=_progress(),
     )
-    told: dict[str, Any] = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration, "codec": done.codec}
-    told["env"] = inspected.recording.env_ids[0] if inspected.selection.env_id is None else inspected.selection.env_id
-    words = f" ({_whose(done.env_id)}{done.frames} pictures, {done.duration:.1f} s, {done.codec})"
-    return _written(args.video, told, words)
+    facts: dict[str, Any] = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration, "codec": done.codec}
+    facts["env"] = inspected.recording.env_ids[0] if inspected.selection.env_id is None else inspected.selection.env_id
+    text = f" ({_environment(done.env_id)}{done.frames} pictures, {done.duration:.1f} s, {done.codec})"
+    return _written(args.video, facts, text)
 
 
 def _progress() -> Callable[[int, int], None] | None:
-    """Return what tells of the pictures so far, where someone looks."""
+    """Return a function that shows the number of finished pictures; None if standard error is not a terminal."""
     if not sys.stderr.isatty():
         return None
 
-    def tell(done: int, total: int) -> None:
+    def show(done: int, total: int) -> None:
         styled(sys.stderr).write(f"\r{done} of {total} pictures" + ("\n" if done == total else ""))
         sys.stderr.flush()
 
-    return tell
+    return show
 
 
 def _open(_: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.rerun_viewer import open_window
 
-    with suppress(KeyboardInterrupt):  # the way to end it from here
+    with suppress(KeyboardInterrupt):  # Ctrl-C closes the window
         open_window(_readable(inspected))
     return Result({"closed": True}, lambda: None)
 
@@ -400,18 +392,18 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
     def say(line: str) -> None:
         print(line, file=sys.stderr if args.json else sys.stdout, flush=True)
 
-    with suppress(KeyboardInterrupt):  # the only way to end it
+    with suppress(KeyboardInterrupt):  # Ctrl-C stops the server
         serve(_readable(inspected), say, port=args.port or 0, browser=not args.no_browser)
     return Result({"closed": True}, lambda: None)
 
 
 def _readable(inspected: Inspected) -> Path:
-    """Return the recording's path, after reading it: the viewer tells less well of what is wrong with a file."""
+    """Read the recording and return its path. Reading reports a damaged file better than the viewer does."""
     return Path(inspected.recording.path)
 
 
-def _written(path: Path, told: dict[str, Any], words: str = "") -> Result:
-    return Result({"path": str(path), **told}, lambda: print(f"wrote {path}{words}"))
+def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
+    return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 
 def _add_plot(parser: argparse.ArgumentParser) -> None:
@@ -419,7 +411,8 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
         "--plot",
         type=Path,
         metavar="FILE",
-        help="draw curves into a .png, .svg or .pdf: of each --term, else what matters; with --compare both recordings",
+        help="draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; with --compare both "
+        "recordings",
     )
 
 
@@ -432,16 +425,16 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 def _add_screenshot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", type=Path, metavar="FILE", help="draw the robot into a .png, .jpg or .webp")
     parser.add_argument(
-        "--at", metavar="WHEN", help="at a simulated time (1.5s) or step (90steps), or when a term is first not zero"
+        "--at", metavar="WHEN", help="a simulated time (1.5s) or step (90steps), or a term: when it is first not zero"
     )
     parser.add_argument("--viewer", action="store_true", help="draw rerun's whole viewer instead of the robot alone")
-    parser.add_argument("--width", type=int, metavar="PX", help="of a picture or video")
-    parser.add_argument("--height", type=int, metavar="PX", help="of a picture or video")
+    parser.add_argument("--width", type=int, metavar="PX", help="width of a picture or video")
+    parser.add_argument("--height", type=int, metavar="PX", help="height of a picture or video")
 
 
 def _add_video(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--video", type=Path, metavar="FILE", help="draw the robot's motion into an .mp4, .mkv or .mov")
-    parser.add_argument("--fps", type=float, metavar="N", help="pictures a second (default: 30)")
+    parser.add_argument("--fps", type=float, metavar="N", help="pictures per second (default: 30)")
     parser.add_argument("--speed", type=float, metavar="X", help="0.25 is slow motion (default: 1)")
 
 
@@ -451,8 +444,8 @@ def _add_open(parser: argparse.ArgumentParser) -> None:
 
 def _add_web(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--web", action="store_true", help="serve rerun's viewer for a browser on this machine")
-    parser.add_argument("--port", type=int, metavar="N", help="of --web (default: a free one)")
-    parser.add_argument("--no-browser", action="store_true", help="with --web: open no browser")
+    parser.add_argument("--port", type=int, metavar="N", help="port of --web (default: a free one)")
+    parser.add_argument("--no-browser", action="store_true", help="with --web: do not open a browser")
 
 
 PICTURE_ACTIONS: tuple[Action, ...] = (

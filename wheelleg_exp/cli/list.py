@@ -1,4 +1,4 @@
-"""``wheelleg list``: what there is."""
+"""``wheelleg list``: list tasks, terms, groups, options, pipelines, runs, and sweeps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
 from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
@@ -26,12 +26,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="extend",
         default=[],
         metavar="CONDITION",
-        help="those for which all hold: task=stand status!=failed 'return>5' name='abl*' agent.algorithm.gamma=0.99",
+        help="only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
+        "agent.algorithm.gamma=0.99",
     )
-    of_runs.add_argument("--sort", metavar="KEY", help="by a column or a key of the config, the largest first")
+    of_runs.add_argument("--sort", metavar="KEY", help="sort by a column or a key of the config, the largest first")
     of_runs.add_argument("--reverse", action="store_true", help="the smallest, or the oldest, first")
-    of_runs.add_argument("--sweep", metavar="SWEEP", help="the runs of a sweep ('latest'), and in what they differ")
-    parser.add_argument("--root", type=Path, metavar="DIR", help="where the runs are (default: runs)")
+    of_runs.add_argument("--sweep", metavar="SWEEP", help="only the runs of a sweep ('latest'), with their differences")
+    parser.add_argument("--root", type=Path, metavar="DIR", help="the folder of the runs (default: runs)")
     add_config_dir(parser)
     add_json(parser)
 
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the list as a table or as JSON."""
     if args.kind not in KINDS:
         raise UsageError(
-            "nothing of that name to list",
+            "cannot list this",
             key=str(args.kind),
             expected="one of " + ", ".join(KINDS),
             nearest=nearest_name(str(args.kind), KINDS),
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _listed(args: argparse.Namespace) -> tuple[list[str], list[list[Any]], list[dict[str, Any]]]:
-    """Return columns and rows of the table, and the documents of ``--json``."""
+    """Return the columns and rows of the table, and the documents of ``--json``."""
     if args.kind in ("runs", "sweeps"):
         from wheelleg_exp.cli import list_runs
 
@@ -83,7 +84,7 @@ def _show(kind: str, columns: list[str], rows: list[list[Any]], documents: list[
 
 
 def _cell(value: Any) -> Any:
-    """Return a value as a cell: a dash for what is not known, a path as seen from here, a list without brackets."""
+    """Return a value as a cell: a dash for None, a path relative to the current folder, a list without brackets."""
     if isinstance(value, Path) and value.is_relative_to(Path.cwd()):
         return value.relative_to(Path.cwd())
     if isinstance(value, list):
@@ -129,7 +130,7 @@ def _terms(args: argparse.Namespace) -> Table:
 
 
 def _section(name: str) -> str | None:
-    """Return the section that a group or a section name stands for: reward, rewards."""
+    """Return the section for the name of a group or a section: ``rewards`` for ``reward`` and ``rewards``."""
     from wheelleg_exp.terms.term_binding import RESERVED
 
     return next((section for section in RESERVED if name in (section, section.removesuffix("s"))), None)
@@ -152,7 +153,7 @@ def _entries(columns: list[str], entries: list[Entry]) -> Table:
 
 
 def _pipelines(args: argparse.Namespace) -> Table:
-    """Return the declared pipelines, and those that were begun, the newest first."""
+    """Return the declared pipelines, then the started ones, the newest first."""
     from wheelleg_exp.cli.list_runs import runs_folder
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
     from wheelleg_exp.run.run_index import pipelines_below
@@ -162,7 +163,7 @@ def _pipelines(args: argparse.Namespace) -> Table:
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
-        except WheellegError as error:  # told in full when it is used
+        except WheellegError as error:  # reported in full when the pipeline is used
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
     for index in pipelines_below(runs_folder(args.root)):

@@ -1,4 +1,4 @@
-"""``wheelleg list runs`` and ``wheelleg list sweeps``: one line each, and everything with ``--json``."""
+"""``wheelleg list runs`` and ``wheelleg list sweeps``: one line for each run or sweep; ``--json`` prints all facts."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from wheelleg_exp.run.run_list import RunSummary, SweepSummary, list_runs, list_
 from wheelleg_exp.run.timestamps import utc_text
 
 ROOT = Path("runs")
-_NEVER = datetime.min.replace(tzinfo=UTC)  # what stands for an unknown start
-_LEAST_ID = 16  # columns
+_NEVER = datetime.min.replace(tzinfo=UTC)  # an unknown start
+_LEAST_ID = 16  # the least width of an id, in characters
 
 RUN_COLUMNS = ["id", "task", "status", *LISTED, "resume"]
 LEGEND = (
-    f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode it ended; "
-    "played, evaluated: how many of the last play's ended episodes, or of the last evaluation's, survived"
+    f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "
+    "time-out; played, evaluated: surviving episodes of the last play and of the last evaluation"
 )
-_SELDOM = ("played", "evaluated", "resume")  # what many runs have not
+_OPTIONAL = ("played", "evaluated", "resume")  # columns that are left out if they are empty
 SWEEP_COLUMNS = ["id", "status", "jobs", "swept", "took"]
 
 _PROBLEMS_SHOWN = 10
@@ -40,19 +40,19 @@ def runs(
     *,
     reverse: bool = False,
 ) -> Listed:
-    """Return columns and rows of the runs below ``root``, and the same in full.
+    """Return the columns and rows for the runs below ``root``, and the JSON documents.
 
-    Where all belong to one sweep, what differs between them stands in place of the task and of what can be resumed.
+    If all runs belong to one sweep, the swept keys replace the columns ``task`` and ``resume``.
 
     Args:
         root: the folder of all runs.
-        conditions: which of them, see ``choosing.chosen``.
-        sort: by which key, see ``choosing.ordered``; by default the newest first.
-        sweep: of which sweep: a path, an id or ``latest``.
-        reverse: whether the order is turned around.
+        conditions: the conditions that the runs must meet, see ``run_list.filter_runs``.
+        sort: the key to sort by, see ``run_list.sort_runs``; by default the newest run is first.
+        sweep: the sweep of the runs: a path, an id or ``latest``.
+        reverse: whether to reverse the order.
 
     Raises:
-        WheellegError: there is no such folder or sweep, or a condition or key is wrong.
+        WheellegError: the folder or the sweep does not exist, or a condition or key is wrong.
     """
     folder = runs_folder(root)
     swept = run_list.swept_runs(folder)
@@ -65,20 +65,20 @@ def runs(
     documents = [_document(run) | _swept_document(mine[run.path]) for run in found]
     keys = _differing([mine[run.path] for run in found])
     if keys is None:
-        return *_told(RUN_COLUMNS, [_run_row(run) for run in found]), documents
+        return *_without_empty(RUN_COLUMNS, [_run_row(run) for run in found]), documents
     columns = ["id", *_short(keys), "status", *LISTED]
     rows = [[row[0], *_values_of(mine[run.path], keys), *row[2:-1]] for run in found for row in [_run_row(run)]]
-    return *_told(columns, rows), documents
+    return *_without_empty(columns, rows), documents
 
 
-def _told(columns: list[str], rows: list[list[Any]]) -> tuple[list[str], list[list[Any]]]:
-    """Return a table without the columns in which no run has anything: rows are full, and an id is to be copied."""
-    kept = [at for at, name in enumerate(columns) if name not in _SELDOM or any(row[at] is not None for row in rows)]
-    return [columns[at] for at in kept], [[row[at] for at in kept] for row in rows]
+def _without_empty(columns: list[str], rows: list[list[Any]]) -> tuple[list[str], list[list[Any]]]:
+    """Return a table without empty optional columns, to leave space for whole ids, which users copy."""
+    used = [at for at, name in enumerate(columns) if name not in _OPTIONAL or any(row[at] is not None for row in rows)]
+    return [columns[at] for at in used], [[row[at] for at in used] for row in rows]
 
 
 def no_match(root: Path | None, sweep: str | None) -> str:
-    """Return what is said where no run matches the conditions."""
+    """Return the message for a filter that no run matches."""
     folder = runs_folder(root)
     return f"no run of {len(_of_sweep(list_runs(folder), sweep, folder))} matches"
 
@@ -98,14 +98,14 @@ def _of_sweep(found: list[RunSummary], name: str | None, root: Path) -> list[Run
 
 
 def _differing(swept: Sequence[run_list.SweptRun | None]) -> list[str] | None:
-    """Return the keys in which runs of one sweep differ; None where they are not of one."""
+    """Return the swept keys of runs of one sweep; None if the runs do not belong to one sweep."""
     if not swept or None in swept or len({own.sweep for own in swept if own}) > 1:
         return None
     return list(dict.fromkeys(key for own in swept if own for key in own.values))
 
 
 def _short(keys: Sequence[str]) -> list[str]:
-    """Return keys by as many of their last parts as tell them from the others and from the columns."""
+    """Return the shortest ends of the keys that differ from each other and from the column names."""
     taken = {"id", "status", *LISTED}
 
     def name(key: str, parts: int) -> str:
@@ -126,13 +126,13 @@ def _swept_document(own: run_list.SweptRun | None) -> dict[str, Any]:
 
 
 def sweeps(root: Path | None) -> Listed:
-    """Do the same for the sweeps."""
+    """Return the columns and rows for the sweeps below ``root``, and the JSON documents."""
     found = list_sweeps(runs_folder(root))
     return SWEEP_COLUMNS, [_sweep_row(sweep) for sweep in found], [_document(sweep) for sweep in found]
 
 
 def show(columns: Sequence[str], rows: Sequence[Sequence[Any]], documents: Sequence[Mapping[str, Any]]) -> None:
-    """Print a table, and below it what is wrong with some of them and what the figures are of."""
+    """Print a table of runs or sweeps, and below it their problems and a legend."""
     print_table(columns, _fitted(columns, rows), lines=False)
     for line in problems(documents):
         print(hanging(line, 4))
@@ -141,14 +141,14 @@ def show(columns: Sequence[str], rows: Sequence[Sequence[Any]], documents: Seque
 
 
 def problems(documents: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line for each run or sweep that says what is wrong with it, the newest ones."""
+    """Return a line for each of the newest runs or sweeps with a problem."""
     lines = [f"{entry['id']}: {entry['problem']}" for entry in documents if entry["problem"]]
     more = len(lines) - _PROBLEMS_SHOWN
-    return lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json tells them"] if more > 0 else [])
+    return lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json lists them"] if more > 0 else [])
 
 
 def runs_folder(root: Path | None) -> Path:
-    """Return the folder of all runs; WheellegError when one is given that is not there."""
+    """Return the folder of all runs; raise WheellegError if the given folder does not exist."""
     if root is not None and not root.is_dir():
         raise WheellegError(
             "there is no such folder",
@@ -191,14 +191,14 @@ def _sweep_row(sweep: SweepSummary) -> list[Any]:
 
 
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
-    """Return a summary in full; what a damaged one does not say is left open."""
+    """Return the JSON document of a run or sweep. Unknown facts of a damaged one are null."""
     started = None if summary.started == _NEVER else utc_text(summary.started)
     document = {**asdict(summary), "started": started}
     return document | {"seeds": list(summary.seeds) or None} if isinstance(summary, RunSummary) else document
 
 
 def _fitted(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Return rows whose ids leave room for the other columns: the middle gives way, the end tells runs apart."""
+    """Return rows with ids that are short enough for the screen. The middle is cut out, because the ends differ."""
     room = max(screen_width() - table_width(columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
     return [[_shortened(str(row[0]), room), *row[1:]] for row in rows]
 
@@ -218,7 +218,7 @@ def _percent(value: Any) -> str | None:
 
 
 def _survived(played: Mapping[str, Any]) -> str | None:
-    """Return how many of a play's ended episodes survived, ``60/64``; the share where the play does not tell."""
+    """Return the surviving and the ended episodes of a play, ``60/64``; only their share if the numbers are missing."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
         return _percent(survival)
@@ -227,7 +227,7 @@ def _survived(played: Mapping[str, Any]) -> str | None:
 
 
 def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
-    """Return an evaluation's protocol and the share that survived its first test, ``walk 100.0%``."""
+    """Return an evaluation's protocol and the surviving share of its first test, ``walk 100.0%``."""
     metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
     if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
         return None
@@ -238,8 +238,8 @@ def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
 def _duration(seconds: float | None) -> str | None:
     if seconds is None:
         return None
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, remainder = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours}h{minutes:02}m"
-    return f"{minutes}m{rest:02}s" if minutes else f"{rest}s"
+    return f"{minutes}m{remainder:02}s" if minutes else f"{remainder}s"

@@ -1,4 +1,4 @@
-"""The console script ``wheelleg``: finds the command, imports its module alone, returns the exit status."""
+"""Run the console script ``wheelleg``: find the command, import only its module, and return the exit status."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from importlib import import_module
 from types import FrameType
 
 from wheelleg_exp import __version__
-from wheelleg_exp.cli.common import Parser, UsageError
+from wheelleg_exp.cli.arguments import Parser, UsageError
 from wheelleg_exp.cli.printing.terminal import hanging, lasting_streams
 from wheelleg_exp.errors import (
     EXIT_FAILED,
@@ -35,9 +35,13 @@ from wheelleg_exp.user_exceptions import in_words
 
 @dataclass(frozen=True)
 class Command:
-    """A command: the module with ``configure(parser)`` and the function ``run(args) -> int``; its help.
+    """One command.
 
-    ``project`` says whether it works in the project of the user's that one stands in.
+    Attributes:
+        module: the module in ``cli`` with ``configure(parser)`` and the function ``run``.
+        help: the description in ``wheelleg --help``.
+        run: the name of the function ``run(args) -> exit status``.
+        project: whether the command uses the user's project in the current folder.
     """
 
     module: str
@@ -48,29 +52,29 @@ class Command:
 
 COMMANDS: dict[str, Command] = {
     "train": Command("train", "compose, check, train, and write one run directory"),
-    "resume": Command("resume", "go on with a run that was stopped or killed, as if it had never been"),
+    "resume": Command("resume", "continue a run that was stopped or killed, as if it had never stopped"),
     "play": Command("play", "run a policy and record it"),
-    "evaluate": Command("evaluate", "measure a policy on fixed scenarios, with intervals"),
-    "results": Command("results", "write a table of results with all that is needed to get it again, or get it again"),
+    "evaluate": Command("evaluate", "measure a policy on fixed scenarios, with confidence intervals"),
+    "results": Command("results", "write a table of results with everything needed to reproduce it, or reproduce it"),
     "export": Command("export", "write a policy for deployment: a folder that runs without this program"),
     "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
     "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),
-    "report": Command("report", "write one HTML file about a run, for people"),
-    "replay": Command("replay", "train a run again from its snapshot, with its own code, and compare", project=False),
-    "verify": Command("verify", "hold a run against its own manifest, or two runs against each other", project=False),
-    "inspect": Command("inspect", "tell what a recording holds, and answer questions about it"),
+    "report": Command("report", "write one HTML file about a run"),
+    "replay": Command("replay", "re-run a training from its snapshot, with its own code, and compare", project=False),
+    "verify": Command("verify", "check a run against its own manifest, or compare two runs", project=False),
+    "inspect": Command("inspect", "show the contents of a recording, and answer questions about it"),
     "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
-    "check": Command("configs.check", "find every mistake in a config, and with --physics look at its numbers"),
+    "check": Command("configs.check", "find every mistake in a config, and with --physics check its numbers"),
     "doctor": Command(
-        "configs.doctor", "look at a robot as an expert would: what is wrong, how it is known, what to write"
+        "configs.doctor", "examine a robot as an expert would: what is wrong, how it is known, what to write"
     ),
     "compose": Command("configs.compose", "print the composed config"),
     "explain": Command(
-        "configs.explain", "say what a key holds, who set it, what it means, what else could stand there"
+        "configs.explain", "explain a key: its value, where it was set, its meaning, and the values that it accepts"
     ),
     "diff": Command("configs.diff", "compare two runs, tasks or lists of overrides by meaning"),
     "list": Command("list", "list tasks, terms, groups, options or runs"),
-    "new": Command("new", "make a project of your own: a robot, a task, a term and a test", project=False),
+    "new": Command("new", "create your own project: a robot, a task, a term and a test", project=False),
     "completion": Command("completion", "print the shell's completion script", project=False),
 }
 
@@ -79,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status.
 
     Args:
-        argv: the words after ``wheelleg``; by default the process's own.
+        argv: the words after ``wheelleg``; by default those of the process.
     """
     prepare_threads()
     if argv is None:
@@ -90,9 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _collect_seldom() -> None:
-    """Look for garbage after ten thousand new objects instead of hundreds, and not as the process ends.
+    """Run the garbage collector after ten thousand new objects instead of hundreds, and not at the end of the process.
 
-    What is imported stays: a second of a short training went into looking through it again and again.
+    Imported modules are never freed, but the collector scanned them repeatedly. This took a second of a short training.
     """
     gc.set_threshold(10_000)
     atexit.register(gc.freeze)
@@ -109,7 +113,7 @@ def _answer(words: list[str], debug: bool) -> int:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except BaseException as error:  # SystemExit as well: who has called it was not asked to
+    except BaseException as error:  # a user's module can also raise SystemExit
         hint = "" if debug else " (--debug shows the traceback)"
         return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
@@ -148,22 +152,22 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Add the current project's configs and terms; remember the folders that the user names for a training."""
+    """Add the configs and terms of the project in the current folder. A training trusts the folders of its options."""
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):
             trust(args.config_dirs[:named])
         return
-    with suppress(ConfigError):  # what a command without configs does not need is no mistake
+    with suppress(ConfigError):  # a broken project does not matter for a command without configs
         with_current([])
 
 
 def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
-    """Parse words in any order of options and overrides; None when --help or --version has answered."""
+    """Parse options and overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
     except SystemExit:
-        # argparse leaves by SystemExit only after --help and --version: mistakes raise UsageError.
+        # argparse raises SystemExit only after --help and --version, because Parser.error raises UsageError.
         return None
 
 
@@ -173,7 +177,7 @@ def _script_parser() -> Parser:
         prog="wheelleg",
         usage="wheelleg COMMAND [OVERRIDE ...] [options]",
         description=hanging("Config-first, reproducible reinforcement learning for wheel-legged robots.", 0),
-        epilog=f"commands:\n{lines}\n\n'wheelleg COMMAND --help' tells more.",
+        epilog=f"commands:\n{lines}\n\nFor the options of a command: wheelleg COMMAND --help",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"wheelleg {__version__}")
@@ -193,7 +197,7 @@ def _failed(message: str, status: int, debug: bool) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C; only the main thread may set handlers."""
+    """Treat SIGTERM and SIGHUP as Ctrl-C. Only the main thread can set handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""``wheelleg new NAME``: a project of the user's own, with a robot, a task, a term and a test."""
+"""``wheelleg new NAME``: create a user project with a robot, a task, a term and a test."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-missing",
         action="store_true",
-        help="make the project although files of the robot's colliders are missing",
+        help="create the project although files of the robot's colliders are missing",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the project, and say what was made and what comes next.
+    """Create the project, and print its contents and the next commands.
 
     Raises:
-        WheellegError: the name, the place or the robot's file is not good; nothing has been made.
+        WheellegError: the name, the folder or the robot's file is not valid. Nothing was created.
     """
     from wheelleg_exp.stop_request import StopRequest
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 def _show(made: Created) -> None:
     robot, facts = made.robot, made.robot.facts
     shown = os.path.relpath(made.path)
-    print(f"made {shown}: {len(made.files)} files")
+    print(f"created {shown}: {len(made.files)} files")
     print(f"  robot: {facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
     print(f"  legs: {', '.join(robot.legs) or 'none'}")
     if robot.held:
@@ -57,4 +57,4 @@ def _show(made: Created) -> None:
     print(f"      wheelleg check --physics task={name}")
     print(f"      wheelleg train task={name}    # learns to stand: some minutes on two cores")
     print(f"      python -m pytest              # {name} and its test")
-    print("      README.md tells more; nothing has to be installed")
+    print("      README.md explains more; nothing has to be installed")

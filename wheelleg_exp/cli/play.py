@@ -8,12 +8,14 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import UsageError, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.drive.run_drive import Drive
     from wheelleg_exp.run.run_directory import RunDirectory
+
+_PORT = 8080
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +25,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
     )
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
-    add_driving(parser)
+    parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
+    parser.add_argument("--script", type=Path, metavar="FILE", help="drive it by a list of commands (docs/drive.md)")
+    parser.add_argument("--scene", metavar="NAME", help="the ground to drive on; by default the run's own")
+    parser.add_argument("--port", type=int, help=f"port of the page, on this machine alone (default: {_PORT})")
     add_root(parser)
     add_json(parser)
 
@@ -34,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
 
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
-    if is_driven(args):
-        return run_drive(args, directory, checkpoint)
+    if _is_driven(args):
+        return _run_drive(args, directory, checkpoint)
 
     from wheelleg_exp.cli.printing.figures_table import print_figures, print_recording, shown
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
@@ -55,40 +60,23 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-_PORT = 8080
-_OWN = {"--scene": "scene", "--port": "port"}  # options that mean nothing when nobody drives
-
-
-def add_driving(parser: argparse.ArgumentParser) -> None:
-    """Add what a drive takes."""
-    parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
-    parser.add_argument("--script", type=Path, metavar="FILE", help="drive it by a list of commands (docs/drive.md)")
-    parser.add_argument("--scene", metavar="NAME", help="the ground to drive on; by default the run's own")
-    parser.add_argument("--port", type=int, help=f"port of the page, on this machine alone (default: {_PORT})")
-
-
-def is_driven(args: argparse.Namespace) -> bool:
-    """Return whether the robot is to be driven.
-
-    Raises:
-        UsageError: an option is given that only a drive has.
-    """
+def _is_driven(args: argparse.Namespace) -> bool:
+    """Return whether the user drives the robot; raise UsageError if another option needs a drive."""
     if args.drive or args.script is not None:
         return True
-    for option, name in _OWN.items():
-        if getattr(args, name) is not None:
-            raise UsageError("is for driving", key=option, expected="--drive or --script FILE beside it")
+    for option, value in (("--scene", args.scene), ("--port", args.port)):
+        if value is not None:
+            raise UsageError("is for driving", key=option, expected="also --drive or --script FILE")
     return False
 
 
-def run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
-    """Drive, and print what was driven."""
+def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
     from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive
 
-    wish = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
+    request = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
     with ConsoleDisplay(quiet=True) as display, _page(args, run) as page:
-        drives = drive(wish, display, page)
+        drives = drive(request, display, page)
     if args.json:
         documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]
         print_json({"run": str(run.path), "drives": documents})
@@ -114,12 +102,12 @@ def _print(made: Drive) -> None:
 
     print(f"drove {shown(made.checkpoint)} without exploration noise")
     print_table(("figure", "value"), drive_rows(made.figures))
-    print(f"\nagain: {tool('wheelleg')} {shlex.join(_again(made))}")
+    print(f"\nrepeat: {tool('wheelleg')} {shlex.join(_repeat_command(made))}")
     print_recording(made.recording)
 
 
-def _again(made: Drive) -> list[str]:
-    """Return the words that drive the same again."""
+def _repeat_command(made: Drive) -> list[str]:
+    """Return the arguments of ``wheelleg`` that repeat a drive."""
     from wheelleg_exp.cli.printing.figures_table import shown
     from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.cli.arguments import add_json, print_json
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Train a run again from its snapshot alone, and compare. This runs the code of the run's commit plus the "
+        "Re-run a training from its snapshot alone, and compare. This runs the code of the run's commit plus the "
         "run's patch, with all your rights: replay only runs from people whose code you would run."
     )
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
@@ -27,24 +27,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="DIR",
-        help="a clone that holds the run's commit (may be repeated); by default the recorded folder, then the current "
+        help="a clone that contains the run's commit (repeatable); by default the recorded folder, then the current "
         "checkout",
     )
     parser.add_argument(
         "--iterations", type=int, metavar="N", help="train N iterations and compare these; by default all"
     )
-    parser.add_argument("--keep", action="store_true", help="leave the restored source, and say where it is")
+    parser.add_argument("--keep", action="store_true", help="do not delete the restored source, and print its path")
     parser.add_argument(
         "--root",
         type=Path,
         default=Path("runs"),
-        help="where runs are looked up, and the replay is made, in replays/ (default: runs)",
+        help="the folder of the runs; the replay is written to its subfolder replays/ (default: runs)",
     )
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Restore, train, compare, and say how equal it is."""
+    """Restore the source, train, compare, and print the result."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:

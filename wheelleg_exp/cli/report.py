@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import add_json, add_root, print_json
 from wheelleg_exp.errors import EXIT_OK
 from wheelleg_exp.paths import show_file
 
@@ -23,15 +23,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="FILE",
-        help="where to write it (default: report.html in the run's or the sweep's folder; comparison.html of several)",
+        help="the file to write (default: report.html in the run's or sweep's folder; comparison.html for several)",
     )
     add_root(parser)
-    parser.add_argument("--no-pictures", action="store_true", help="leave the pictures of the robot out")
+    parser.add_argument("--no-pictures", action="store_true", help="leave out the pictures of the robot")
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report and say where it is."""
+    """Write the report and print its path."""
     from wheelleg_exp.report import make_report
 
     made = make_report(args.run, args.root, args.output, args.command, pictures=not args.no_pictures)

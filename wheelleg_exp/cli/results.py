@@ -1,4 +1,4 @@
-"""``wheelleg results NAME RUN...``: a table of results into docs/results, and the same again."""
+"""``wheelleg results NAME RUN...``: write a table of results to docs/results, or reproduce one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_config_dir, add_root
+from wheelleg_exp.cli.arguments import add_config_dir, add_root
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
 
@@ -17,32 +17,34 @@ FOLDER = Path("docs/results")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("name", metavar="NAME", help="what the result is called: the name of its page")
+    parser.add_argument("name", metavar="NAME", help="the name of the result and of its page")
     parser.add_argument(
         "runs",
         nargs="*",
         metavar="RUN|OVERRIDE",
-        help="runs that differ by their seed, and protocol=walk; with --again further names: what runs they share is "
-        "trained once",
+        help="runs that differ by their seed, and protocol=walk; with --again further names: runs that several results "
+        "share are trained once",
     )
-    parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=f"where it stands (default: {FOLDER})")
+    parser.add_argument(
+        "--into", type=Path, default=FOLDER, metavar="DIR", help=f"the folder of the result (default: {FOLDER})"
+    )
     parser.add_argument(
         "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too, and compare"
     )
-    parser.add_argument("--kept", action="store_true", help="take what a run has kept of this protocol")
+    parser.add_argument("--kept", action="store_true", help="use a run's stored evaluation of this protocol")
     parser.add_argument(
-        "--again", action="store_true", help="train and evaluate what the records name, and compare to the bit"
+        "--again", action="store_true", help="re-run the recorded trainings and evaluations, and compare bit by bit"
     )
     add_config_dir(parser)
     add_root(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate runs and write their table, or get a written one again."""
+    """Evaluate runs and write their table, or reproduce a written table."""
     from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
-        raise WheellegError(f"{args.name!r} is no name of a page", key="NAME", expected=NAME_WORDS)
+        raise WheellegError(f"{args.name!r} is not a valid name for a page", key="NAME", expected=NAME_WORDS)
     return _again(args) if args.again else _write(args)
 
 
@@ -60,22 +62,19 @@ def _write(args: argparse.Namespace) -> int:
     names = [word for word in args.runs if not is_override(word)]
     words = [word for word in args.runs if is_override(word)]
     if not names:
-        raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
-    earlier_manifests(args.name, args.into)  # what is no result is not written over
+        raise WheellegError("names no run", key="RUN", expected="the runs of the table")
+    earlier_manifests(args.name, args.into)  # raises if the file to overwrite is not a result
     chosen = found(args, names)
-    require_one_method([directory for directory, _ in chosen])  # and what cannot be made again is no result
+    require_one_method([directory for directory, _ in chosen])  # raises if a run cannot be reproduced
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
     compared = compare_with_reference(args.name, made, reference, args.command)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
-    print(f"again: {tool('wheelleg')} results {args.name} --again" + _told_into(args.into))
+    into = "" if args.into == FOLDER else f" --into {args.into}"
+    print(f"reproduce: {tool('wheelleg')} results {args.name} --again{into}")
     return EXIT_OK
-
-
-def _told_into(folder: Path) -> str:
-    return "" if folder == FOLDER else f" --into {folder}"
 
 
 def _again(args: argparse.Namespace) -> int:
@@ -85,7 +84,7 @@ def _again(args: argparse.Namespace) -> int:
 
     names = list(dict.fromkeys((args.name, *args.runs)))
     _require_results(args, names)
-    records = {name: read_result(name, args.into) for name in names}  # all, before anything is trained
+    records = {name: read_result(name, args.into) for name in names}  # read every record before the first training
     differ = False
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
@@ -98,11 +97,10 @@ def _again(args: argparse.Namespace) -> int:
 
 
 def _require_results(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """Raise WheellegError unless all are written results, and nothing is asked for that stands in their records."""
+    """Raise WheellegError if a result does not exist, or if an option contradicts the record."""
     if args.reference or args.kept:
-        raise WheellegError(
-            "what is made again stands in the record", key="--again", expected="no options of evaluations beside it"
-        )
+        message = "the record determines the evaluations"
+        raise WheellegError(message, key="--again", expected="--again without options of evaluations")
     pages = sorted(path.stem for path in args.into.glob("*.json"))
     missing = [name for name in names if name not in pages]
     if missing:

@@ -6,8 +6,8 @@ import argparse
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, together
-from wheelleg_exp.cli.train import tell_trained, train_on
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, together
+from wheelleg_exp.cli.train import print_trained, train_on
 from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "overrides",
         nargs="*",
         metavar="OVERRIDE",
-        help="changes from here on: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ...",
+        help="changes for the remaining training: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ...",
     )
     add_root(parser)
     add_config_dir(parser)
@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Go on with a run from its last whole checkpoint, as if it had never stopped."""
+    """Resume a run from its last complete checkpoint, as if it had never stopped."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
@@ -64,11 +64,11 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
             directory, args.overrides, args.command, display, args.config_dirs, ranks or ALONE
         )
         results = train_on(ready, display, stop)
-    return tell_trained(directory, results, as_json=args.json)
+    return print_trained(directory, results, as_json=args.json)
 
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
-    """Go on with the first process."""
+    """Resume on another rank than 0."""
     with ranks.agreed():
         _opened(args)
 
@@ -80,7 +80,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
 
 
 def _opened(args: argparse.Namespace) -> RunDirectory:
-    """Return the run, and let MKL go on with its kernels, which importing the trainer settles."""
+    """Return the run, and make MKL use the run's kernels. This must precede the import of the trainer."""
     from wheelleg_exp.machine import keep_kernels
     from wheelleg_exp.run.run_directory import RunDirectory
 

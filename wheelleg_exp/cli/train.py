@@ -6,7 +6,7 @@ import argparse
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json, together
+from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
 from wheelleg_exp.cli.printing.figures_table import shown, tool
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, SimulationFailure
 from wheelleg_exp.torchrun import require_alone, world_size
@@ -34,11 +34,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compose, check, train, and say what was made."""
+    """Compose, check, train, and print the result."""
     from wheelleg_exp.stop_request import StopRequest
     from wheelleg_exp.terms.key_syntax import names_pipeline
 
-    # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
+    # Handle interrupts before any heavy import. A C++ library can lose an interrupt during its import.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
             from wheelleg_exp.cli.train_pipeline import train_pipeline
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    """Train one run; among several processes, as the first of them."""
+    """Train one run, on rank 0 if there are several processes."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed() if ranks else nullcontext():
@@ -77,11 +77,11 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
         for finding in examine(composed).open:
             display.note(hanging(f"warning: {finding.line()}", 4))
         results = train_on(ready, display, stop)
-    return tell_trained(directory, results, as_json=args.json)
+    return print_trained(directory, results, as_json=args.json)
 
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
-    """Train with the first process."""
+    """Train on another rank than 0."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed():
@@ -101,7 +101,10 @@ def _digests(composed: Composed) -> dict[str, str]:
 
 
 def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
-    """Train, and say how a training that does not end goes on; return the results, None when it was interrupted."""
+    """Train and return the results, or None if the training was interrupted.
+
+    If the training stops early, print the command that resumes it.
+    """
     from wheelleg_exp.jobs.train import run_training
     from wheelleg_exp.run.run_directory import FAILURE
 
@@ -116,19 +119,19 @@ def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, 
     except SimulationFailure:
         state = ready.directory.path / FAILURE
         if state.is_file():
-            display.note(f"what it failed with: {shown(state)}")
+            display.note(f"state at the failure: {shown(state)}")
         if ready.directory.path.is_dir():
             display.note(resume_hint(ready.directory))
         raise
 
 
 def resume_hint(directory: RunDirectory) -> str:
-    """Return the command that goes on with a run."""
-    return f"go on with: {tool('wheelleg')} resume {shown(directory.path)}"
+    """Return a line with the command that resumes a run."""
+    return f"resume with: {tool('wheelleg')} resume {shown(directory.path)}"
 
 
-def tell_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
-    """Say what a training made and what may come next, unless it was interrupted; return the exit status."""
+def print_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
+    """Print the results of a training and the next commands, unless it was interrupted; return the exit status."""
     if results is None:
         return EXIT_INTERRUPTED
     if as_json:

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import print_json
+from wheelleg_exp.cli.arguments import print_json
 from wheelleg_exp.cli.printing.terminal import print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INTERRUPTED, EXIT_OK, ConfigError
 from wheelleg_exp.terms.key_syntax import names_pipeline
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Compose and check every phase, run them, and say what was made."""
+    """Compose and check every phase, run the phases, and print the result."""
     if args.multirun:
-        raise ConfigError("a pipeline is no job of a sweep", key="-m", expected="one pipeline after the other")
+        raise ConfigError("a pipeline cannot be a job of a sweep", key="-m", expected="one command per pipeline")
 
     from wheelleg_exp.run.run_index import PipelineIndex
 
@@ -45,14 +45,14 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 
 
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
-    """Return a pipeline and the config of each phase, checked and held against each other and against the gates.
+    """Return a pipeline and the config of each phase, checked against each other and against the gates.
 
     Args:
-        words: the overrides, those of the pipeline and those of all phases.
+        words: the overrides of the pipeline and of all phases.
         config_dirs: the user's config folders.
 
     Raises:
-        ConfigError: all mistakes that are known before the first phase begins.
+        ConfigError: all mistakes that can be found before the first phase starts.
     """
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
 
@@ -68,12 +68,12 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
 
 
 def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:
-    """Go on with a pipeline where it was."""
-    from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline as go_on
+    """Resume a pipeline at the phase in which it stopped."""
+    from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline as prepare
     from wheelleg_exp.run.run_index import PipelineIndex
 
     index = PipelineIndex.load(folder)
-    return _run(args, index, go_on(index, args.overrides, args.command, args.config_dirs), stop)
+    return _run(args, index, prepare(index, args.overrides, args.command, args.config_dirs), stop)
 
 
 def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
@@ -89,18 +89,18 @@ def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSetti
         try:
             status = PipelineRunner(index, pipeline, display, stop).run()
         except WheellegError:
-            display.note(f"go on with: {again}")
+            display.note(f"resume with: {again}")
             raise
         if status == "interrupted":
-            display.note(f"interrupted; go on with: {again}")
+            display.note(f"interrupted; resume with: {again}")
     if args.json:
         print_json({"pipeline": str(index.folder), **index.data})
     elif status != "interrupted":
-        _tell(index, status, again)
+        _print_result(index, status, again)
     return {"finished": EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
 
 
-def _tell(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
+def _print_result(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
     from wheelleg_exp.cli.printing.figures_table import shown, tool
 
     rows = []

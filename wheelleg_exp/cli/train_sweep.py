@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import print_json
+from wheelleg_exp.cli.arguments import print_json
 from wheelleg_exp.cli.printing.terminal import print_table
 from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError
 from wheelleg_exp.packages import with_current
@@ -28,7 +28,7 @@ _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTER
 
 
 def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Expand, check every job, train them, and say what was made."""
+    """Expand the sweep, check and train every job, and print the result."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
     from wheelleg_exp.config.composing.compose_sweep import compose_sweep
 
@@ -73,7 +73,7 @@ def _at_once(sweep: Sweep) -> int:
 
 
 def _joblib() -> ModuleType:
-    """Import joblib, and take out of the environment what that puts in: jobs find what a run alone would find."""
+    """Import joblib, and remove the environment variables that the import sets, which jobs must not inherit."""
     before = set(os.environ)
     import joblib
 
@@ -105,7 +105,7 @@ def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> 
 
 
 def _named(config_dirs: Sequence[Path]) -> list[Path]:
-    """Leave out the folder of the project that one stands in, which is searched without being named."""
+    """Return the config folders without that of the project in the current folder, which needs no option."""
     own: list[Path] = []
     with suppress(ConfigError):
         own = with_current([])
@@ -118,10 +118,10 @@ def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
 
 
 def _crowded(sweep: Sweep, at_once: int) -> str | None:
-    """Say that the jobs ask for more threads than there are cores, where they run on this machine."""
+    """Return a warning if jobs on this machine use more threads than there are cores; otherwise None."""
     from wheelleg_exp.config.composing.compose_sweep import QUEUES
 
-    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":  # other machines, or a queue that counts cores
+    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":  # other machines, or a queue that limits cores
         return None
     cores = int(_joblib().cpu_count())
     configs = [job.config for job in sweep.jobs]
@@ -154,7 +154,7 @@ def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
     left = [job for job in index.jobs if job["status"] != "finished"]
     again = [shlex.join([*_program(), *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
     more = len(left) - len(again)
-    _print_labelled("again:", [*again, *([f"and {more} more, whose overrides the index holds"] if more else [])])
+    _print_labelled("retry:", [*again, *([f"and {more} more, whose overrides are in the index"] if more else [])])
 
 
 def _print_labelled(label: str, lines: Sequence[str]) -> None:
@@ -172,7 +172,7 @@ def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
 
 
 def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the commands that one would want next."""
+    """Return commands for the results: TensorBoard, a comparison, and a play."""
     from wheelleg_exp.cli.printing.figures_table import shown, tool
 
     runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]

@@ -1,11 +1,11 @@
-"""``wheelleg verify``: a run against its own manifest, or two runs against each other."""
+"""``wheelleg verify``: check a run against its own manifest, or compare two runs."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import UsageError, add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, print_json
 from wheelleg_exp.cli.printing.terminal import hanging
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found; exit status 0 for sound, identical or within tolerance, else 1."""
+    """Print the result; return exit status 0 for sound, identical, or within tolerance, otherwise 1."""
     from wheelleg_exp.run.run_directory import RunDirectory
     from wheelleg_exp.verify import compare_runs, verify_run
 
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 def _require_sensible(args: argparse.Namespace) -> None:
     for option, given in (("--common", args.common), ("--iterations", args.iterations is not None)):
         if given and args.b is None:
-            raise UsageError("compares two runs, and one was given", key=option, expected="wheelleg verify A B")
+            raise UsageError("needs two runs, but only one was given", key=option, expected="wheelleg verify A B")
     if args.iterations is not None and args.iterations < 1:
         raise UsageError("there is nothing to compare", key="--iterations", expected="a whole number above 0")
 

@@ -62,7 +62,7 @@ def test_a_script_is_driven_recorded_and_kept_and_drives_the_same_again(run, scr
 @pytest.mark.train
 def test_what_is_told_to_drive_again_drives_the_same(run, script):
     said = wheelleg("play", "latest", "--script", script, "--scene", "rough", "--checkpoint", "1", *RANGES)
-    (line,) = [line for line in said.out.splitlines() if line.startswith("again: ")]
+    (line,) = [line for line in said.out.splitlines() if line.startswith("repeat: ")]
     again = wheelleg(*shlex.split(line)[2:], "--json")
     assert again.status == 0, again.err
     first, second = (json.loads(path.read_text()) for path in sorted(run.play.glob("*/figures.json")))

@@ -1,7 +1,7 @@
-"""The commands that look at configs and simulate nothing.
+"""Commands that read configs and simulate nothing.
 
-| module | offers |
+| module | contents |
 |---|---|
-| ``compose``, ``explain``, ``diff`` | what a config holds, who set it, in what two differ |
-| ``check``, ``doctor`` | mistakes in it, and numbers and robots that make no sense |
+| `compose`, `explain`, `diff` | the values of a config, their places, and their differences from another config |
+| `check`, `doctor` | mistakes in a config; implausible numbers and robots |
 """

@@ -1,4 +1,4 @@
-"""``wheelleg check``: every mistake in a config, and with ``--physics`` what an expert would say of its numbers."""
+"""``wheelleg check``: report every mistake in a config, and with ``--physics`` implausible numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import UsageError, add_json, add_overrides, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_overrides, print_json
 from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK, ConfigError
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
-    parser.add_argument("--physics", action="store_true", help="look at the numbers as well; exit 1 with findings")
-    parser.add_argument("--all", action="store_true", help="with --physics: show what is silenced as well")
+    parser.add_argument("--physics", action="store_true", help="also check the numbers; exit status 1 with findings")
+    parser.add_argument("--all", action="store_true", help="with --physics: also show silenced findings")
     parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the mistakes, or the findings; 0 without either, 1 with findings, 2 with mistakes."""
+    """Print the mistakes or the findings; return 0 without any, 1 with findings, 2 with mistakes."""
     if args.list:
         return _list(as_json=args.json)
     if any(map(names_pipeline, args.overrides)):
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
-    """Return why the task cannot begin with the networks that it names; print what their policy reads otherwise."""
+    """Return the mistakes in ``init_from``, and print how the observations of that policy differ from the task's."""
     from wheelleg_exp.config.config_errors import parts
     from wheelleg_exp.jobs.train.initial_networks import initial_file
 
@@ -75,7 +75,7 @@ def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
 
 
 def _check_pipeline(args: argparse.Namespace) -> int:
-    """Check every phase of a pipeline, what each begins with and what its gate asks for, as training it would."""
+    """Check every phase of a pipeline, its initial networks, and its gate, like ``wheelleg train``."""
     if args.physics or args.all:
         raise UsageError("is for one task", key="--physics", expected="task=... and the overrides of one phase")
     from wheelleg_exp.cli.train_pipeline import composed_phases

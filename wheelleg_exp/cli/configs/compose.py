@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
+from wheelleg_exp.cli.arguments import add_json, add_overrides, add_primary, primary_of, print_json, source_document
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_width
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
@@ -25,17 +25,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
     add_primary(parser)
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
-    parser.add_argument("--resolve", action="store_true", help="replace ${...} by what it stands for")
-    parser.add_argument("--provenance", action="store_true", help="say where each leaf comes from, and what it hides")
+    parser.add_argument("--resolve", action="store_true", help="replace ${...} by its value")
+    parser.add_argument(
+        "--provenance", action="store_true", help="print the place of each leaf, and the values that it replaced"
+    )
     parser.add_argument("--shapes", action="store_true", help="print the layout of observations and actions")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the config as YAML, as JSON, or leaf by leaf with its place; or the layout of its vectors."""
+    """Print the config as YAML, as JSON, or leaf by leaf with places; or print the layout of its vectors."""
     if args.shapes and (args.package or args.resolve or args.provenance):
-        raise WheellegError(
-            "stands alone", key="--shapes", expected="no --package, --resolve or --provenance beside it"
-        )
+        expected = "--shapes without --package, --resolve and --provenance"
+        raise WheellegError("cannot be combined", key="--shapes", expected=expected)
     composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
@@ -70,7 +71,7 @@ def _part(tree: Any, package: str | None) -> Any:
 def _yaml(tree: Any) -> str:
     import yaml
 
-    # A line goes on to the end of the entry in which it grows too long.
+    # PyYAML breaks a line only after the entry that exceeds the width, so the width is less than 80.
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     return text.removesuffix("...\n")
 
@@ -100,7 +101,7 @@ def _print_hidden(source: Source) -> None:
 
 
 def _print_line(text: str, place: str) -> None:
-    """Print a text and its place behind it, or below it where both do not fit the screen."""
+    """Print a text and its place on one line, or on two lines if both do not fit the screen."""
     line = text + place
     print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 

@@ -1,4 +1,4 @@
-"""``wheelleg diff A B``: two runs, tasks or lists of overrides, compared by meaning."""
+"""``wheelleg diff A B``: compare two runs, tasks or lists of overrides by meaning."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, print_json
 from wheelleg_exp.cli.printing.terminal import print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 from wheelleg_exp.report.value_format import plain as shown
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
-_WIDEST = 44  # letters of a value before it is cut
+_WIDEST = 44  # the most characters of a value; a longer one is cut
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("a", metavar="A", help=_SIDE)
-    parser.add_argument("b", metavar="B", help="the same")
+    parser.add_argument("b", metavar="B", help="the second one, in the same form")
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the differences; exit status 0 for equal, 1 for different."""
+    """Print the differences; return 0 for equal, 1 for different."""
     from wheelleg_exp.config.explaining.config_diff import compare
     from wheelleg_exp.jobs.diff_inputs import load_sides
 
@@ -86,10 +86,10 @@ def _placed(value: Any, where: str | None) -> str:
 
 
 def _brief(value: Any) -> str:
-    """Return a value on one line; of a term its target's name and its weight or mode."""
+    """Return a value on one line; for a term, the name of its target and its weight or mode."""
     if isinstance(value, Mapping) and "_target_" in value:
-        told = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
-        return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *told])
+        fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
+        return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *fields])
     return _cut(value)
 
 

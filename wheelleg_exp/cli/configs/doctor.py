@@ -1,4 +1,4 @@
-"""``wheelleg doctor``: looks at a robot as an expert would, and says what is wrong, how it is known, what to write."""
+"""``wheelleg doctor``: examine a robot as an expert would: what is wrong, how it is known, what to write."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
 
@@ -26,13 +26,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--screenshot", type=Path, metavar="FILE", help="write a picture: colliders, centre of mass, support, contacts"
     )
-    parser.add_argument("--all", action="store_true", help="show what the task silences as well")
+    parser.add_argument("--all", action="store_true", help="also show the findings that the task silences")
     add_config_dir(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found; 0 for nothing, 1 with findings, 2 with wrong input.
+    """Print the findings; return 0 without findings, 1 with findings, 2 for wrong input.
 
     Raises:
         WheellegError: the robot cannot be read, the config has mistakes, or the picture cannot be drawn.
@@ -70,7 +70,7 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
     if config_dirs:
-        raise UsageError("is of a task", key="--config-dir", expected=f"'{words[0]}' without it, or task=…")
+        raise UsageError("applies only to a task", key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
     return diagnose_file(Path(words[0]))
 
 

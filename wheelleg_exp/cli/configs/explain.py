@@ -1,4 +1,4 @@
-"""``wheelleg explain KEY``: what a key holds, who set it, what it means, what else could stand there."""
+"""``wheelleg explain KEY``: print the value of a key, the places that set it, its meaning, and the accepted values."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
+from wheelleg_exp.cli.arguments import add_json, add_overrides, add_primary, primary_of, print_json, source_document
 from wheelleg_exp.cli.printing.terminal import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.provenance import Mount, Source
@@ -16,8 +16,8 @@ from wheelleg_exp.errors import EXIT_OK
 from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
-_LABEL = 14  # columns of a label and its indent
-_SHOWN = 24  # values or keys of a list before the rest is only counted
+_LABEL = 14  # width of a label with its indent
+_SHOWN = 24  # the most values or keys of a list; further ones are counted
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -42,20 +42,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _asked(words: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the key and the overrides, wherever among them the key stands."""
+    """Return the key and the overrides. The key can be at any place among them."""
     keys = [index for index, word in enumerate(words) if not is_override(word)]
     place = keys[0] if len(keys) == 1 else 0
     return words[place], [*words[:place], *words[place + 1 :]]
 
 
 def _fitting(line: str) -> str:
-    """Return a line in as many as fit the screen: what follows a label stands below what follows it first."""
+    """Wrap a line to the width of the screen. The text after a label stays in its column."""
     blanks = len(line) - len(line.lstrip())
     return hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line
 
 
 def text(explained: Explanation) -> Iterator[str]:
-    """Yield the lines for a terminal."""
+    """Yield the explanation as lines of text."""
     yield _headline(explained)
     if not explained.is_read:
         yield "  warning     nothing reads this key"
@@ -78,8 +78,8 @@ def _headline(explained: Explanation) -> str:
     if explained.kind == "not selected":
         return f"{explained.key}: a term that is not selected"
     if explained.kind == "not set":
-        held = f"default {shown(explained.value)}" if explained.has_value else "it has no default"
-        return f"{explained.key}: not set; {held}"
+        default = f"default {shown(explained.value)}" if explained.has_value else "it has no default"
+        return f"{explained.key}: not set; {default}"
     if explained.kind == "group":
         return f"{explained.key}: a group"
     if explained.kind in ("term", "section") and isinstance(explained.value, Mapping):
@@ -112,7 +112,7 @@ def _references(explained: Explanation) -> Iterator[str]:
 def _sources(explained: Explanation) -> Iterator[str]:
     if not explained.sources:
         return
-    yield "  set by, the last in force:" if explained.kind != "removed" else "  set by, then removed:"
+    yield "  set by (the last one counts):" if explained.kind != "removed" else "  set by, then removed:"
     width = max(len(source.where) for source in explained.sources)
     for source in explained.sources:
         other = f"  ({source.path})" if source.path != explained.key else ""
@@ -133,29 +133,29 @@ def _children(explained: Explanation) -> Iterator[str]:
 
 def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
     if explained.option is not None:
-        chosen = "brings it" if explained.option in mount.selected else "does not select it"
-        yield f"  group       {mount.name} {chosen}, as option '{explained.option}'"
+        chosen = "selects" if explained.option in mount.selected else "does not select"
+        yield f"  group       {mount.name} {chosen} it, as option '{explained.option}'"
     else:
         yield f"  group       {mount.name}, with {', '.join(mount.selected) or 'nothing'} selected"
     for choice in mount.choices:
         yield f"    {choice.where}  {shown(choice.value)}"
     others = [option for option in mount.options if option not in mount.selected]
     if others:
-        yield "  options     " + _cut(others) + " could be selected as well"
+        yield "  options     " + _cut(others) + " can also be selected"
     if others or mount.several:
         yield "  write       " + "  or  ".join(_forms(mount, explained.option, others))
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return overrides that would change the selection."""
+    """Return overrides that change the selection."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]
     forms = [f"+{mount.name}={other}"]
     if option is not None and option in mount.selected:
         forms = [f"~{mount.package}.{option}"]
-    kept = [name for name in mount.selected if name != option]
-    return [*forms, f"{mount.name}=[{','.join([*kept[:2], '...'])}]"]
+    remaining = [name for name in mount.selected if name != option]
+    return [*forms, f"{mount.name}=[{','.join([*remaining[:2], '...'])}]"]
 
 
 def _cut(values: list[str]) -> str:

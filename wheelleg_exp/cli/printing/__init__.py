@@ -1,9 +1,9 @@
-"""How things look in a terminal, and in what is piped.
+"""Print to a terminal or a pipe.
 
-| module | offers |
+| module | contents |
 |---|---|
-| ``streams`` | standard output and error, whose readers may go away |
-| ``tables`` | text that fits the screen |
-| ``display``, ``sweep_display``, ``outcome`` | a job as it goes, and how it ended |
-| ``figures``, ``conversion`` | what a rollout, or a conversion, came to |
+| `terminal` | streams whose readers can disappear; text and tables that fit the screen |
+| `progress_display` | the progress of a job or a sweep |
+| `figures_table`, `evaluation_tables` | figures of plays and agents; metrics of evaluations |
+| `inspection_tables`, `conversion_summary` | the contents of a recording; the result of a conversion |
 """

@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from wheelleg_exp.asset.robot_description import Dof, RobotDescription
 
 
-ROWS = 15  # of a table or a list, before the rest is only counted
-JOINTS = 40
-WIDTH = 60  # characters of a cell
-NAMED = 6  # kinds of things that were left out, before the rest is only counted
+ROWS = 15  # the most rows of a table or a list; further rows are counted
+JOINTS = 40  # the most rows of the table of joints
+WIDTH = 60  # the most characters of a cell
+NAMED = 6  # the most kinds of items that are listed as left out
 VERDICTS = {
-    "good": "converted, and nothing is in doubt",
-    "check": "converted, with care:",
+    "good": "converted without doubts",
+    "check": "converted, check the result:",
     "doubtful": "DOUBTFUL:",
 }
 
 
 def show(conversion: Conversion, scene: Path | None) -> None:
-    """Print the verdict, the warnings, the summary, the joints, what was assumed and left out, and what to do next."""
+    """Print the verdict, warnings, summary, joints, assumptions, left-out items, and the next commands."""
     report = conversion.report
-    told = f"{VERDICTS[report.verdict.level]} {'; '.join(_reasons(report))}".strip()
-    print(hanging(f"{printable(report.source)}: {told}", 4))
+    verdict = f"{VERDICTS[report.verdict.level]} {'; '.join(_reasons(report))}".strip()
+    print(hanging(f"{printable(report.source)}: {verdict}", 4))
     _warnings(report.warnings)
     print()
     for title, value in _summary(report):
@@ -49,13 +49,13 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     _section("Assumed", ("rule", "value", "where"), _assumed(report))
     _left_out(report)
     output = shown(conversion.output.resolve())
-    print(f"\nWrote {output}" + ("" if scene is None else f", and {scene.name} beside it with a floor and a light"))
+    print(f"\nWrote {output}" + ("" if scene is None else f", and next to it {scene.name} with a floor and a light"))
     if report.base == "fixed":
-        print("Its base is fixed to the world: --base floating lets it move")
-    seen = output if scene is None else shown(scene.resolve())
-    print(f"Look at it: python -m mujoco.viewer --mjcf={shlex.quote(str(seen))}")
-    print("Train with it: name the source as env.robot.asset; it is converted and cached by itself")
-    print("Every number, and what became of every attribute: the same command with --json")
+        print("The base is fixed to the world: --base floating makes it move freely")
+    viewed = output if scene is None else shown(scene.resolve())
+    print(f"View it: python -m mujoco.viewer --mjcf={shlex.quote(str(viewed))}")
+    print("Train with it: set env.robot.asset to the source, which is then converted and cached automatically")
+    print("Every number, and the conversion of every attribute: the same command with --json")
 
 
 def _reasons(report: Report) -> list[str]:
@@ -102,7 +102,7 @@ def _summary(report: Report) -> list[tuple[str, str]]:
 
 # ---------------------------------------------------------------- joints
 def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a row for each degree of freedom, in MuJoCo's order and SI units, with the file's words where others."""
+    """Return a row for each degree of freedom, in MuJoCo's order and SI units, and the file's values if they differ."""
     from wheelleg_exp.asset.robot_values import effort_of
 
     report, robot = conversion.report, conversion.description
@@ -134,12 +134,12 @@ def _range(dof: Dof) -> str:
 
 
 def _acting(robot: RobotDescription) -> dict[str, str]:
-    """Return what MuJoCo's own actuators do to joints, by the joint's name."""
+    """Return the joints that MuJoCo's own actuators drive, with a text for each."""
     return {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
 
 
 def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
-    """Return a joint's limits and gains in the file's own units; nothing where they are those of the model."""
+    """Return a joint's limits and gains in the file's own units; empty if they equal those of the model."""
     by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
     low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
     usd = any(":" in name for name in authored)
@@ -167,7 +167,7 @@ def _shortly(value: Any) -> str:
 
 
 def _orders(report: Report) -> None:
-    """Say in which order PhysX has the joints, where it is not MuJoCo's, which the table has."""
+    """Print the order of the joints in PhysX, if it differs from MuJoCo's order, which the table uses."""
     order = report.dof_order
     if order.physx and order.physx != order.mujoco:
         few = ", ".join(order.physx[:JOINTS]) + (", ..." if len(order.physx) > JOINTS else "")
@@ -176,7 +176,7 @@ def _orders(report: Report) -> None:
 
 # ---------------------------------------------------------------- what was assumed and left out
 def _assumed(report: Report) -> list[tuple[str, str, str]]:
-    """Return a row for each rule: its value where all are equal, and where it was used."""
+    """Return a row for each rule of assumption: its value, and the places where it was used."""
     rules: dict[str, dict[str, str]] = {}
     for item in report.assumptions:
         rules.setdefault(item.rule, {})[item.path] = item.value
@@ -189,16 +189,16 @@ def _assumed(report: Report) -> list[tuple[str, str, str]]:
 
 
 def _left_out(report: Report) -> None:
-    """Name the kinds of things that have no place in the model; why, and where, stands in the JSON."""
+    """Print the kinds of items that were left out. The JSON contains the reasons and the places."""
     kinds = dict.fromkeys(item.name for item in sorted(report.left_out, key=lambda item: _is_note(item.reason)))
     if kinds:
         few = ", ".join(list(kinds)[:NAMED]) + (f" and {len(kinds) - NAMED} more" if len(kinds) > NAMED else "")
         print()
-        print(hanging(printable(f"Left out: {few}; --json says why"), 4))
+        print(hanging(printable(f"Left out: {few}; --json contains the reasons"), 4))
 
 
 def _is_note(reason: str) -> bool:
-    """Return whether what was left out says nothing of how the robot moves; such things come last."""
+    """Return whether a left-out item does not affect how the robot moves. Such items are printed last."""
     return reason.startswith(("declared without", "a note of", "there is one"))
 
 
@@ -212,22 +212,22 @@ def _short(text: str) -> str:
 
 
 def _grouped(warnings: Sequence[str]) -> list[str]:
-    """Return the warnings; those that say the same, apart from places, names and numbers, are one."""
+    """Return the warnings; warnings that differ only in places, names and numbers are combined."""
     groups: dict[str, list[tuple[str, str]]] = {}
-    for text in warnings:
-        path, colon, said = text.partition(": ")
-        place, said = (path, said) if colon and path.startswith("/") else ("", text)
-        alike = re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", said)
-        groups.setdefault(alike, []).append((place, said))
+    for warning in warnings:
+        path, colon, text = warning.partition(": ")
+        place, text = (path, text) if colon and path.startswith("/") else ("", warning)
+        pattern = re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", text)
+        groups.setdefault(pattern, []).append((place, text))
     out = []
     for found in groups.values():
-        place, said = found[0]
-        same = all(other == said for _, other in found)
+        place, text = found[0]
+        same = all(other == text for _, other in found)
         if place and same:
-            out.append(f"{_places([where for where, _ in found])}: {said}")
+            out.append(f"{_places([where for where, _ in found])}: {text}")
         else:
             more = f" (and {len(found) - 1} more like this)" if len(found) > 1 else ""
-            out.append((f"{place}: " if place else "") + said + more)
+            out.append((f"{place}: " if place else "") + text + more)
     return out
 
 

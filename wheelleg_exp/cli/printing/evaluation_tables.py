@@ -15,7 +15,7 @@ _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
 def print_evaluation(content: Mapping[str, Any]) -> None:
-    """Print what ``evaluation.json`` holds: one table for each group of metrics; angles in degrees."""
+    """Print the content of ``evaluation.json``: one table for each group of metrics, with angles in degrees."""
     about, protocol = content["about"], content["protocol"]
     dt, step = about.get("physics_dt_s"), about.get("step_dt_s")
     print(f"protocol {protocol['name']}, seed {content['seed']}, scenarios {content['scenarios_sha256'][:12]}")
@@ -25,32 +25,25 @@ def print_evaluation(content: Mapping[str, Any]) -> None:
         names = list(found)
         rows = [_row(name, content["metrics"][name]) for name in names if content["metrics"][name]["episodes"]]
         print_table((group, "value", "95 % interval", "unit", "episodes"), rows)
-        print_untold([name.split("/", 1)[1] for name in names if not content["metrics"][name]["episodes"]])
+        _print_unmeasured([name.split("/", 1)[1] for name in names if not content["metrics"][name]["episodes"]])
 
 
-def print_untold(names: Sequence[str]) -> None:
-    """Say of which metrics there is nothing to tell, as of the drift of robots that all fell at once."""
+def _print_unmeasured(names: Sequence[str]) -> None:
+    """Print the metrics without a value, such as the drift if every robot fell immediately."""
     if names:
-        print(hanging(f"no episode tells of: {', '.join(names)}", 4))
+        print(hanging(f"no episode has a value for: {', '.join(names)}", 4))
 
 
 def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
-    unit = figure["unit"]
-    factor = 180.0 / math.pi if unit in _DEGREES else 1.0
-    value, low, high = (_number(figure[key], factor) for key in ("value", "low", "high"))
+    factor, unit = _scale(figure["unit"])
+    ends = [figure[key] for key in ("value", "low", "high")]
+    value, low, high = ("-" if end is None else f"{end * factor:.4g}" for end in ends)
     between = "-" if "-" in (low, high) else f"{low} to {high}"
-    return name.split("/", 1)[1], value, between, _DEGREES.get(unit, unit), str(figure["episodes"])
-
-
-def _number(value: float | None, factor: float) -> str:
-    return "-" if value is None else f"{value * factor:.4g}"
-
-
-_DEGREE_SUFFIX = {"rad": "°", "rad/s": "°/s"}
+    return name.split("/", 1)[1], value, between, unit, str(figure["episodes"])
 
 
 def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None) -> None:
-    """Print every metric of the runs side by side, and how they differ from what they are held against."""
+    """Print every metric of the runs and of the reference controller side by side."""
     print(f"protocol {made.content['protocol']}, scenarios {made.content['scenarios_sha256'][:12]}")
     for number, run in enumerate(runs, start=1):
         print(f"run {number}: {display_name(run)}")
@@ -58,7 +51,7 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
     heads = [f"run {number}" for number in range(1, len(runs) + 1)]
     over = ["mean", "95 % interval", "noise floor"] if several else []
     columns = ["metric", "unit", *heads, *over, *(["reference"] if reference is not None else [])]
-    rows, untold = [], []
+    rows, unmeasured = [], []
     for row in made.seeds:
         factor, unit = _scale(row.unit)
         cells = [_difference_number(value, factor) for value in row.values]
@@ -73,24 +66,24 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
             figure = reference.evaluation.metrics.get(row.metric)
             cells.append("-" if figure is None else _difference_number(figure.value, factor))
         if set(cells) == {"-"}:
-            untold.append(row.metric)
+            unmeasured.append(row.metric)
         else:
             rows.append((row.metric, unit, *cells))
     print_table(columns, rows, heads=1)
-    print_untold(untold)
+    _print_unmeasured(unmeasured)
     if several:
-        print(hanging("intervals are of a bootstrap over the runs and, within each, its episodes", 0))
+        print(hanging("intervals: bootstrap over the runs and, within each run, over its episodes", 0))
 
 
 def print_differences(made: Compared) -> None:
-    """Print how the runs differ from what they are held against, metric by metric, and in a sentence."""
+    """Print the differences between the runs and the opposite runs, metric by metric, and the verdict."""
     shown = [row for row in made.differences if row.better and math.isfinite(row.interval.value)]
     rows = [_difference(row) for row in shown]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
-    print(hanging("p: two-sided, of paired episodes where they began alike, corrected for all tests (Holm)", 0))
-    for said in filter(None, (made.push_verdict, made.verdict)):
-        print(f"\n{hanging(said, 0)}")
+    print(hanging("p: two-sided, paired if episodes have equal starts, corrected for all tests (Holm)", 0))
+    for verdict in filter(None, (made.push_verdict, made.verdict)):
+        print(f"\n{hanging(verdict, 0)}")
 
 
 def _difference(row: Difference) -> tuple[str, ...]:
@@ -106,7 +99,7 @@ def _difference(row: Difference) -> tuple[str, ...]:
 
 
 def _scale(unit: str) -> tuple[float, str]:
-    return (180.0 / math.pi if unit in _DEGREE_SUFFIX else 1.0), _DEGREE_SUFFIX.get(unit, unit)
+    return (180.0 / math.pi if unit in _DEGREES else 1.0), _DEGREES.get(unit, unit)
 
 
 def _between(low: float, high: float, factor: float) -> str:

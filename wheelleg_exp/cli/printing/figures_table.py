@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
 
-_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")  # leave out how an episode begins
+_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")  # do not cover the settling time
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
     "drift_m": lambda value: f"{1e3 * value:.1f} mm",
@@ -30,7 +30,7 @@ _MOTION: Mapping[str, Callable[[float], str]] = {
 
 
 def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
-    """Print how a policy stood and moved, each figure with what it is of."""
+    """Print the figures of standing and moving, each with the steps or episodes that it covers."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {
@@ -54,13 +54,13 @@ def print_figures(figures: StandFigures, motion: MotionFigures | None = None) ->
 
 
 def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
-    """Print what each link carried while the robot stood."""
+    """Print the contact force on each link while the robot stood."""
     from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
     words = (
-        f"{sensor}: normal force at the end of a step, of {steps} of all episodes and environments, "
-        f"from {SETTLE_S:g} s after a reset on with a tilt below {UPRIGHT_RAD:g} rad"
+        f"{sensor}: normal force at the end of a step, over {steps} of all episodes and environments, "
+        f"at least {SETTLE_S:g} s after a reset and with a tilt below {UPRIGHT_RAD:g} rad"
     )
     print(f"\n{hanging(words, 0)}")
     cells = [(r.body, f"{r.mean_n:.3f}", f"{r.max_n:.3f}", percent(r.contact_share)) for r in rows]
@@ -68,25 +68,25 @@ def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
 
 
 def print_recording(path: Path | None) -> None:
-    """Print how to look at a recording."""
+    """Print the path of a recording, and the command that opens it."""
     if path is not None:
         print(f"\nrecording: {shown(path)}\nopen it:   {tool('rerun')} {shown(path)}")
 
 
 def tool(name: str) -> str:
-    """Return how a program that came with this one is called from here: by name where it is on the PATH."""
-    beside = Path(sys.executable).parent / name
-    return name if shutil.which(name) or not beside.exists() else shown(beside)
+    """Return the command for a program of this environment: its name, or its path if it is not on the PATH."""
+    installed = Path(sys.executable).parent / name
+    return name if shutil.which(name) or not installed.exists() else shown(installed)
 
 
 def shown(path: Path) -> str:
-    """Return a path as one would type it from here."""
+    """Return a path relative to the current folder, if it is inside."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for each figure of how a policy moved, those of actuator groups group by group."""
+    """Yield a row for each figure of motion, and one for each actuator group if the figure has several values."""
     ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
     found = motion.as_dict()
     for key, shown in _MOTION.items():

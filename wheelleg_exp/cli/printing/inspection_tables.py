@@ -35,7 +35,7 @@ Row = Sequence[str | None]
 
 
 def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) -> None:
-    """Print the statistics of numbers, one column a number, under their names and units."""
+    """Print the statistics of numbers, with one column for each number."""
     several = len({moment.env_id for s in found.values() for moment in (s.first_at, s.last_at) if moment}) > 1
     rows: list[tuple[str, ...]] = [
         ("from", *(when(s.first_at, several) for s in found.values())),
@@ -60,9 +60,9 @@ def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) 
 
 
 def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> None:
-    """Print the moments in which a condition holds, and the rows around each under the numbers' names and units."""
+    """Print the times at which a condition is true, and the rows around each time."""
     several = len({hit.first.env_id for hit in hits}) > 1
-    print(f"it holds {len(hits)} times" if len(hits) != 1 else "it holds once")
+    print(f"the condition becomes true {len(hits)} times" if len(hits) != 1 else "the condition becomes true once")
     if not limit:
         return
     if hits and hits[0].around is None:
@@ -77,7 +77,7 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
 
 
 def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
-    """Print what is equal and what is not, and where the numbers part."""
+    """Print how many entities are equal and different, and the first difference of each number."""
     print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
     if found.is_equal:
         print(f"equal to the last bit: {len(found.equal)} entities")
@@ -87,32 +87,32 @@ def print_comparison(found: RecordingComparison, first: Recording, second: Recor
     rows += [("only in b", str(len(found.only_second)), _some(found.only_second))] if found.only_second else []
     print_table(("entities", "count", ""), rows)
     if first.env_ids != second.env_ids:
-        print("they record other environments: " + " and ".join(listed(r.env_ids) for r in (first, second)))
+        print("they record different environments: " + " and ".join(listed(r.env_ids) for r in (first, second)))
     if found.numbers:
-        print("\nnumbers that differ, the first to part before the others")
-        columns = ("number", "parts at", "a", "b", "largest difference", "mean a", "mean b", "std a", "std b")
+        print("\nnumbers that differ, ordered by their first difference")
+        columns = ("number", "differs at", "a", "b", "largest difference", "mean a", "mean b", "std a", "std b")
         print_table(columns, [_difference(number) for number in found.numbers[:limit]])
         if len(found.numbers) > limit:
             print(f"… and {len(found.numbers) - limit} more (--limit)")
 
 
 def print_repaired(done: Repaired) -> None:
-    """Print what was mended and what is lost."""
+    """Print what was repaired and what is lost."""
     if done.output is None:
-        print(f"{shown(done.path.absolute())} is whole; nothing was written")
+        print(f"{shown(done.path.absolute())} is complete; nothing was written")
         return
     for line in done.health.lines()[1:]:
         print(line)
     print(f"lost: {done.health.lost} of {done.health.size} bytes")
     if done.incomplete:
-        print(f"rerun could not take over every row of: {_some(done.incomplete)}")
+        print(f"rerun could not copy every row of: {_some(done.incomplete)}")
     if done.complaint:
-        print(f"rerun's own check still says: {done.complaint}")
-    print(f"mended: {shown(done.output.absolute())}\nopen it: {tool('rerun')} {shown(done.output.absolute())}")
+        print(f"rerun's own check still reports: {done.complaint}")
+    print(f"repaired: {shown(done.output.absolute())}\nopen it: {tool('rerun')} {shown(done.output.absolute())}")
 
 
 def print_names(found: Sequence[NumberEntry]) -> None:
-    """Print the names of numbers."""
+    """Print the names of recorded numbers, and their numbers of rows."""
     print_table(("number", "rows"), [(entry.name, str(entry.rows)) for entry in found])
 
 
@@ -153,12 +153,12 @@ def _cell(frames: Frames, name: str, row: int) -> str:
 
 
 def listed(env_ids: Iterable[int]) -> str:
-    """Return environments as words."""
+    """Return environment ids as text."""
     return ", ".join(map(str, env_ids))
 
 
 def when(moment: Moment | None, with_env: bool = False) -> str:
-    """Return a moment as words."""
+    """Return a moment as text: time, step, iteration, and with ``with_env`` the environment."""
     if moment is None:
         return ""
     words = [] if moment.time_s is None else [f"{moment.time_s:.3f} s"]
@@ -174,25 +174,25 @@ def _some(names: Iterable[str]) -> str:
 
 
 def number(value: float | None) -> str:
-    """Return a number with four significant digits; a dash for none."""
+    """Return a number with four significant digits; a dash for None."""
     return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
 
 
-_NOTES = 3  # the last of what happened to the recording
+_NOTES = 3  # how many of the recording's last notes are printed
 
 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
-    """Print what a recording holds, and its figures as tables.
+    """Print the contents of a recording, and its figures as tables.
 
     Args:
         summary: the summary.
-        others: the run's other recordings.
-        selection: which rows its figures are of.
-        status: of the run that it is the training of; None without one.
+        others: the other recordings of the run.
+        selection: the rows that the figures cover.
+        status: the status of the run whose training was recorded; None for another recording.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
-        print("\nThis was not recorded by wheelleg: there is no summary of what it tells.")
+        print("\nwheelleg did not write this recording, so there are no figures.")
         print_table(
             ("entities below", "count", "rows"), [(p.name, f"{p.entities}", f"{p.rows}") for p in summary.parts]
         )
@@ -200,7 +200,8 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     _section(
         f"training, iteration {_last_iteration(summary)}, with exploration", ("figure", "value", "of"), _last(summary)
     )
-    _section("samples of whole episodes" + _whose(summary), recorded_headings("samples"), _samples(summary))
+    environments = f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
+    _section("samples of whole episodes" + environments, recorded_headings("samples"), _samples(summary))
     if summary.frames is not None:
         print(f"\n{hanging(f'below: {_scope(summary, selection)}', 0)}")
     _section("episodes", ("figure", "value"), _episodes(summary))
@@ -253,7 +254,7 @@ def _head(summary: Summary, status: str | None) -> list[Row]:
         for name in ("step", "iteration")
         if name in spans
     ]
-    rows.append(("holds", ", ".join(part.name for part in summary.parts if part.rows or part.name == DOCUMENTS)))
+    rows.append(("contents", ", ".join(part.name for part in summary.parts if part.rows or part.name == DOCUMENTS)))
     return [row for row in rows if row[1]]
 
 
@@ -262,19 +263,17 @@ def _last_iteration(summary: Summary) -> int:
 
 
 def _last(summary: Summary) -> list[Row]:
-    """Return the scalars that tell what a training ended as, each with what it is of."""
+    """Return the last values of the scalars that describe the result of a training."""
     envs = summary.properties.get("wheelleg", {}).get("num_envs")
     found = []
     for trend in summary.training:
-        told, place = (
-            scalar_definition(trend.name),
-            next((i for i, h in enumerate(ENDED_AS) if trend.name.startswith(h)), None),
-        )
-        if told is None or place is None:
+        definition = scalar_definition(trend.name)
+        place = next((i for i, prefix in enumerate(ENDED_AS) if trend.name.startswith(prefix)), None)
+        if definition is None or place is None:
             continue
-        of = told.of.replace("all environments", f"all {envs} environments") if envs else told.of
+        of = definition.of.replace("all environments", f"all {envs} environments") if envs else definition.of
         of += "" if trend.last_at == _last_iteration(summary) else f", in iteration {trend.last_at}"
-        found.append((place, (told.label, _valued(trend.last, told.unit, summary.step_dt), of)))
+        found.append((place, (definition.label, _valued(trend.last, definition.unit, summary.step_dt), of)))
     return [row for _, row in sorted(found)]
 
 
@@ -285,25 +284,22 @@ def _valued(value: float, word: str, step_dt: float | None) -> str:
     return f"{_with_unit(value, word)}{seconds}"
 
 
-def _whose(summary: Summary) -> str:
-    return f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
-
-
 def _scope(summary: Summary, selection: Selection) -> str:
-    """Return which frames the figures are of."""
+    """Return a text for the frames that the figures cover."""
     frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
     if summary.sample is None:
         return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"
     first, last = summary.sample.iteration, summary.sample.last_iteration
     which = "the last sample with a whole episode" if summary.sample.episodes else "the last sample"
-    return f"{which}, iterations {first} to {last}: {frames} (--iteration chooses others)"
+    return f"{which}, iterations {first} to {last}: {frames} (--iteration selects others)"
 
 
 def _episodes(summary: Summary) -> list[Row]:
     f = summary.figures
     if not f.count:
         return []
-    cut = [f"{f.begun_before} begun before"] * bool(f.begun_before) + [f"{f.unfinished} not ended"] * bool(f.unfinished)
+    cut = [f"{f.begun_before} started before"] * bool(f.begun_before)
+    cut += [f"{f.unfinished} not ended"] * bool(f.unfinished)
     return [
         (recorded_label("episodes", "count"), f"{f.whole} whole" + (f"; left out: {', '.join(cut)}" if cut else "")),
         (recorded_label("episodes", "survival"), share(f.timed_out, f.whole)),

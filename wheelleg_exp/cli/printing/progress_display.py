@@ -30,10 +30,10 @@ PLAIN_EVERY_S = 10.0
 
 
 class LiveLines:
-    """Lines on standard error, some of which move while the display is open, where it is a terminal.
+    """Progress on standard error: live lines on a terminal, plain lines elsewhere.
 
     Args:
-        columns: what stands between the count and the figures of a moving line.
+        columns: the columns between the count and the figures of a live line.
     """
 
     def __init__(self, *columns: ProgressColumn) -> None:
@@ -62,10 +62,10 @@ class LiveLines:
 
 
 class ConsoleDisplay(LiveLines):
-    """Shows a job on standard error, so that standard output keeps what was asked for.
+    """Shows the progress of a job on standard error. Standard output contains only the result.
 
     Args:
-        quiet: whether the managers' tables are left out.
+        quiet: whether to leave out the managers' tables.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -95,15 +95,15 @@ class ConsoleDisplay(LiveLines):
         self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show how far training is."""
+        """Show the progress of a training."""
         self._advance("training", iteration.index + 1, total, figures(iteration.scalars))
 
     def steps(self, done: int, total: int) -> None:
-        """Show how far a rollout is."""
+        """Show the progress of a rollout."""
         self._advance("playing", done, total, "")
 
     def _work(self, what: str, done: int, total: int) -> None:
-        """Show how far work is that is over before the job itself begins; in plain lines only when it takes long."""
+        """Show the progress of the preparation of a job. As plain lines, only show slow work."""
         if self._live:
             self._advance(what, done, total, "")
             if done == total and self._task is not None:
@@ -113,7 +113,7 @@ class ConsoleDisplay(LiveLines):
             self.note(f"{what} {done}/{total}")
 
     def test(self, name: str, done: int, total: int) -> None:
-        """Show how far a test of an evaluation is."""
+        """Show the progress of a test of an evaluation."""
         self._advance(name, done, total, "")
 
     def _advance(self, what: str, done: int, total: int, figures: str) -> None:
@@ -125,7 +125,7 @@ class ConsoleDisplay(LiveLines):
             self.note(f"{what} {done}/{total}  {figures}".rstrip())
 
     def _is_due(self) -> bool:
-        """Return whether the last plain line is long enough ago for another."""
+        """Return whether the next plain line is due."""
         now = time.monotonic()
         due = now - self._last_plain >= PLAIN_EVERY_S
         self._last_plain = now if due else self._last_plain
@@ -133,7 +133,7 @@ class ConsoleDisplay(LiveLines):
 
 
 def figures(scalars: Mapping[str, float]) -> str:
-    """Return a training iteration's figures as part of a line, as the list of runs has them."""
+    """Return a training iteration's figures as text, the same figures as in the list of runs."""
     forms: tuple[tuple[str, Callable[[float], str]], ...] = (
         ("Train/mean_reward", "return {:.2f}".format),
         ("Train/mean_episode_length", "episode {:.0f} steps".format),
@@ -144,21 +144,21 @@ def figures(scalars: Mapping[str, float]) -> str:
 
 
 class ConsoleSweepDisplay(LiveLines):
-    """Shows a sweep on standard error; a line that several jobs would say is said once."""
+    """Shows the progress of a sweep on standard error. A note that several jobs repeat is shown once."""
 
     def __init__(self) -> None:
         super().__init__(TimeElapsedColumn())
-        self._said: set[str] = set()
+        self._shown: set[str] = set()
         self._last_plain: dict[int, float] = {}
         self._tasks: dict[int, TaskID] = {}
         self._all: TaskID | None = None
 
     def say(self, text: str) -> None:
-        """Show one line of the sweep itself."""
+        """Show one line about the sweep itself."""
         self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def checking(self, done: int, total: int) -> None:
-        """Show how many jobs have been checked."""
+        """Show the number of checked jobs."""
         if not self._live:
             return
         if self._all is None:
@@ -166,12 +166,12 @@ class ConsoleSweepDisplay(LiveLines):
         self._progress.update(self._all, completed=done)
 
     def checked(self) -> None:
-        """Show from now on how many jobs have ended."""
+        """Show the number of ended jobs from now on."""
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 
     def started(self, job: Mapping[str, Any]) -> None:
-        """Show that a job began."""
+        """Show that a job has started."""
         number = job["number"]
         self._last_plain[number] = time.monotonic()
         if self._live:
@@ -180,7 +180,7 @@ class ConsoleSweepDisplay(LiveLines):
             self.say(f"{_title(job)} started")
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show how far a job's training is."""
+        """Show the progress of a job's training."""
         number, now = job["number"], time.monotonic()
         if self._live:
             self._progress.update(self._tasks[number], completed=done, total=total, figures=figures(scalars))
@@ -192,7 +192,7 @@ class ConsoleSweepDisplay(LiveLines):
         """Show how a job ended."""
         if self._live:
             task = self._tasks.pop(job["number"], None)
-            if task is not None:  # else it was never begun
+            if task is not None:  # None if the job was never started
                 self._progress.remove_task(task)
             if self._all is not None:
                 self._progress.advance(self._all)
@@ -200,9 +200,9 @@ class ConsoleSweepDisplay(LiveLines):
         self.say(f"{_title(job)} {job['status']}{why}")
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show one line of a job, unless another has said it before."""
-        if text not in self._said:
-            self._said.add(text)
+        """Show one line about a job, unless an equal line was shown before."""
+        if text not in self._shown:
+            self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))
 
 

@@ -18,19 +18,19 @@ from wheelleg_exp.errors import printable
 
 
 class LastingStream:
-    """A text stream that takes what is written when nobody reads it any more.
+    """A text stream that ignores writes after its reader has disappeared.
 
     Args:
-        stream: where text goes.
-        losses: the errors that mean that nobody reads it.
-        styled: whether the text may hold what a terminal obeys; otherwise that is shown by its codes.
+        stream: the wrapped stream.
+        losses: the errors that mean that the reader has disappeared.
+        styled: whether the text can contain escape sequences; otherwise control characters are written as text.
     """
 
     def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:
         self._stream, self._losses, self._styled = stream, losses, styled
 
     def styled(self) -> LastingStream:
-        """Return the stream for colours and moving lines; who writes to it looks after the texts of others itself."""
+        """Return the stream for colours and moving lines. The caller must escape untrusted text."""
         return LastingStream(self._stream, *self._losses, styled=True)
 
     def write(self, text: str) -> int:
@@ -38,25 +38,25 @@ class LastingStream:
         try:
             self._write(text if self._styled else printable(text))
         except self._losses:
-            self._let_go()
+            self._redirect()
         return len(text)
 
     def _write(self, text: str) -> None:
-        """Write a text; what the stream's encoding cannot show, as ASCII cannot show °, becomes a question mark."""
+        """Write a text. A character that the encoding lacks, such as ° in ASCII, becomes a question mark."""
         try:
             self._stream.write(text)
         except UnicodeEncodeError as error:
             self._stream.write(text.encode(error.encoding, "replace").decode(error.encoding))
 
     def flush(self) -> None:
-        """Pass on what has been written."""
+        """Flush the stream, unless its reader has disappeared."""
         try:
             self._stream.flush()
         except self._losses:
-            self._let_go()
+            self._redirect()
 
-    def _let_go(self) -> None:
-        """Point the stream at nothing, so that the interpreter's last flush does not complain."""
+    def _redirect(self) -> None:
+        """Redirect the stream to the null device, so that the interpreter's last flush succeeds."""
         with suppress(OSError, ValueError):
             descriptor = self._stream.fileno()
             null = os.open(os.devnull, os.O_WRONLY)
@@ -74,10 +74,10 @@ def styled(stream: Any) -> Any:
 
 @contextmanager
 def lasting_streams() -> Iterator[None]:
-    """Let the body's output outlast its readers: a pipe that is closed, and of what is told on standard error any loss.
+    """Inside the block, ignore a closed pipe on standard output, and every write error on standard error.
 
-    A terminal that was closed, or a full disk behind standard error, is no reason to end a training; what was asked for
-    on standard output and cannot be written is one.
+    A closed terminal, or a full disk behind standard error, must not stop a training. Standard output is the result of
+    the command, so other write errors there are raised.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -89,23 +89,23 @@ def lasting_streams() -> Iterator[None]:
 
 
 PLAIN_WIDTH = 100
-_GAP = 2  # blanks between two columns
-_LEAST_WRAPPED = 12  # columns that a wrapped cell needs to be readable
-_MOST_LINES = 3  # of a cell in a table
+_GAP = 2  # spaces between two columns
+_LEAST_WRAPPED = 12  # the least width of a wrapped cell
+_MOST_LINES = 3  # the most lines of a cell in a table
 _INDENT = "    "
 
 Row = Sequence[object]
 
 
 def screen_width() -> int:
-    """Return how many columns a line may have."""
+    """Return the width of the screen in characters."""
     return shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns if sys.stdout.isatty() else PLAIN_WIDTH
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """Return a text in lines of at most ``width`` columns; a path or a name that is longer breaks at its marks.
+    """Wrap a text into lines of at most ``width`` characters. A longer word breaks after ``/``, ``.``, ``,`` and ``_``.
 
-    A piece without any mark is never broken: it can still be copied.
+    A longer word without such characters stays whole, so that it can be copied.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):
@@ -119,7 +119,7 @@ def wrapped(text: str, width: int) -> list[str]:
 
 
 def _pieces(text: str) -> list[str]:
-    """Return what a text may be broken into: at blanks, and behind the marks of paths and names."""
+    """Split a text at the places where it can break: at spaces, and after ``/``, ``.``, ``,`` and ``_``."""
     return re.findall(r"[^ ]+?[/.,_]+(?=[^ /.,_])|[^ ]+", text)
 
 
@@ -132,12 +132,12 @@ def _broken(word: str, width: int) -> list[str]:
 
 
 def hanging(text: str, indent: int, first: str = "") -> str:
-    """Return a text in lines that fit the screen, the later ones indented.
+    """Wrap a text to the width of the screen, with a hanging indent.
 
     Args:
         text: the text.
-        indent: blanks before the later lines.
-        first: what stands before the text in the first line, padded to the indent; nothing is not padded.
+        indent: spaces before every line but the first.
+        first: a label before the first line, padded to the indent; without a label, the first line is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
@@ -145,19 +145,19 @@ def hanging(text: str, indent: int, first: str = "") -> str:
 
 
 def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
-    """Return how many columns of the screen a plain table takes."""
+    """Return the width of a plain table in characters."""
     widths = _widths(columns, _cells(rows))
     return sum(widths) + _GAP * (len(widths) - 1)
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
-    """Print a table; one that is too wide has its widest columns wrapped, or becomes blocks.
+    """Print a table. If it is too wide, wrap its widest columns, or print each row as a block.
 
     Args:
         columns: titles.
         rows: cells; None is empty.
-        heads: cells that together name a row, the heading of its block.
-        lines: whether a terminal gets a table with lines.
+        heads: number of cells that form the heading of a row's block.
+        lines: whether to draw lines between cells on a terminal.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
@@ -173,7 +173,10 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Return widths whose sum fits: titles give way, then the widest columns; None when a cell becomes a ribbon."""
+    """Return column widths that fit into ``room``; None if a cell would need too many lines.
+
+    Titles are wrapped first, then the widest columns.
+    """
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
     below_titles = [max([pieces[i], *(len(row[i]) for row in rows[1:])]) for i in columns]
@@ -189,13 +192,13 @@ def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> 
 
 
 def print_blocks(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1) -> None:
-    """Print each row as a block: what names it on a line of its own, then a line for each other cell."""
+    """Print each row as a block: a line with the first ``heads`` cells, then one line for each other cell."""
     for row in _cells(rows):
         print("  ".join(filter(None, row[:heads])))
         cells = zip(columns[heads:], row[heads:], strict=True)
-        told = [(title, cell) for title, cell in cells if cell not in ("", "-")]
-        indent = max((len(title) for title, _ in told), default=0) + len(_INDENT) + _GAP
-        for title, cell in told:
+        filled = [(title, cell) for title, cell in cells if cell not in ("", "-")]
+        indent = max((len(title) for title, _ in filled), default=0) + len(_INDENT) + _GAP
+        for title, cell in filled:
             print(hanging(cell, indent, f"{_INDENT}{title}"))
 
 
@@ -214,7 +217,7 @@ def _print_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], widths: 
 
 
 def _lines(row: Sequence[str], widths: Sequence[int]) -> Iterator[list[str]]:
-    """Yield the lines of one row; a cell that is wrapped stands on several."""
+    """Yield the lines of one row, whose cells are wrapped."""
     parts = [wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
     for number in range(max(map(len, parts))):
         yield [part[number] if number < len(part) else "" for part in parts]

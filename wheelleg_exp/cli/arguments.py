@@ -1,4 +1,4 @@
-"""What the commands share: the parser, the options of those that compose, the choice of a checkpoint, JSON."""
+"""Parse command lines: the parser, and the options and helpers that several commands share."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class UsageError(WheellegError):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose mistakes are errors for people, with the nearest option."""
+    """An argument parser that raises UsageError, with the nearest option."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, **kwargs})
 
     def error(self, message: str) -> NoReturn:
-        """Raise the mistake as a UsageError."""
+        """Raise argparse's message as a UsageError."""
         options = [option for action in self._actions for option in action.option_strings]
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
@@ -57,11 +57,11 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
 
 
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
-    """Explain what argparse says of one argument: a choice, a type, a count, or that it is missing."""
+    """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse counts words that may be left out among those that it wants
+    if missing is not None:  # argparse also lists optional arguments here
         wanted = missing.group(1).split(", ")
-        names = [name for name in wanted if name not in optional] or wanted  # two words may have one name
+        names = [name for name in wanted if name not in optional] or wanted  # two arguments can have the same name
         return UsageError("is missing", key=", ".join(names))
     argument = re.match(r"argument (\S+): (.+)", message)
     if argument is None:
@@ -80,7 +80,7 @@ def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
-    """Add Hydra overrides and ``--config-dir``: what every command that composes takes."""
+    """Add Hydra overrides and ``--config-dir``, the arguments of every command that composes a config."""
     parser.add_argument(
         "overrides",
         nargs="*",
@@ -93,12 +93,12 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
     parser.add_argument(
-        "--primary", metavar="NAME", help="the primary config (default: train, or pipeline where one is named)"
+        "--primary", metavar="NAME", help="the primary config (default: train, or pipeline if an override names one)"
     )
 
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:
-    """Return the primary config that a command composes: the one asked for, or that of its overrides or its key."""
+    """Return the primary config: that of ``--primary``, otherwise the one that the overrides or the key belong to."""
     from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
     named = any(map(names_pipeline, [*args.overrides, key]))
@@ -106,7 +106,7 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
-    """Add ``--config-dir``, which may be given several times."""
+    """Add ``--config-dir``, which can be repeated."""
     parser.add_argument(
         "--config-dir",
         dest="config_dirs",
@@ -114,14 +114,14 @@ def add_config_dir(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="DIR",
-        help="a folder of your own configs, a project, or the name of an installed one, searched after the stock "
-        "configs (may be repeated); the project that one stands in is found by itself",
+        help="a folder of your own configs, a project, or the name of an installed project, searched after the stock "
+        "configs (repeatable); the project in the current folder is found without this option",
     )
 
 
 def add_root(parser: argparse.ArgumentParser) -> None:
     """Add ``--root``."""
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="the folder of the runs (default: runs)")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -132,16 +132,16 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def print_json(document: Any) -> None:
     """Print one JSON document."""
     text = dump_json(document)
-    if printable(text) != text:  # what would be shown by its code is so in the way of JSON
+    if printable(text) != text:  # escape control characters as JSON does, before the stream escapes them
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
 
 
 def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
-    """Return the checkpoint that an iteration or a path names, or the last one; warn of one that was changed.
+    """Return the checkpoint of an iteration or a path, or the last one. Warn if the checkpoint was changed.
 
     Raises:
-        RunDirectoryError: the run has no checkpoint, or none of that iteration, or its manifest is damaged.
+        RunDirectoryError: the run has no such checkpoint, or its manifest is damaged.
     """
     from wheelleg_exp.cli.printing.figures_table import shown
     from wheelleg_exp.cli.printing.terminal import hanging
@@ -149,7 +149,7 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     checkpoint = _checkpoint_named(directory, asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
     if own and not directory.manifest().vouches_for(checkpoint):
-        text = f"{checkpoint.name} is not what its run recorded; 'wheelleg verify {shown(directory.path)}' tells more"
+        text = f"{checkpoint.name} differs from its run's record; see 'wheelleg verify {shown(directory.path)}'"
         print(hanging(printable(f"warning: {text}"), 4), file=sys.stderr)
     return checkpoint
 
@@ -164,7 +164,7 @@ def _checkpoint_named(directory: RunDirectory, asked: str | None) -> Path:
 
 
 def source_document(source: Source) -> dict[str, Any]:
-    """Return one writer of a leaf as JSON has it."""
+    """Return one source of a leaf as JSON."""
     return {
         "path": source.path,
         "value": source.value,
@@ -176,16 +176,16 @@ def source_document(source: Source) -> dict[str, Any]:
 
 
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
-    """Carry a command out as one of the processes that torchrun has started; return the exit status.
+    """Run a command in one of the processes that torchrun has started, and return the exit status.
 
     Args:
-        first: what the first process does.
-        other: what each of the others does; it prints nothing.
-        args: the command's words.
-        stop: asks to stop.
+        first: the function for rank 0.
+        other: the function for every other rank. It prints nothing.
+        args: the parsed command line.
+        stop: the request to stop.
 
     Raises:
-        WheellegError: in the first process, or where another one is gone.
+        WheellegError: on rank 0, or on a rank that finds another rank dead.
     """
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 
