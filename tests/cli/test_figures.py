@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from wheelleg_exp.cli.printing.figures_table import print_contacts, print_figures
+from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_figures
 from wheelleg_exp.definitions import CONTACTS, ROLLOUT
 from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 

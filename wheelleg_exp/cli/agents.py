@@ -37,7 +37,7 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
         raise WheellegError(f"is {args.steps}", key="--steps", expected="at least 1")
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.printing.figures_table import print_contacts, print_figures, print_recording
+    from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
     from wheelleg_exp.jobs.run_agent import run_agent
 

@@ -143,8 +143,7 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     Raises:
         RunDirectoryError: the run has no such checkpoint, or its manifest is damaged.
     """
-    from wheelleg_exp.cli.printing.figures_table import shown
-    from wheelleg_exp.cli.printing.terminal import hanging
+    from wheelleg_exp.cli.printing.terminal import hanging, shown
 
     checkpoint = _checkpoint_named(directory, asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()

@@ -52,9 +52,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate policies, print the metrics, store them in the runs, and compare several policies."""
-    from wheelleg_exp.cli.printing.evaluation_tables import print_evaluation
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.metric_tables import print_evaluation
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import shown
 
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
@@ -85,8 +85,8 @@ def run(args: argparse.Namespace) -> int:
 def _compare(
     args: argparse.Namespace, made: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None
 ) -> int:
-    from wheelleg_exp.cli.printing.evaluation_tables import print_comparison, print_differences
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
+    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.evaluate_policy import compare
 
     found = compare(made, against, reference, args.command)

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
 
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.export.export_bundle import export
 
     made = export(directory, checkpoint, args.output, args.command)

@@ -42,8 +42,9 @@ def run(args: argparse.Namespace) -> int:
     if _is_driven(args):
         return _run_drive(args, directory, checkpoint)
 
-    from wheelleg_exp.cli.printing.figures_table import print_figures, print_recording, shown
+    from wheelleg_exp.cli.printing.metric_tables import print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.play_policy import play
 
     with ConsoleDisplay(quiet=True) as display:
@@ -96,8 +97,8 @@ def _page(args: argparse.Namespace, run: RunDirectory) -> Any:
 
 
 def _print(made: Drive) -> None:
-    from wheelleg_exp.cli.printing.figures_table import print_recording, shown, tool
-    from wheelleg_exp.cli.printing.terminal import print_table
+    from wheelleg_exp.cli.printing.metric_tables import print_recording
+    from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
     from wheelleg_exp.definitions import drive_rows
 
     print(f"drove {shown(made.checkpoint)} without exploration noise")
@@ -108,7 +109,7 @@ def _print(made: Drive) -> None:
 
 def _repeat_command(made: Drive) -> list[str]:
     """Return the arguments of ``wheelleg`` that repeat a drive."""
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
 
     run, scene = made.folder.parent.parent, made.figures["scene"]

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(found: Replayed) -> None:
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import shown
 
     iterations = f"{found.iterations} iteration{'' if found.iterations == 1 else 's'}"
     part = "all" if found.whole else "the first"

@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, reference_of
-    from wheelleg_exp.cli.printing.figures_table import shown, tool
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import shown, tool
     from wheelleg_exp.jobs.result_record import (
         compare_with_reference,
         earlier_manifests,

@@ -52,8 +52,8 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
 
         return resume_pipeline(args, pipeline, stop)
 
-    from wheelleg_exp.cli.printing.figures_table import shown
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.train import resume_training
     from wheelleg_exp.rl.ranks import ALONE
 

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
-from wheelleg_exp.cli.printing.figures_table import shown, tool
+from wheelleg_exp.cli.printing.terminal import shown, tool
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, SimulationFailure
 from wheelleg_exp.torchrun import require_alone, world_size
 
@@ -60,9 +60,8 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
     with ranks.agreed() if ranks else nullcontext():
         composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.printing.figures_table import shown
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import hanging
+    from wheelleg_exp.cli.printing.terminal import hanging, shown
     from wheelleg_exp.jobs.train import run_training
     from wheelleg_exp.lint.physics_check import examine
     from wheelleg_exp.rl.ranks import ALONE

@@ -77,8 +77,8 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
 
 
 def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
-    from wheelleg_exp.cli.printing.figures_table import shown, tool
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import shown, tool
     from wheelleg_exp.errors import WheellegError
     from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineRunner
     from wheelleg_exp.run.run_lock import RunLock
@@ -101,7 +101,7 @@ def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSetti
 
 
 def _print_result(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
-    from wheelleg_exp.cli.printing.figures_table import shown, tool
+    from wheelleg_exp.cli.printing.terminal import shown, tool
 
     rows = []
     for phase in index.phases:

@@ -41,7 +41,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
         display.checked()
 
-        from wheelleg_exp.cli.printing.figures_table import shown
+        from wheelleg_exp.cli.printing.terminal import shown
         from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
 
         at_once, named = _at_once(sweep), _named(args.config_dirs)
@@ -145,7 +145,7 @@ def _text(path: Path | None) -> str | None:
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import shown
 
     print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
     done = [job for job in index.jobs if job["status"] == "finished"]
@@ -163,7 +163,7 @@ def _print_labelled(label: str, lines: Sequence[str]) -> None:
 
 
 def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
-    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import shown
 
     run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
     status = "not started" if job["status"] == "waiting" else job["status"]
@@ -173,7 +173,7 @@ def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
 
 def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return commands for the results: TensorBoard, a comparison, and a play."""
-    from wheelleg_exp.cli.printing.figures_table import shown, tool
+    from wheelleg_exp.cli.printing.terminal import shown, tool
 
     runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
     if not runs:
@@ -186,6 +186,6 @@ def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _program() -> list[str]:
-    from wheelleg_exp.cli.printing.figures_table import tool
+    from wheelleg_exp.cli.printing.terminal import tool
 
     return [tool("wheelleg")]

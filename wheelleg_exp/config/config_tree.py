@@ -96,7 +96,7 @@ def _yaml_node(file: Path, _stamp: int) -> yaml.Node | None:
 
 
 def yaml_node(file: Path) -> yaml.Node | None:
-    """Return the file's YAML node tree, whose nodes know their lines."""
+    """Return the file's tree of YAML nodes, with the line of each node."""
     return _yaml_node(file, file.stat().st_mtime_ns)
 
 

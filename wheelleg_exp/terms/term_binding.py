@@ -31,7 +31,7 @@ class NotAllowed(ConfigError):
 
 
 def allowed_packages() -> tuple[str, ...]:
-    """Return the packages that targets may come from: this package's terms, and packages that declare themselves.
+    """Return the packages that targets can come from: this package's terms, and packages that declare themselves.
 
     A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
     package's name. The package is installed, or its entry point is in the ``pyproject.toml`` of the project whose
@@ -70,7 +70,7 @@ def is_inside(name: str, packages: tuple[str, ...]) -> bool:
 
 _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
 
-# The managers' own fields by section. No target may have a parameter of such a name.
+# The managers' own fields by section. A target must not have a parameter of such a name.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),

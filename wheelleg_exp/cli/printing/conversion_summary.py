@@ -10,8 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.printing.figures_table import shown
-from wheelleg_exp.cli.printing.terminal import hanging, print_table
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown
 from wheelleg_exp.definitions import percent
 from wheelleg_exp.errors import printable
 

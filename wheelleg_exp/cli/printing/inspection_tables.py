@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.printing.figures_table import shown, tool
-from wheelleg_exp.cli.printing.terminal import hanging, print_table
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
 from wheelleg_exp.definitions import (
     ENDED_AS,
     SHARE,

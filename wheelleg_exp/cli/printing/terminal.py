@@ -12,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import printable
@@ -86,6 +87,18 @@ def lasting_streams() -> Iterator[None]:
         yield
     finally:
         sys.stdout, sys.stderr = before
+
+
+def tool(name: str) -> str:
+    """Return the command for a program of this environment: its name, or its path if it is not on the PATH."""
+    installed = Path(sys.executable).parent / name
+    return name if shutil.which(name) or not installed.exists() else shown(installed)
+
+
+def shown(path: Path) -> str:
+    """Return a path relative to the current folder, if it is inside."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 PLAIN_WIDTH = 100

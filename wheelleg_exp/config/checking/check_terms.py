@@ -101,7 +101,7 @@ def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> li
     if taken[: len(wanted)] == wanted or any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters):
         return []
     name, listed = term.target.rpartition(".")[2], ", ".join(wanted)
-    message = f"'{term.target}' takes ({', '.join(taken)}), and is called with ({listed}) first"
+    message = f"'{term.target}' takes ({', '.join(taken)}), but it is called with ({listed}) first"
     return [ConfigError(message, key=term.path, expected=f"def {name}({listed}, ...)")]
 
 
@@ -119,7 +119,7 @@ def _class_errors(section: str, term: TermNode, target: type) -> list[ConfigErro
 
 
 def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
-    """Find a stock term of another section: its value would be taken for something that it is not."""
+    """Reject a stock term of another section, whose return value this section would misinterpret."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
     if belongs is None or belongs == section:

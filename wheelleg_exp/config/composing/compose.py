@@ -64,7 +64,7 @@ def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
         found = _KEY.match(text)
         key, where = found[1] if found else "", f"override {text}"
         if _name(key) in _OF_SWEEPS:
-            expected = "-m (--multirun) beside it, or neither"
+            expected = "-m (--multirun) in addition, or neither"
             message = "this is a setting of a sweep, and this is one run"
             errors.append(ConfigError(message, key=key, where=where, expected=expected))
         elif is_unread(text):

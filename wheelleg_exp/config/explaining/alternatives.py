@@ -193,8 +193,8 @@ def _store(file: Path, text: str) -> None:
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     temporary.write_text(text, encoding="utf-8")
     temporary.replace(file)
-    kept = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
-    for old in kept[:-_MOST_VIEWS]:
+    stored = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
+    for old in stored[:-_MOST_VIEWS]:
         old.unlink(missing_ok=True)
 
 

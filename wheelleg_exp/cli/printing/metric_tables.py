@@ -1,0 +1,212 @@
+"""Print the figures of plays and agents, and the metrics of one or several evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
+from wheelleg_exp.definitions import CONTACTS, MOTION, percent, rollout_label
+
+if TYPE_CHECKING:
+    from wheelleg_exp.evaluation.method_comparison import Difference
+    from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
+    from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
+
+
+_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")  # do not cover the settling time
+
+_MOTION: Mapping[str, Callable[[float], str]] = {
+    "drift_m": lambda value: f"{1e3 * value:.1f} mm",
+    "yaw_drift_deg": lambda value: f"{value:.2f} deg",
+    "action_rate_per_s": lambda value: f"{value:.2f} /s",
+    "power_net_w": lambda value: f"{value:.3f} W",
+    "torque_rms_nm": lambda value: f"{value:.4f} N·m",
+    "at_limit": percent,
+    "sign_changes_per_s": lambda value: f"{value:.1f} /s",
+}
+
+
+def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
+    """Print the figures of standing and moving, each with the steps or episodes that it covers."""
+    ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
+    of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
+    values = {
+        "survival": _share(figures.survival),
+        "height_rmse_m": _millimetres(figures.height_rmse_m),
+        "height_mean_m": _millimetres(figures.height_mean_m),
+        "pitch_rms_deg": _degrees(figures.pitch_rms_deg),
+        "pitch_mean_deg": _degrees(figures.pitch_mean_deg),
+        "mean_return": "-" if figures.mean_return is None else f"{figures.mean_return:.2f}",
+    }
+    rows = [
+        (rollout_label("episodes", None), f"{figures.episodes}", "the first of each environment"),
+        *(((rollout_label("unfinished", None), f"{figures.unfinished}", ""),) if figures.unfinished else ()),
+        *((rollout_label(key, figures.settle_s), value, of[key]) for key, value in values.items()),
+        *(() if motion is None else _motion(motion, figures)),
+        *((f"{rollout_label('ended_by', None)} {name}", f"{count}", "") for name, count in figures.ended_by.items()),
+    ]
+    of_numbers = rollout_label("non_finite", None)
+    rows += [(f"{of_numbers}: {key}", f"{count}", "episodes") for key, count in figures.non_finite.items()]
+    print_table(("figure", "value", "of"), rows)
+
+
+def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
+    """Print the contact force on each link while the robot stood."""
+    from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
+
+    steps = _counted(rows[0].steps if rows else 0, "step")
+    words = (
+        f"{sensor}: normal force at the end of a step, over {steps} of all episodes and environments, "
+        f"at least {SETTLE_S:g} s after a reset and with a tilt below {UPRIGHT_RAD:g} rad"
+    )
+    print(f"\n{hanging(words, 0)}")
+    cells = [(r.body, f"{r.mean_n:.3f}", f"{r.max_n:.3f}", percent(r.contact_share)) for r in rows]
+    print_table(("link", *(CONTACTS[key].heading for key in ("mean_n", "max_n", "contact_share"))), cells)
+
+
+def print_recording(path: Path | None) -> None:
+    """Print the path of a recording, and the command that opens it."""
+    if path is not None:
+        print(f"\nrecording: {shown(path)}\nopen it:   {tool('rerun')} {shown(path)}")
+
+
+def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
+    """Yield a row for each figure of motion, and one for each actuator group if the figure has several values."""
+    ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
+    found = motion.as_dict()
+    for key, form in _MOTION.items():
+        name, value = rollout_label(key, figures.settle_s), found[key]
+        of = ways if MOTION[key].label.startswith(("strayed", "turned")) else settled
+        if isinstance(value, dict):
+            yield from ((f"{name} ({group})", form(each), of) for group, each in value.items())
+        else:
+            yield name, "-" if value is None else form(value), of
+
+
+def _settled(figures: StandFigures) -> str:
+    if not figures.settled_steps:
+        return "no episode lasted that long"
+    return f"{_counted(figures.settled_steps, 'step')} of {_counted(figures.settled_episodes, 'episode')}"
+
+
+def _counted(count: int, one: str) -> str:
+    return f"{count} {one}" if count == 1 else f"{count} {one}s"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else percent(value)
+
+
+def _millimetres(value: float | None) -> str:
+    return "-" if value is None or math.isnan(value) else f"{1e3 * value:.2f} mm"
+
+
+def _degrees(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f} deg"
+
+
+# --- evaluations ---
+
+_DEGREES = {"rad": "°", "rad/s": "°/s"}
+
+
+def print_evaluation(content: Mapping[str, Any]) -> None:
+    """Print the content of ``evaluation.json``: one table for each group of metrics, with angles in degrees."""
+    about, protocol = content["about"], content["protocol"]
+    dt, step = about.get("physics_dt_s"), about.get("step_dt_s")
+    print(f"protocol {protocol['name']}, seed {content['seed']}, scenarios {content['scenarios_sha256'][:12]}")
+    print(f"robot profile {about.get('profile')}, {about.get('engine')}, physics step {dt:.6g} s, control {step:.6g} s")
+    for group, found in groupby(content["metrics"], lambda name: name.split("/")[0]):
+        print()
+        names = list(found)
+        rows = [_row(name, content["metrics"][name]) for name in names if content["metrics"][name]["episodes"]]
+        print_table((group, "value", "95 % interval", "unit", "episodes"), rows)
+        _print_unmeasured([name.split("/", 1)[1] for name in names if not content["metrics"][name]["episodes"]])
+
+
+def _print_unmeasured(names: Sequence[str]) -> None:
+    """Print the metrics without a value, such as the drift if every robot fell immediately."""
+    if names:
+        print(hanging(f"no episode has a value for: {', '.join(names)}", 4))
+
+
+def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
+    factor, unit = _scale(figure["unit"])
+    ends = [figure[key] for key in ("value", "low", "high")]
+    value, low, high = ("-" if end is None else f"{end * factor:.4g}" for end in ends)
+    between = "-" if "-" in (low, high) else f"{low} to {high}"
+    return name.split("/", 1)[1], value, between, unit, str(figure["episodes"])
+
+
+def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None) -> None:
+    """Print every metric of the runs and of the reference controller side by side."""
+    from wheelleg_exp.jobs.evaluate_policy import display_name
+
+    print(f"protocol {made.content['protocol']}, scenarios {made.content['scenarios_sha256'][:12]}")
+    for number, run in enumerate(runs, start=1):
+        print(f"run {number}: {display_name(run)}")
+    several = len(runs) > 1
+    heads = [f"run {number}" for number in range(1, len(runs) + 1)]
+    over = ["mean", "95 % interval", "noise floor"] if several else []
+    columns = ["metric", "unit", *heads, *over, *(["reference"] if reference is not None else [])]
+    rows, unmeasured = [], []
+    for row in made.seeds:
+        factor, unit = _scale(row.unit)
+        cells = [_difference_number(value, factor) for value in row.values]
+        if several:
+            mean = row.mean
+            cells += [
+                _difference_number(mean.value, factor),
+                _between(mean.low, mean.high, factor),
+                _difference_number(mean.floor, factor),
+            ]
+        if reference is not None:
+            figure = reference.evaluation.metrics.get(row.metric)
+            cells.append("-" if figure is None else _difference_number(figure.value, factor))
+        if set(cells) == {"-"}:
+            unmeasured.append(row.metric)
+        else:
+            rows.append((row.metric, unit, *cells))
+    print_table(columns, rows, heads=1)
+    _print_unmeasured(unmeasured)
+    if several:
+        print(hanging("intervals: bootstrap over the runs and, within each run, over its episodes", 0))
+
+
+def print_differences(made: Compared) -> None:
+    """Print the differences between the runs and the opposite runs, metric by metric, and the verdict."""
+    rows = [_difference(row) for row in made.differences if row.better and math.isfinite(row.interval.value)]
+    print()
+    print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
+    print(hanging("p: two-sided, paired if episodes have equal starts, corrected for all tests (Holm)", 0))
+    for verdict in filter(None, (made.push_verdict, made.verdict)):
+        print(f"\n{hanging(verdict, 0)}")
+
+
+def _difference(row: Difference) -> tuple[str, ...]:
+    factor, unit = _scale(row.unit)
+    value = row.interval
+    test = ("", "") if row.test is None or row.p is None else (row.test.test, f"{row.p:.2g}")
+    numbers = (
+        _difference_number(row.first, factor),
+        _difference_number(row.second, factor),
+        _difference_number(value.value, factor),
+    )
+    return row.metric, unit, *numbers, _between(value.low, value.high, factor), *test, row.outcome or "-"
+
+
+def _scale(unit: str) -> tuple[float, str]:
+    return (180.0 / math.pi if unit in _DEGREES else 1.0), _DEGREES.get(unit, unit)
+
+
+def _between(low: float, high: float, factor: float) -> str:
+    ends = _difference_number(low, factor), _difference_number(high, factor)
+    return "-" if "-" in ends else " to ".join(ends)
+
+
+def _difference_number(value: float, factor: float) -> str:
+    return f"{value * factor:.3g}" if math.isfinite(value) else "-"
