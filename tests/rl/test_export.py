@@ -21,7 +21,7 @@ from tensordict import TensorDict
 
 from wheelleg_exp.rl import export
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.verify.exported_policies import exported_part
+from wheelleg_exp.verify.policy_differences import exported_part
 
 pytestmark = pytest.mark.slow
 

@@ -664,7 +664,7 @@ def test_other_code_is_told_and_allows_nothing(a, b):
     set_scalar(b, 2, 0.75)
     found = compared(a, b)
     assert found.verdict == "different"
-    assert "no repository here holds both: which files differ cannot be told" in found.reason
+    assert "no repository here contains both, so the changed files are unknown" in found.reason
     assert [(d.section, d.name, d.allows) for d in found.environment] == [("code", "tree", None)]
     assert any(line.strip().startswith("code.tree") for line in found.lines())
 

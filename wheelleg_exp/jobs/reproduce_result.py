@@ -18,7 +18,13 @@ from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.run.environment import hardware, versions
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
-from wheelleg_exp.verify.run_differences import FactDifference, allowing, environment_differences
+from wheelleg_exp.verify.run_differences import (
+    UNKNOWN_BEFORE_TORCH,
+    FactDifference,
+    allowing,
+    environment_differences,
+    plain_changes,
+)
 
 _COMMAND = ("wheelleg", "results")
 
@@ -128,24 +134,20 @@ def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference
         yield from _leaf_differences({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})
 
 
-def _leaf_differences(was: Any, now: Any, where: str = "") -> Iterator[str]:
+def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
     """Yield every leaf in which two plain values differ."""
-    if isinstance(was, Mapping) and isinstance(now, Mapping):
-        for key in dict.fromkeys([*was, *now]):
-            yield from _leaf_differences(was.get(key), now.get(key), f"{where}.{key}" if where else str(key))
-    elif was != now:
-        yield f"{where} is {shorten(now)}, and was {shorten(was)}"
+    for change in plain_changes(was, now, keys):
+        yield f"{change.key} is {shorten(change.b)}, and was {shorten(change.a)}"
 
 
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
     """Return in what runs were made otherwise that may change bits; ``early`` what is not known yet is left out."""
-    facts = [
-        fact for one, other in zip(was, now, strict=True) for fact in allowing(environment_differences(one, other))
-    ]
-    known = [fact for fact in facts if not (early and fact.name == "torch_cpu_capability")]
-    return [fact for number, fact in enumerate(known) if fact not in known[:number]]
+    unknown = UNKNOWN_BEFORE_TORCH if early else ()
+    sides = zip(was, now, strict=True)
+    facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
+    return [fact for number, fact in enumerate(facts) if fact not in facts[:number]]
 
 
 def _fact_lines(facts: Sequence[FactDifference]) -> list[str]:

@@ -5,7 +5,7 @@
 | ``check_run``, ``check_files`` | one run: no file is missing or altered, and all files agree |
 | ``run_comparison``, ``comparison_text`` | two runs: the verdict, the first difference, the text |
 | ``run_differences`` | differences in settings, code, and machine, and which of them may change numbers |
-| ``run_parts``, ``checkpoint_comparison``, ``tensor_differences``, ``exported_policies`` | differences in results |
+| ``run_parts``, ``policy_differences``, ``tensor_differences`` | differences in results |
 | ``tolerance`` | when unequal numbers count as the same training |
 """
 

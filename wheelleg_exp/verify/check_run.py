@@ -28,8 +28,7 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import drop_removed
 from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
-from wheelleg_exp.verify.comparison_text import changes_text
-from wheelleg_exp.verify.run_differences import plain_changes
+from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
 # Resolvers whose result depends on the machine and the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from wheelleg_exp.config.explaining.config_diff import Change
-from wheelleg_exp.verify.checkpoint_comparison import CheckpointComparison, Pair
-from wheelleg_exp.verify.run_differences import FactDifference, decides
+from wheelleg_exp.verify.policy_differences import CheckpointComparison, Pair
+from wheelleg_exp.verify.run_differences import FactDifference, brief, decides
 from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
 
 
@@ -95,7 +95,6 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
     return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_WIDEST = 40  # longer values are cut
 _FACTS = 12  # differences of the environment that are shown
 _DIGITS = 10
 
@@ -156,20 +155,6 @@ def checkpoints_text(found: CheckpointComparison) -> str:
     if first is not None:
         texts.append(first.problem or f"the first model_{first.iteration}.pt")
     return ", ".join(texts)
-
-
-def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
-    """Return the settings that differ, the first few with their values."""
-    texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
-    return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
-
-
-def brief(value: Any) -> str:
-    """Return a value on one short line; for a term, the name of its target."""
-    if isinstance(value, Mapping) and "_target_" in value:
-        value = str(value["_target_"]).rsplit(".", 1)[-1]
-    written = repr(value) if isinstance(value, float) else str(value)
-    return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
 
 
 def _what(first: Divergence) -> str:

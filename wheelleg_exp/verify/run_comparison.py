@@ -13,14 +13,15 @@ from wheelleg_exp.verify import comparison_text as text
 from wheelleg_exp.verify import run_parts as part
 from wheelleg_exp.verify.check_files import cut
 from wheelleg_exp.verify.check_run import verify_run
-from wheelleg_exp.verify.checkpoint_comparison import CheckpointComparison, compare_checkpoints
 from wheelleg_exp.verify.comparison_text import Divergence, first_divergence
-from wheelleg_exp.verify.exported_policies import exported_part
+from wheelleg_exp.verify.policy_differences import CheckpointComparison, compare_checkpoints, exported_part
 from wheelleg_exp.verify.run_differences import (
     UNKNOWN_CODE,
     FactDifference,
     allowing,
     as_dict,
+    brief,
+    changes_text,
     decides,
     forbidding,
     recording_changes,
@@ -205,7 +206,7 @@ def _changes_part(changes: list[Change], what: str) -> Part:
     details = {"differing": [as_dict(change) for change in changes]}
     if not changes:
         return Part("equal", what, details)
-    return Part("different", text.changes_text(changes), details)
+    return Part("different", changes_text(changes), details)
 
 
 def _checkpoints_part(found: CheckpointComparison) -> Part:
@@ -229,7 +230,7 @@ def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Ch
     options = recording_changes(settings)
     recording = part.recording_part(a, b)
     if recording.state == "different" and options and "unreadable" not in recording.details:
-        recording = Part("not compared", f"recorded with other options: {text.changes_text(options)}")
+        recording = Part("not compared", f"recorded with other options: {changes_text(options)}")
     return {"recording": recording, "exported": exported_part(a, b), "results": part.results_part(a, b)}
 
 
@@ -301,7 +302,7 @@ def _code_text(forbidden: Sequence[FactDifference]) -> str:
             return "the code was not recorded"
         return f"the code differs ({'; '.join(dict.fromkeys(d.note for d in forbidden if d.note))})"
     first = forbidden[0]
-    return f"{'B' if first.a is None else 'A'} was resumed {first.name} ({text.brief(first.b or first.a)})"
+    return f"{'B' if first.a is None else 'A'} was resumed {first.name} ({brief(first.b or first.a)})"
 
 
 def _differ(names: Sequence[str]) -> str:

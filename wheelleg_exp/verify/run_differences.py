@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,6 +73,20 @@ def as_dict(change: Change) -> dict[str, Any]:
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
+def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
+    """Return the settings that differ, the first few with their values."""
+    texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
+    return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
+
+
+def brief(value: Any) -> str:
+    """Return a value on one short line; for a term, the name of its target."""
+    if isinstance(value, Mapping) and "_target_" in value:
+        value = str(value["_target_"]).rsplit(".", 1)[-1]
+    written = repr(value) if isinstance(value, float) else str(value)
+    return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
+
+
 def recording_changes(changes: list[Change]) -> list[Change]:
     """Return the changes that decide what a recording contains."""
     return [change for change in changes if change.keys[0].startswith("recording")]
@@ -130,6 +144,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
+_WIDEST = 40  # longer values are cut
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
@@ -166,6 +181,9 @@ _ALLOWING: dict[str, dict[str, str]] = {
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
 
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # facts of a process that has not imported torch
+
+
 @dataclass(frozen=True)
 class FactDifference:
     """One fact in which two runs differ.
@@ -191,13 +209,18 @@ class FactDifference:
     note: str = ""
 
 
-def environment_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
-    """Return how two manifests, or parts of them, differ in ``SECTIONS``. A section that only one has is skipped."""
+def environment_differences(
+    a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
+) -> list[FactDifference]:
+    """Return how two manifests, or parts of them, differ in ``SECTIONS``.
+
+    A section that only one manifest has is skipped. So are the names of ``unknown``, which one side cannot know yet.
+    """
     found = []
     for section in SECTIONS:
         ones, others = _values(a, section), _values(b, section)
         if ones is not None and others is not None:
-            for name in sorted({*ones, *others}):
+            for name in sorted({*ones, *others} - set(unknown)):
                 one, other = ones.get(name, []), others.get(name, [])
                 if one != other:
                     found.append(_difference(section, name, one, other, (a, b)))

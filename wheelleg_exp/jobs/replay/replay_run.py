@@ -31,6 +31,7 @@ from wheelleg_exp.run.run_directory import NEEDED, REPLAYS, RunDirectory
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.verify import Comparison, FactDifference, compare_runs, environment_differences
+from wheelleg_exp.verify.run_differences import UNKNOWN_BEFORE_TORCH
 from wheelleg_exp.verify.run_parts import measure
 
 _SNAPSHOT_FILES = (*NEEDED, OVERRIDES, "source/git.json")
@@ -272,8 +273,7 @@ def _recorded_variables(manifest: Manifest) -> dict[str, str]:
 
 def _differences(manifest: Manifest, environ: Mapping[str, str]) -> list[FactDifference]:
     now = {"versions": versions(), "hardware": hardware(), "environment_variables": variables(environ)}
-    unknown = ("torch_cpu_capability",)  # as long as torch is not imported
-    return [d for d in environment_differences(manifest.data, now) if d.name not in unknown]
+    return environment_differences(manifest.data, now, UNKNOWN_BEFORE_TORCH)
 
 
 def _report(display: Display, source: RestoredSource, machine: list[FactDifference], notes: list[str]) -> None:
