@@ -24,9 +24,8 @@ from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exi
 class Pushes:
     """Change the velocity of the robot in its own level axes, at one moment or evenly over a pulse.
 
-    Args:
-        rollout: the rollout whose episodes are pushed.
-        options: time, duration, and directions of the pushes.
+    ``rollout`` is the rollout whose episodes are pushed. ``options`` sets the time, duration, and directions of the
+    pushes.
     """
 
     rollout: Rollout
@@ -94,10 +93,7 @@ def push_columns(
 def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
     """Return how the episodes recovered from a push (see ``push_columns``).
 
-    Args:
-        made: the episodes.
-        options: the time of the push, and the bands.
-        height: the target height of the base, m, (N,).
+    ``options`` sets the time of the push, and the bands. ``height`` is the target height of the base, m, (N,).
     """
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
@@ -144,11 +140,7 @@ def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -
     Events set masses, centres of mass, gains, and friction. They run after the task's own events of the same kind and
     replace their draws. Noise replaces the noise of the observation terms that ``noise_std`` names.
 
-    Args:
-        cfg: the ``env`` section of the evaluation.
-        options: the values.
-        base: name of the root link.
-        step_dt: the control step, s.
+    ``cfg`` is the ``env`` section of the evaluation. ``base`` is the name of the root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:
@@ -231,12 +223,7 @@ def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float
 
 
 class DelayedPolicy:
-    """A policy whose actions are delayed by whole control steps; the first actions are zeros.
-
-    Args:
-        policy: the policy.
-        steps: the delay.
-    """
+    """A policy whose actions are delayed by whole control steps; the first actions are zeros."""
 
     def __init__(self, policy: Policy, steps: int) -> None:
         self._policy, self._steps = policy, steps

@@ -38,12 +38,7 @@ def evaluation_cfg(
     Removed are events that act during an episode, time-outs, rewards, curricula, and recorders. Commands, terminations
     that are failures, observations with their noise, and events at startup and reset stay.
 
-    Args:
-        env_cfg: the composed ``env`` section, plain.
-        protocol: the protocol.
-        num_envs: number of episodes.
-        horizon_s: length of each episode, s.
-        ground: whether the task's own ground stays.
+    ``env_cfg`` is the composed ``env`` section, plain. ``ground`` says whether the task's own ground stays.
 
     Raises:
         ConfigError: the task lacks the protocol's command.

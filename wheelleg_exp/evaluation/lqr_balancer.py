@@ -81,11 +81,7 @@ class Pendulum:
         return a, b
 
     def gains(self, step_dt: float) -> Array:
-        """Return the optimal gains K (4,) of u = -K [position, pitch, speed, pitch rate] in discrete time.
-
-        Args:
-            step_dt: the control step, s.
-        """
+        """Return the optimal gains K (4,) of u = -K [position, pitch, speed, pitch rate] in discrete time."""
         a, b = self.linear()
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
@@ -97,8 +93,7 @@ class Pendulum:
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     """Return the pendulum model of a robot at its default pose, and the robot's anatomy.
 
-    Args:
-        env: the environment; its compiled model is used, without randomisation.
+    ``env`` is the environment; its compiled model is used, without randomisation.
 
     Raises:
         ConfigError: the robot does not stand on driven wheels of one axle that roll in one direction.
@@ -161,10 +156,6 @@ class Reference:
     ground shift that lean. The integrator adds up the pitch acceleration that the linear model does not explain, with
     the time constant of the pole. The error is 0 in balance, so the position has no offset. Commands do not wind up the
     integrator, because the model explains their effect.
-
-    Args:
-        env: the environment.
-        command: name of the velocity command.
 
     Attributes:
         pendulum: the linear model's parameters.
@@ -233,9 +224,8 @@ class Reference:
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         """Integrate one control step and return the lean at which each robot balances, rad, (N,).
 
-        Args:
-            fresh: whether an episode starts, (N,) bool.
-            state: pitch, pitch rate and wheel speed, (3, N).
+        ``fresh`` says whether an episode starts, (N,) bool. ``state`` holds the pitch, pitch rate and wheel
+        speed, (3, N).
         """
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt

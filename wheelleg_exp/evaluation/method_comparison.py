@@ -88,8 +88,7 @@ class Difference:
 def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
     """Return every metric that all evaluations have, over the trainings.
 
-    Args:
-        evaluations: evaluations of trainings that differ by their seed, in the same scenarios.
+    ``evaluations`` are the evaluations of trainings that differ by their seed, in the same scenarios.
 
     Raises:
         RunDirectoryError: their scenarios differ.
@@ -110,9 +109,8 @@ def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> li
 
     Episodes with the same start are pairs. Several trainings of a method count with their mean in each scenario.
 
-    Args:
-        first: evaluations of the method in question, one per training seed.
-        second: evaluations of the other method.
+    ``first`` are the evaluations of the method in question, one per training seed. ``second`` are the evaluations
+    of the other method.
 
     Raises:
         RunDirectoryError: their scenarios differ.
@@ -208,11 +206,7 @@ _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 def verdict(found: Sequence[Difference], first: str, second: str, trainings: Sequence[int]) -> str:
     """Return a summary of the differences in words.
 
-    Args:
-        found: the differences.
-        first: name of the method in question.
-        second: name of the other method.
-        trainings: number of trainings of each method.
+    ``first`` is the name of the method in question. ``second`` is the name of the other method.
     """
     tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
     better = [row.metric for row in tested if row.outcome == "better"]
@@ -235,10 +229,7 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
 
     It is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
 
-    Args:
-        found: the differences.
-        first: name of the method in question.
-        second: name of the other method.
+    ``first`` is the name of the method in question. ``second`` is the name of the other method.
     """
     rows = {row.metric: row for row in found}
     kinds = [name.removeprefix(_WORST) for name in rows if name.startswith(_WORST)]

@@ -65,9 +65,7 @@ def skill(columns: Sequence[Array]) -> Array:
 def area(columns: Sequence[Array], band: float) -> Array:
     """Return the share of cells without a fall whose mean errors are within the band.
 
-    Args:
-        columns: the cell, and the errors of both axes as shares of the command; inf if the episode fell.
-        band: the largest share.
+    ``columns`` holds the cell, and the errors of both axes as shares of the command; inf if the episode fell.
     """
     cell, *errors = columns
     passed = []
@@ -211,11 +209,7 @@ class Metric:
 def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
     """Return bootstrap values of a metric, (B,). Equal seeds draw the same episodes.
 
-    Args:
-        metric: the metric.
-        episodes: the columns.
-        seed: seed of the draws; the stream has the metric's name.
-        resamples: number of resamples, B.
+    ``seed`` is the seed of the draws; the stream has the metric's name.
     """
     columns = metric.values(episodes)
     count = len(columns[0])
@@ -227,14 +221,7 @@ def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resample
 
 
 def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
-    """Return a metric with its 95 % percentile bootstrap interval over episodes.
-
-    Args:
-        metric: the metric.
-        episodes: the columns.
-        seed: seed of the draws.
-        resamples: number of resamples.
-    """
+    """Return a metric with its 95 % percentile bootstrap interval over episodes."""
     columns = metric.values(episodes)
     if not len(columns[0]):
         return Figure(float("nan"), float("nan"), float("nan"), 0, metric.unit, metric.better)

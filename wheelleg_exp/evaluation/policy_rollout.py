@@ -24,10 +24,6 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 class HeldCommand:
     """Hold the values of a velocity command term instead of its random draws.
 
-    Args:
-        env: the environment.
-        name: the term.
-
     Raises:
         ConfigError: the term is not a velocity command.
     """

@@ -69,10 +69,8 @@ def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.ran
 
     With one seed, the interval is over its episodes. It then says nothing about another training.
 
-    Args:
-        values: the metric of each seed, (S,).
-        drawn: bootstrap values of the metric over the episodes of each seed, (B,) each.
-        generator: generator of the draws.
+    ``values`` is the metric of each seed, (S,). ``drawn`` is the bootstrap values of the metric over the episodes
+    of each seed, (B,) each.
     """
     finite = [value for value in values if np.isfinite(value)]
     value = float(np.mean(finite)) if finite else float("nan")
@@ -85,9 +83,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
     The episodes of one seed are not independent draws of the trained method. So whole seeds are drawn, and then the
     episodes of each: Davison and Hinkley, Bootstrap Methods (1997), 3.8. The draws of a single seed stay in order.
 
-    Args:
-        drawn: bootstrap values of the metric over the episodes of each seed, (B,) each.
-        generator: generator of the draws.
+    ``drawn`` is the bootstrap values of the metric over the episodes of each seed, (B,) each.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -133,9 +129,7 @@ def mcnemar(first: Array, second: Array) -> Test:
     Only scenarios in which exactly one policy succeeded count. By chance both cases are equally likely: the two-sided
     binomial test of Dwass (1955), McNemar (1947).
 
-    Args:
-        first: outcomes, 1 or 0, (E,).
-        second: outcomes of the same scenarios, (E,).
+    ``second`` are the outcomes of the same scenarios, (E,).
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
@@ -146,9 +140,7 @@ def mcnemar(first: Array, second: Array) -> Test:
 def wilcoxon(first: Array, second: Array) -> Test:
     """Return the Wilcoxon signed-rank test of paired errors. Equal pairs are dropped.
 
-    Args:
-        first: errors, (E,), finite.
-        second: errors of the same scenarios, (E,), finite.
+    ``first`` are the errors, (E,), finite. ``second`` are the errors of the same scenarios, (E,), finite.
     """
     difference = np.asarray(second, dtype=np.float64) - first
     untied = int(np.count_nonzero(difference))

@@ -25,9 +25,7 @@ _BORDER = 2.0  # m of level ground around all tiles
 def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     """Return the terrain section: one column per kind of tile, one row per level.
 
-    Args:
-        options: kinds, levels, and size of the tiles.
-        seed: seed of the terrain's random heights.
+    ``options`` sets the kinds, levels, and size of the tiles. ``seed`` is the seed of the terrain's random heights.
     """
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
@@ -92,10 +90,8 @@ _STRIP_ROOM = 1.0  # m of level ground beyond both ends of the commanded path
 def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Return the terrain section: one column per strip, one row, and level ground around.
 
-    Args:
-        options: roughness, length, and width of the strips.
-        terrain: the terrain section whose friction is copied.
-        seed: seed of the heights.
+    ``options`` sets the roughness, length, and width of the strips. ``terrain`` is the terrain section whose
+    friction is copied.
     """
     rim = options.horizontal_scale  # the outer points are at height 0, so that the strip has no step at its edge
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}

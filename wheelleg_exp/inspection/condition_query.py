@@ -47,9 +47,6 @@ Value = NDArray | float
 class Condition:
     """A parsed condition.
 
-    Args:
-        text: the condition.
-
     Raises:
         WheellegError: the text is not a condition.
     """

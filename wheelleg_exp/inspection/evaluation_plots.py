@@ -28,8 +28,7 @@ _DEGREES = 180.0 / math.pi
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
     """Return the panels of an evaluation by test, for the tests that have plots.
 
-    Args:
-        episodes: the columns of ``Evaluation.episodes``.
+    ``episodes`` are the columns of ``Evaluation.episodes``.
     """
     found = {}
     for test, draw in _TESTS.items():

@@ -77,10 +77,7 @@ class Sample:
 class Source:
     """A recording as a source of plots.
 
-    Args:
-        recording: the recording.
-        env: the recorded environment; by default the selection's, or else the first.
-        selection: the rows.
+    ``env`` is the recorded environment; by default the selection's, or else the first.
 
     Attributes:
         env_id: the environment.

@@ -141,10 +141,8 @@ def tile(
 ) -> Figure:
     """Return a figure of panels in a grid.
 
-    Args:
-        panels: at least one panel.
-        title: a line above them.
-        size: width and height, inches; by default the page's width and the panels' heights.
+    ``title`` is a line above them. ``size`` is the width and height, inches; by default the page's width and the
+    panels' heights.
     """
     with styled():
         return _tiled([(title, panels)], size)

@@ -340,11 +340,7 @@ class Camera:
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
     """Return a camera for the chosen frames of a motion.
 
-    Args:
-        scene: the shapes.
-        motion: their motion.
-        rows: the frames, in order.
-        aspect: width of the picture over its height.
+    ``aspect`` is the width of the picture over its height.
     """
     root = motion.pos[rows, scene.root]
     seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]

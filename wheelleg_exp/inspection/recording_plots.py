@@ -59,10 +59,6 @@ class Plot:
     def make(self, recording: Recording, *, selection: Selection | None = None) -> Figure:
         """Return the figure with the width of a page.
 
-        Args:
-            recording: the recording.
-            selection: the rows.
-
         Raises:
             RunDirectoryError: the recording lacks its data.
         """
@@ -197,10 +193,7 @@ def overlay(
 ) -> Figure:
     """Return a figure with one line per recording for each number of some terms.
 
-    Args:
-        recordings: the recordings by label.
-        terms: dotted names; by default those that suit the recordings' purpose.
-        selection: the rows of each.
+    ``terms`` is the dotted names; by default those that suit the recordings' purpose.
 
     Raises:
         RunDirectoryError: no recording has a term, or the recordings have no common term.

@@ -41,11 +41,7 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Yield a running viewer and its output. It is stopped with all its child processes when the body ends.
-
-    Args:
-        arguments: its arguments, in addition to its address.
-    """
+    """Yield a running viewer and its output. It is stopped with all its child processes when the body ends."""
     with tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder, tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
             [rerun_program(), "--bind", LOOPBACK, *arguments],
@@ -321,12 +317,7 @@ def serve(path: Path, say: Say, *, port: int = 0, browser: bool = True) -> None:
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
     """Write a screenshot of rerun's viewer with a recording, complete or not at all.
 
-    Args:
-        path: the recording.
-        output: the picture, .png.
-        time_s: the simulated time to show, s; None for the viewer's default.
-        width: px.
-        height: px.
+    ``time_s`` is the simulated time to show, s; None for the viewer's default.
 
     Raises:
         NoGraphics: there is no Vulkan driver; the message names the packages to install.

@@ -80,10 +80,7 @@ def reward_course(scalars: Scalars) -> list[Panel]:
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
     """Return bars of the mean weighted reward of each term, and its share of all, by absolute value.
 
-    Args:
-        means: the mean by term.
-        title: what it is.
-        unit: its unit; empty without.
+    ``unit`` is its unit; empty without.
     """
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0

@@ -28,11 +28,7 @@ class LivePictures:
 
     The child process starts with the first picture and stops with ``close``.
 
-    Args:
-        model: the compiled scene.
-        root: the name of the robot's root body.
-        width: px.
-        height: px.
+    ``root`` is the name of the robot's root body.
     """
 
     def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:

@@ -23,10 +23,7 @@ from wheelleg_exp.rendering.render_job import READY, Order, View
 def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
     """Return the error for more environments than a camera may draw, or None.
 
-    Args:
-        num_envs: the number of environments.
-        limit: the camera's ``max_num_envs``.
-        sensor_key: its config key.
+    ``limit`` is the camera's ``max_num_envs``.
     """
     if num_envs <= limit:
         return None

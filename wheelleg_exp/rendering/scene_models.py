@@ -140,11 +140,7 @@ def _grid_normals(height: Array, x: Array, y: Array) -> Array:
 
 
 class Kinematics:
-    """Forward kinematics on a separate ``MjData``, so that the simulation is not changed.
-
-    Args:
-        model: the compiled scene.
-    """
+    """Forward kinematics on a separate ``MjData``, so that the simulation is not changed."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -209,11 +205,8 @@ _KINDS = {
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
     """Return the compiled MuJoCo model of a scene.
 
-    Args:
-        scene: the scene; its mocap bodies follow the light's rig, in order.
-        width: width of the pictures, px.
-        height: height of the pictures, px.
-        samples: samples per pixel, against jagged edges; 0 if the driver has none.
+    ``scene`` is the scene; its mocap bodies follow the light's rig, in order. ``samples`` are the samples per
+    pixel, against jagged edges; 0 if the driver has none.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)

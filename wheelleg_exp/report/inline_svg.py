@@ -41,10 +41,8 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 def clean(svg: str, prefix: str, title: str) -> str:
     """Return an SVG without prolog, scripts, links, and foreign styles.
 
-    Args:
-        svg: a whole SVG document.
-        prefix: a prefix for its ids, so that two drawings of a page share no id.
-        title: description for readers who do not see the drawing.
+    ``prefix`` is a prefix for its ids, so that two drawings of a page share no id. ``title`` is the description for
+    readers who do not see the drawing.
 
     Raises:
         ValueError: the text is not SVG.
@@ -104,10 +102,8 @@ _LETTER, _LEGEND_ROW = 0.075, 0.17  # inches, of a legend below its panel
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
     """Return panels as drawings of the page.
 
-    Args:
-        panels: the panels.
-        prefix: the prefix of the ids inside the drawings; unique per page.
-        paired: whether the panels form pairs.
+    ``prefix`` is the prefix of the ids inside the drawings; unique per page. ``paired`` says whether the panels
+    form pairs.
     """
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 

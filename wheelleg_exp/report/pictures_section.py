@@ -55,9 +55,7 @@ class Episode:
 class Look:
     """The recordings of a run, each opened once. The page notes a recording that cannot be read.
 
-    Args:
-        subject: the run.
-        pictures: whether to draw pictures of the robot.
+    ``pictures`` says whether to draw pictures of the robot.
     """
 
     subject: Subject
@@ -239,10 +237,7 @@ def _clock(seconds: float) -> str:
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
     """Return pictures of moments as data URIs, all from one distance.
 
-    Args:
-        shown: the recording's scene and motion.
-        times: simulated times, s.
-        size: width and height, px.
+    ``shown`` is the recording's scene and motion. ``size`` is the width and height, px.
 
     Raises:
         WheellegError: a moment is not in the recording, or drawing is not possible on this machine.

@@ -133,13 +133,7 @@ Builder = Callable[[], Sequence[Block]]
 
 
 def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
-    """Return the page.
-
-    Args:
-        subject: the run.
-        look: its recordings and pictures.
-        verdict: its reproducibility.
-    """
+    """Return the page."""
     of_training = subject.status != AGENT
     sections = [
         section(

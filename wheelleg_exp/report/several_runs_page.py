@@ -199,8 +199,7 @@ def course(
     Only iterations that all runs have are used, so that the end of one run does not move the mean. Long trainings are
     thinned evenly, (n,). A run without any value is skipped.
 
-    Args:
-        series: iterations and values of each run.
+    ``series`` are the iterations and values of each run.
     """
     runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
     runs = [run for run in runs if run]
@@ -245,9 +244,7 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
 
     The subject is the sweep, or the current folder.
 
-    Args:
-        names: runs and sweeps, by path, id or (of runs) ``latest``.
-        root: the folder of all runs.
+    ``names`` are the runs and sweeps, by path, id or (of runs) ``latest``. ``root`` is the folder of all runs.
 
     Raises:
         RunDirectoryError: a name is neither a run nor a sweep, or is an agent's run, or a sweep has no run yet.
@@ -275,10 +272,7 @@ def _runs_of(index: SweepIndex) -> list[Subject]:
 def several_page(about: Subject, runs: Sequence[Subject], command: Sequence[str]) -> Page:
     """Return the page about several runs.
 
-    Args:
-        about: the subject of the page, see ``open_several``.
-        runs: the runs.
-        command: the command line.
+    ``about`` is the subject of the page, see ``open_several``.
     """
     groups = grouped(runs)
     tasks = list(dict.fromkeys(run.task for run in runs))
