@@ -80,6 +80,7 @@ def push_columns(
     for iteration in range(options.iterations):
         middle = (low + high) / 2
         made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
+        # Each episode has its own interval: a fall lowers its upper end, and survival raises its lower end.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
     made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))

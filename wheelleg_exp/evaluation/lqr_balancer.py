@@ -83,6 +83,7 @@ class Pendulum:
     def gains(self, step_dt: float) -> Array:
         """Return the optimal gains K (4,) of u = -K [position, pitch, speed, pitch rate] in discrete time."""
         a, b = self.linear()
+        # The exponential of the extended matrix holds the discrete A and B in its upper rows (zero-order hold).
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
         cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
@@ -214,6 +215,7 @@ class Reference:
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
         error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
         wheel = speed - (error @ self._k) / self.bandwidth
+        # The shortest turn, so that a heading error never exceeds half a turn.
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs

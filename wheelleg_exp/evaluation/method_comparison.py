@@ -189,6 +189,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
         one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
     else:
         one, other = (np.concatenate([metric.values(each.episodes)[0] for each in group]) for group in (first, second))
+    # Pairs stay aligned: an episode is dropped from both sides if one side is not finite.
     finite = np.isfinite(one) & np.isfinite(other) if are_pairs else None
     if finite is not None:
         one, other = one[finite], other[finite]

@@ -142,6 +142,7 @@ class Rollout:
         for step in range(self.steps):
             actions = policy(observations)
             numbers = torch.isfinite(actions).all(dim=1)
+            # Ended episodes and NaN actions get zeros, because these robots are still simulated.
             actions = torch.where((alive & numbers).unsqueeze(1), actions, 0.0)
             if disturb is not None:
                 disturb(step)
@@ -165,6 +166,7 @@ class Rollout:
         """Return which episodes failed in this step, and the index of the cause in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
+        # The manager terminates an environment with NaN or inf without any term that fired.
         not_finite = manager.terminated & ~manager.fired.any(dim=0)
         not_finite = not_finite | env.scene.unstable()
         failed = manager.terminated | tilted | not_finite | ~numbers

@@ -91,6 +91,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
+    # np.resize repeats shorter columns, but `places` only indexes their original part.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -175,6 +176,7 @@ def holm(tests: Mapping[str, float]) -> dict[str, float]:
     """Return the p values by name, corrected for the number of tests (Holm, 1979)."""
     ordered = sorted(tests, key=lambda name: tests[name])
     corrected, least = {}, 0.0
+    # Corrected p values never decrease along the sorted tests.
     for rank, name in enumerate(ordered):
         least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
         corrected[name] = least

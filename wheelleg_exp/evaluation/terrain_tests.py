@@ -178,6 +178,7 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
 def _recovery(made: Trajectories, swing: torch.Tensor, found: Phases, options: Strip) -> Columns:
     limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
+    # Differences of cumulative sums give the mean square over every coming window at once.
     sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
     coming = torch.full_like(swing, torch.nan)
     coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()

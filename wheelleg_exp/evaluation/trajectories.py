@@ -68,6 +68,7 @@ class EffortMeter(SensorBase):
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
+        # A zero sign makes the next product zero, so the first counted step has no sign change.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 
@@ -240,6 +241,7 @@ class Trajectories:
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
     """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
+    # In float64, because float32 loses digits in sums over long episodes.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
     total = torch.where(counted, flat, 0.0).sum(dim=0)

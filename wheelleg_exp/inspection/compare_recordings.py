@@ -125,6 +125,7 @@ def _difference(
     (steps_a, a), (steps_b, b) = _series(*first), _series(*second)
     _, at_a, at_b = np.intersect1d(steps_a, steps_b, return_indices=True)
     both_a, both_b = a[at_a], b[at_b]
+    # Compare bits, not values: NaN equals NaN, and -0.0 differs from 0.0.
     unlike = both_a.view(np.int64) != both_b.view(np.int64)
     if not unlike.any() and np.array_equal(steps_a, steps_b):
         return None

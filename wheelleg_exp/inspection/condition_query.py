@@ -74,6 +74,7 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
+    # The functions below recurse, so a deep tree must be refused before Python's recursion limit.
     if _depth(tree) > DEEPEST:
         raise _wrong(text, "it is nested too deeply")
     return tree
@@ -228,6 +229,7 @@ def find_hits(
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
+    # Read all rows of the environment, because surrounding rows can be outside the selection.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

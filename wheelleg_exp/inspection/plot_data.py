@@ -232,6 +232,7 @@ class Source:
 
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
     """Return times and values with a gap after each step in ``ends``, so that no line crosses a reset."""
+    # A NaN between two points breaks matplotlib's line.
     cuts = np.flatnonzero(np.isin(series.step, ends)) + 1
     cuts = np.union1d(cuts, np.flatnonzero(np.diff(series.step) > 1) + 1)
     cuts = cuts[cuts < len(series.step)]

@@ -177,6 +177,7 @@ def motion_of(source: Source, scene: Scene) -> Motion:
             f"the bodies of '{source.recording.path}' have no common step", expected="a complete recording"
         )
     step = np.asarray(first.column(STEP).combine_chunks())
+    # Rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
     pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
     quat = np.stack([_last_finite(_vectors(t, "quaternion", 4)) for t in tables], axis=1)[..., [3, 0, 1, 2]]
     iteration = None
@@ -321,6 +322,7 @@ def _last_finite(rows: Numbers) -> Numbers:
     fine = (np.abs(rows) < FAR).all(axis=1)
     if fine.all() or not fine.any():
         return np.where(np.abs(rows) < FAR, rows, 0.0)
+    # For each row the index of the last finite row before it; the first finite row serves all rows before it.
     last = np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))
     return rows[last]
 

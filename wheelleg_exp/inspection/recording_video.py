@@ -126,6 +126,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
             f"the video would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
         )
     moments = time[0] + np.arange(count) * speed / fps
+    # The small offset makes up for rounding errors of the recorded times.
     places = np.searchsorted(time, moments + 1e-9, side="right") - 1
     return np.asarray(rows[np.clip(places, 0, len(rows) - 1)])
 

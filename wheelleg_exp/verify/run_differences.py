@@ -69,6 +69,7 @@ def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
 
 def as_dict(change: Change) -> dict[str, Any]:
     """Return a change for JSON."""
+    # JSON has no value for a missing key.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 

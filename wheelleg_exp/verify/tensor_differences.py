@@ -98,6 +98,7 @@ def _tensors(name: str, a: torch.Tensor, b: torch.Tensor) -> Iterator[Difference
 
 def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     width = a.element_size()
+    # Compare bits, because NaN != NaN and -0.0 == 0.0 for values.
     bits = [torch.frombuffer(bytearray(tensor_bytes(x)), dtype=torch.uint8).reshape(-1, width) for x in (a, b)]
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
