@@ -106,15 +106,6 @@ def test_only_chosen_rows_are_written(several: Recording, tmp_path: Path) -> Non
     assert set(table.column("env").to_pylist()) == {3}
 
 
-@pytest.mark.parametrize("terms", [(), ("base.height",)])
-def test_nothing_is_overwritten(played: Recording, tmp_path: Path, terms: tuple[str, ...]) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine").write_text("x")
-    with pytest.raises(WheellegError, match="not overwritten"):
-        export(played, "csv", tmp_path / "out", terms=terms)
-    assert [path.name for path in tmp_path.rglob("*")] == ["out", "mine"]
-
-
 def test_a_folder_appears_whole_or_not_at_all(played: Recording, tmp_path: Path, monkeypatch) -> None:
     from wheelleg_exp.inspection import export_numbers as module
 
@@ -130,19 +121,3 @@ def test_a_folder_appears_whole_or_not_at_all(played: Recording, tmp_path: Path,
     with pytest.raises(WheellegError, match="no space left"):
         export(played, "csv", tmp_path / "out")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("kind", "terms", "message"),
-    [("xlsx", (), "parquet or csv"), ("csv", ("rewards.efort",), "did you mean 'rewards.effort'")],
-)
-def test_mistakes_are_told(played: Recording, tmp_path: Path, kind: str, terms, message: str) -> None:
-    with pytest.raises(WheellegError) as caught:
-        export(played, kind, tmp_path / "out", terms=terms)
-    assert message in str(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-def test_nothing_chosen_is_told(played: Recording, tmp_path: Path) -> None:
-    with pytest.raises(WheellegError, match="is selected"):
-        export(played, "csv", tmp_path / "out", selection=Selection(begin=Length(50.0, False)))

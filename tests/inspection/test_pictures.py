@@ -159,31 +159,10 @@ def test_a_moment_of_a_training_is_found(trained: Recording, choice: dict, step:
     assert found.motion.step[row_at(found, **choice)] == step
 
 
-@pytest.mark.parametrize(
-    ("choice", "message"),
-    [
-        ({"time_s": 9.0}, "a time from 0.02 to 1.20 s"),
-        ({"at": "terminations.fel"}, "did you mean 'terminations.fell'"),
-        ({"at": "terminations.time_out"}, "zero at every recorded step"),
-        ({"iteration": 3}, "nothing was recorded at iteration 3"),
-    ],
-)
-def test_a_moment_that_is_not_there_is_told(shown: Scenery, choice: dict, message: str) -> None:
-    with pytest.raises(WheellegError) as caught:
-        row_at(shown, **choice)
-    assert message in str(caught.value)
-
-
 def test_another_environment_has_its_own_motion(several: Recording) -> None:
     assert scenery(several, 3).source.branch == "env_3"
     with pytest.raises(WheellegError, match="environment 1 was not recorded"):
         scenery(several, 1)
-
-
-@pytest.mark.parametrize(("width", "height"), [(0, 100), (100, 5000), (-3, 10)])
-def test_a_size_that_cannot_be_drawn_is_refused(shown: Scenery, width: int, height: int) -> None:
-    with pytest.raises(WheellegError, match="16 to 4096"):
-        recording_pictures.picture(shown, 0, width, height)
 
 
 def test_a_caption_says_when_and_what_was_commanded(trained: Recording) -> None:

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.inspection import recording_plots
 from wheelleg_exp.inspection import training_curves as plots_training
 from wheelleg_exp.inspection.plot_data import Source
@@ -234,11 +233,6 @@ def test_a_chosen_span_of_time_is_what_is_drawn(played: Recording) -> None:
     np.testing.assert_allclose(time, np.arange(10, 21) * DT)
 
 
-def test_nothing_chosen_is_an_error(played: Recording) -> None:
-    with pytest.raises(WheellegError, match="has no data"):
-        recording_plots.default_page(played, selection=Selection(begin=Length(99.0, False)))
-
-
 def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recording) -> None:
     _, values = line(recording_plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
     np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
@@ -252,12 +246,6 @@ def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
         "contacts.feet: base (N)",
         "contacts.feet: wheel (N)",
     ]
-
-
-def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
-    with pytest.raises(WheellegError) as caught:
-        recording_plots.terms_figure(played, ["rewards.efort"])
-    assert "rewards/effort" in str(caught.value)
 
 
 def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
@@ -322,25 +310,6 @@ def test_a_figure_is_saved_by_its_ending(played: Recording, tmp_path: Path, kind
     if kind == "png":
         assert np.asarray(Image.open(path).convert("L")).std() > 5
     assert [p.name for p in path.parent.iterdir()] == [path.name]
-
-
-def test_a_figure_is_never_written_over_a_file(played: Recording, tmp_path: Path) -> None:
-    path = tmp_path / "figure.svg"
-    path.write_text("mine")
-    with pytest.raises(WheellegError, match="not overwritten"):
-        recording_plots.save(recording_plots.make(played, "terminations"), path)
-    assert path.read_text() == "mine"
-
-
-@pytest.mark.parametrize("name", ["figure", "figure.gif"])
-def test_a_name_that_says_no_kind_is_refused(name: str) -> None:
-    with pytest.raises(WheellegError, match=r"\.png, \.svg or \.pdf"):
-        recording_plots.require_path(Path(name))
-
-
-def test_an_unknown_plot_is_told_with_the_nearest(played: Recording) -> None:
-    with pytest.raises(WheellegError, match="did you mean 'tracking'"):
-        recording_plots.make(played, "trackin")
 
 
 def test_a_source_knows_its_samples(trained: Recording) -> None:

@@ -85,32 +85,6 @@ def test_nothing_chosen_is_told_with_what_there_is(trained: Recording, tmp_path:
     assert "samples start at the iterations 0, 5, 10" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("a.gif", {}, ".mp4"),
-        ("a.mp4", {"width": 97, "height": 64}, "even"),
-        ("a.mp4", {"width": 8, "height": 64}, "16 to 4096"),
-        ("a.mp4", {"fps": 0.0}, "1 to 240"),
-        ("a.mp4", {"fps": float("nan")}, "1 to 240"),
-        ("a.mp4", {"speed": 0.0}, "0.001 to 1000"),
-    ],
-)
-def test_what_cannot_be_encoded_is_refused_before_anything_is_drawn(played, tmp_path, name, options, message) -> None:
-    with pytest.raises(WheellegError) as caught:
-        video(played, tmp_path / name, **{**SMALL, **options})
-    assert message in str(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_video_is_never_written_over_a_file(played: Recording, tmp_path: Path) -> None:
-    path = tmp_path / "a.mp4"
-    path.write_bytes(b"mine")
-    with pytest.raises(WheellegError, match="not overwritten"):
-        video(played, path, **SMALL)
-    assert path.read_bytes() == b"mine"
-
-
 def test_an_interrupted_video_leaves_nothing(played: Recording, tmp_path: Path, graphics: str) -> None:
     def interrupt(done: int, _: int) -> None:
         if done == 3:
