@@ -30,7 +30,7 @@ prepare_threads()
 import numpy as np  # noqa: E402  (thread variables come first)
 
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
-from wheelleg_exp.jobs.train import run_training  # noqa: E402
+from wheelleg_exp.jobs.train import prepare_training, run_training  # noqa: E402
 from wheelleg_exp.rl.trainer import Iteration  # noqa: E402
 from wheelleg_exp.stop_request import StopRequest  # noqa: E402
 
@@ -155,7 +155,7 @@ def measure(overrides: list[str], minutes: float, every: float, *, is_quiet: boo
         while watch.seconds < watch.until:
             composed = compose(["task=stand", *SMALL, *overrides, f"run.root={root}", f"seed={watch.trainings}"])
             try:
-                run_training.run(run_training.prepare(composed, ["benchmark"], watch), watch, stop)
+                run_training.run(prepare_training.prepare(composed, ["benchmark"], watch), watch, stop)
             except KeyboardInterrupt:
                 break
             watch.trainings += 1

@@ -13,7 +13,18 @@ PACKAGE = Path(__file__).parents[1] / "wheelleg_exp"
 NAME = PACKAGE.name
 # From the ground up; those of one line may import one another.
 LAYERS = (
-    ("errors", "paths", "files", "plain_data", "constraints", "machine", "torchrun", "progress", "stop_request"),
+    (
+        "child_process",
+        "errors",
+        "paths",
+        "files",
+        "plain_data",
+        "constraints",
+        "machine",
+        "torchrun",
+        "progress",
+        "stop_request",
+    ),
     ("user_exceptions",),
     ("packages", "definitions"),
     ("terms",),

@@ -12,7 +12,7 @@ import yaml
 from jobs.small import SMALL, cache_of, wheelleg
 from jobs.sweeps import STAND_IN, swept_once
 
-from wheelleg_exp.jobs import sweep_launchers
+from wheelleg_exp.jobs import training_job
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +68,7 @@ PRETENDING = STAND_IN.replace('(what,) = request["overrides"]', 'what = request[
 @pytest.fixture
 def pretend(monkeypatch):
     """Jobs do not train; the table, the statuses and the index are the same."""
-    monkeypatch.setattr(sweep_launchers, "_BOOT", PRETENDING)
+    monkeypatch.setattr(training_job, "_BOOT", PRETENDING)
 
 
 @pytest.mark.usefixtures("pretend")

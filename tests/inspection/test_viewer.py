@@ -18,6 +18,7 @@ from inspection.written import write_recording
 from patience import PATIENCE_S, wait_until
 from PIL import Image
 
+from wheelleg_exp.child_process import end_program
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.inspection import rerun_viewer
 from wheelleg_exp.inspection.rerun_viewer import WebViewer
@@ -223,7 +224,7 @@ def test_ending_a_viewer_ends_what_it_started() -> None:
         start_new_session=True,
     )
     children = wait_until(psutil.Process(process.pid).children)
-    rerun_viewer.end_process(process)
+    end_program(process)
     psutil.wait_procs(children, timeout=PATIENCE_S)
     assert children
     assert not [child for child in children if child.is_running() and child.status() != "zombie"]

@@ -18,7 +18,7 @@ def kill() -> None:
 
 def plant(point: str) -> None:
     """Let the process die at a point: ``source``, ``checkpoint:1``, ``torn:2`` or ``manifest``."""
-    from wheelleg_exp.jobs.train import run_training, training_outputs
+    from wheelleg_exp.jobs.train import prepare_training, training_outputs
     from wheelleg_exp.run import manifest
     from wheelleg_exp.run import start_run as snapshot
 
@@ -61,11 +61,11 @@ def plant(point: str) -> None:
             checkpoint(self, iteration) if iteration < int(number) else ""
         )
     elif what == "manifest":
-        run_training.Manifest.finish = lambda self, *_: (
+        prepare_training.Manifest.finish = lambda self, *_: (
             self.path.with_name(".manifest.json.0123456789ab.tmp").write_text("{"),
             kill(),
         )
-        assert run_training.Manifest is manifest.Manifest
+        assert prepare_training.Manifest is manifest.Manifest
 
 
 if __name__ == "__main__":

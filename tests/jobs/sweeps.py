@@ -11,8 +11,8 @@ import pytest
 
 from jobs.small import SMALL, Words, cache_of, wheelleg
 from wheelleg_exp.jobs.run_sweep import SweepRunner
-from wheelleg_exp.jobs.sweep_job import Request
 from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.stop_request import StopRequest
 
@@ -107,7 +107,7 @@ def stand_in(whats: list[str], stop: StopRequest, at_once: int = 1, seen: Seen |
     """Return a sweep below the working folder whose jobs only pretend to train."""
     jobs = [([what], [what]) for what in whats]
     index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "basic"}, jobs=jobs)
-    requests = [Request([what], [], ["wheelleg", "train", what], "") for what in whats]
+    requests = [JobRequest("train", [what], [], ["wheelleg", "train", what], "") for what in whats]
     launcher = LocalLauncher((sys.executable, "-S", "-c", STAND_IN))
     return SweepRunner(index, requests, at_once, seen or Seen(), stop, launcher)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,14 +12,15 @@ import pytest
 import yaml
 
 from jobs.small import TINY, cache_of, wheelleg
+from wheelleg_exp.child_process import EventPipe
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.pipeline import job as steps
 from wheelleg_exp.jobs.pipeline import run_pipeline as runner
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pipeline
 from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline
 from wheelleg_exp.jobs.train import source_roots as circumstances
+from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.stop_request import StopRequest
@@ -45,7 +47,7 @@ class Quiet:
     def steps(self, *_: Any) -> None: ...
 
 
-class Heard(steps.Events):
+class Heard(EventPipe):
     """Events of a step that is done in this process; one iteration may be the last before a stop."""
 
     def __init__(self, stop: StopRequest, stop_after: int | None) -> None:
@@ -54,11 +56,9 @@ class Heard(steps.Events):
 
     def send(self, event: str, **facts: Any) -> None:
         self.told.append(json.loads(json.dumps({"event": event, **facts}, default=float)))
-
-    def iteration(self, iteration: Any, total: int) -> None:
-        super().iteration(iteration, total)
-        Here.trained += 1
-        self._stop.requested |= Here.trained == self._after
+        if event == "iteration":
+            Here.trained += 1
+            self._stop.requested |= Here.trained == self._after
 
 
 class Here:
@@ -69,23 +69,20 @@ class Here:
     stop_after: int | None = None
     trained = 0
 
-    def __init__(self, step: steps.Step, stop: StopRequest, program: Any = None) -> None:
-        self._step, self._stop = step, stop
+    @staticmethod
+    def run(request: JobRequest, stop: StopRequest):
+        return nullcontext(Here.events(request, stop))
 
-    def __enter__(self) -> Here:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def events(self):
-        if self._step.kind == "evaluate":
-            Here.judged.append(self._step.checkpoint)
+    @staticmethod
+    def events(request: JobRequest, stop: StopRequest):
+        if request.kind == "evaluate":
+            Here.judged.append(request.checkpoint)
             metrics = {"stand/survival": Here.values.pop(0)}
             yield {"event": "evaluated", "folder": "evaluation/x", "metrics": metrics, "scenarios_sha256": "0"}
             return
-        heard = Heard(self._stop, Here.stop_after)
+        heard = Heard(stop, Here.stop_after)
         try:
-            steps._do(heard, self._step.line(), self._stop)
+            serve(heard, request.line(), stop)
         finally:
             yield from heard.told
 
@@ -93,7 +90,7 @@ class Here:
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path_factory):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])  # a test beside may write files
-    monkeypatch.setattr(runner, "StepProcess", Here)
+    monkeypatch.setattr(runner, "run_request", Here.run)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     Here.values, Here.judged, Here.stop_after, Here.trained = [], [], None, 0
 
@@ -138,7 +135,7 @@ def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
     """A pipeline that nobody stopped, two and three iterations, judged after each of the second phase; what it told."""
     display = Quiet()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "StepProcess", Here)
+        patch.setattr(runner, "run_request", Here.run)
         patch.setattr(circumstances, "_source_differences", lambda *_: [])
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         index = begin(tmp_path_factory.mktemp("whole"), every=1, passes=2)

@@ -18,8 +18,8 @@ from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs import sweep_queue
 from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
-from wheelleg_exp.jobs.sweep_job import Request
 from wheelleg_exp.jobs.sweep_queue import Queue, QueueWorker
+from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.stop_request import StopRequest
@@ -66,13 +66,13 @@ class Threads(Queue):
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch, request):
     if "launcher" not in request.fixturenames:
-        monkeypatch.setattr(sweep_queue, "program_here", lambda path: (sys.executable, "-S", "-c", STAND_IN))
+        monkeypatch.setattr(sweep_queue, "job_program", lambda path: (sys.executable, "-S", "-c", STAND_IN))
 
 
 def swept(whats: list[str], stop: StopRequest, seen: Seen | None = None, full: int = 99) -> tuple[SweepRunner, Threads]:
     jobs = [([what], [what]) for what in whats]
     index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "threads"}, jobs=jobs)
-    requests = [Request([what], [], ["wheelleg", "train", what], "") for what in whats]
+    requests = [JobRequest("train", [what], [], ["wheelleg", "train", what]) for what in whats]
     queue = Threads(index.folder, full)
     return SweepRunner(index, requests, len(whats), seen or Seen(), stop, queue), queue
 
@@ -165,7 +165,7 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     (tmp_path / sweep_queue.REQUEST).write_text(
         json.dumps(
             {
-                "line": Request(["wait"], [], [], "").line().decode().strip(),
+                "line": JobRequest("train", ["wait"], [], []).line().decode().strip(),
                 "path": [],
                 "working_directory": str(tmp_path),
                 "variables": {},
@@ -182,7 +182,7 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     told = [json.loads(line) for line in (tmp_path / sweep_queue.EVENTS).read_text().splitlines()]
     assert told[0]["event"] == "began"
     assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
-    with pytest.raises(RuntimeError, match="not begun anew"):
+    with pytest.raises(RuntimeError, match="does not run again"):
         QueueWorker()(str(tmp_path))
 
 
@@ -251,7 +251,9 @@ def launcher(request, tmp_path):
 def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launcher, stop, tmp_path, tmp_path_factory):
     jobs = [SMALL, [*SMALL, "agent.max_iterations=1000000", "agent.save_interval=1000000"]]
     index_ = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "x"}, jobs=[(w, []) for w in jobs])
-    requests = [Request(words, [], ["wheelleg", "train", *words], digest_of(compose(words))) for words in jobs]
+    requests = [
+        JobRequest("train", words, [], ["wheelleg", "train", *words], digest_of(compose(words))) for words in jobs
+    ]
 
     def kill(job):
         if job["number"] == 2:

@@ -10,14 +10,13 @@ from types import SimpleNamespace
 import pytest
 
 from jobs.replays import commit, git
+from wheelleg_exp.child_process import Child, EventPipe, job_events, parse_event
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.files import write_text
-from wheelleg_exp.jobs.processes import Child, event_of
 from wheelleg_exp.jobs.replay import replay_run
 from wheelleg_exp.jobs.replay import restored_imports as replay_boot
 from wheelleg_exp.jobs.replay.restored_source import RestoredSource, _register, describe_code, restore_all
-from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
-from wheelleg_exp.jobs.replay.training_process import TrainingProcess
+from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayDisplay, Request, _first_difference
 from wheelleg_exp.jobs.train.source_roots import require_variables
 from wheelleg_exp.run import start_run as snapshot
 from wheelleg_exp.run.environment import replay_environ
@@ -77,27 +76,27 @@ def test_a_request_of_another_protocol_is_refused():
 def test_training_is_asked_to_stop_behind_the_last_iteration_that_is_wanted(tmp_path, until, asked_at):
     stop = SimpleNamespace(requested=False)
     with (tmp_path / "events").open("wb") as file:
-        events = ReplayEvents(file.fileno(), stop)
+        pipe = EventPipe(file.fileno())
+        events = ReplayDisplay(pipe, stop)
         events.until = until
         asked = []
         for k in range(3):
             events.iteration(SimpleNamespace(index=k, scalars={}), 3)
             asked.append(stop.requested)
     assert (asked.index(True) if True in asked else None) == asked_at
-    assert events.reached is (asked_at is not None)
+    assert pipe.reached is (asked_at is not None)
 
 
 def test_a_training_that_ends_well_without_having_said_so_has_failed(tmp_path):
-    process = TrainingProcess(request(), {}, {}, tmp_path, StopRequest())
-    process._child = Child((sys.executable, "-S", "-c", ""), b"", {})
-    with pytest.raises(SimulationFailure, match="ended with status 0 and did not say why"):
-        list(process.events())
-    process._child.close()
+    child = Child((sys.executable, "-S", "-c", ""), b"", {}, tmp_path)
+    expected = pytest.raises(SimulationFailure, match="ended with status 0 and did not say why")
+    with expected, job_events(child, StopRequest()) as events:
+        list(events)
 
 
 @pytest.mark.parametrize("line", ['{"event": "iterat', "[]", '{"event": 3}', "[" * 100_000])
 def test_a_line_that_was_cut_off_is_no_event(line):
-    assert event_of(line) is None
+    assert parse_event(line) is None
 
 
 # --- imports from restored folders ---

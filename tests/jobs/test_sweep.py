@@ -14,12 +14,11 @@ from patience import PATIENCE_S, wait_until
 
 from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
+from wheelleg_exp.child_process import EventPipe, run_job
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.jobs import processes as child
 from wheelleg_exp.jobs import run_sweep as runner_module
-from wheelleg_exp.jobs import sweep_job
-from wheelleg_exp.jobs.sweep_job import Request
 from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import list_runs
@@ -194,7 +193,7 @@ def test_a_third_stop_waits_for_nobody(stop):
 
 def test_jobs_stop_when_the_sweep_itself_is_killed():
     """Its end of the pipe goes with it."""
-    request = Request(["wait"], [], [], "").line()
+    request = JobRequest("train", ["wait"], [], []).line()
     job = subprocess.Popen([sys.executable, "-c", STAND_IN], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert job.stdin
     job.stdin.write(request)
@@ -206,14 +205,13 @@ def test_jobs_stop_when_the_sweep_itself_is_killed():
 # The program that trains one job.
 
 
-def _request(*overrides: str, digest: str = "") -> Request:
-    return Request(list(overrides), [], ["wheelleg", "train", *overrides], digest)
+def _request(*overrides: str, digest: str = "") -> JobRequest:
+    return JobRequest("train", list(overrides), [], ["wheelleg", "train", *overrides], digest)
 
 
-def _ended(request: Request, stop: StopRequest) -> tuple[int, dict]:
+def _ended(request: JobRequest, stop: StopRequest) -> tuple[int, dict]:
     reader, writer = os.pipe()
-    events = child.Events(writer)
-    status = child._ended(events, lambda: sweep_job.train(events, request.line(), stop))
+    status = run_job(EventPipe(writer), lambda pipe: serve(pipe, request.line(), stop))
     os.close(writer)
     with os.fdopen(reader) as lines:
         return status, json.loads(lines.read().splitlines()[-1])

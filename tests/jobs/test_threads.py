@@ -13,9 +13,7 @@ from patience import PATIENCE_S
 
 from wheelleg_exp import machine as cores
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs import torch_threads
-from wheelleg_exp.jobs.pipeline import child
-from wheelleg_exp.jobs.pipeline.job import Step
+from wheelleg_exp.jobs import torch_threads, training_job
 from wheelleg_exp.jobs.torch_threads import set_threads, thread_notes
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE, one_thread
 from wheelleg_exp.run.manifest import Manifest
@@ -234,8 +232,8 @@ def test_the_process_of_a_pipelines_step_chooses_by_itself(monkeypatch):
     given = []
     monkeypatch.setattr(cores, "_chosen", {"MKL_CBWR"})
     monkeypatch.setenv("MKL_CBWR", "AVX512,STRICT")
-    monkeypatch.setattr(child, "Child", lambda _program, _line, environ: given.append(environ))
-    child.StepProcess(Step("resume", [], [], []), StopRequest())._start()
+    monkeypatch.setattr(training_job, "Child", lambda _program, _line, environ: given.append(environ))
+    training_job.run_request(training_job.JobRequest("resume", [], [], []), StopRequest())
     assert "MKL_CBWR" not in given[0]
     assert given[0]["PATH"] == os.environ["PATH"]
 

@@ -14,7 +14,7 @@ from wheelleg_exp.torchrun import require_alone, world_size
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.jobs.job_display import Display
-    from wheelleg_exp.jobs.train.run_training import Training
+    from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.ranks import Ranks
     from wheelleg_exp.run.run_directory import RunDirectory
     from wheelleg_exp.stop_request import StopRequest
@@ -62,7 +62,7 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
 
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
     from wheelleg_exp.cli.printing.terminal import hanging, shown
-    from wheelleg_exp.jobs.train import run_training
+    from wheelleg_exp.jobs.train.prepare_training import prepare
     from wheelleg_exp.lint.physics_check import examine
     from wheelleg_exp.rl.ranks import ALONE
 
@@ -70,7 +70,7 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
         stop.check(ranks.any(stop.requested) if ranks else None)
         if ranks:
             ranks.require_equal(_digests(composed))
-        ready = run_training.prepare(composed, args.command, display, ranks or ALONE)
+        ready = prepare(composed, args.command, display, ranks or ALONE)
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
         for finding in examine(composed).open:
@@ -104,11 +104,11 @@ def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, 
 
     If the training stops early, print the command that resumes it.
     """
-    from wheelleg_exp.jobs.train import run_training
+    from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
 
     try:
-        return run_training.run(ready, display, stop)
+        return run(ready, display, stop)
     except KeyboardInterrupt:
         found = ready.directory.checkpoints()
         last = f"the last checkpoint is {shown(found[-1])}" if found else "there is no checkpoint yet"

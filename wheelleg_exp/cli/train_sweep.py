@@ -18,7 +18,7 @@ from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose_sweep import Sweep, SweepJob
-    from wheelleg_exp.jobs.sweep_job import Request
+    from wheelleg_exp.jobs.training_job import JobRequest
     from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
@@ -98,10 +98,10 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
     return index
 
 
-def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> Request:
-    from wheelleg_exp.jobs.sweep_job import Request
+def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> JobRequest:
+    from wheelleg_exp.jobs.training_job import JobRequest
 
-    return Request(list(job.overrides), [str(folder) for folder in config_dirs], command, job.digest)
+    return JobRequest("train", list(job.overrides), [str(folder) for folder in config_dirs], command, job.digest)
 
 
 def _named(config_dirs: Sequence[Path]) -> list[Path]:

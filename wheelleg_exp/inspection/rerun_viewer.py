@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import IO, Any, Self, cast
 from urllib.parse import quote, urlsplit
 
+from wheelleg_exp.child_process import running_program
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.recording.layout import SIM_TIME
@@ -34,38 +34,20 @@ from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
 
-_PATIENCE_S = 5.0
 _CAUSES = ("adapter", "panic", "error", "failed")  # words of the line with the cause, best first
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Yield a running viewer and its output. It is stopped with all its child processes when the body ends."""
-    with tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder, tempfile.TemporaryFile() as output:
-        process = subprocess.Popen(
-            [rerun_program(), "--bind", LOOPBACK, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=viewer_environment(),  # no usage statistics, and no change of the user's settings
-            cwd=folder,
-            start_new_session=True,  # this process handles Ctrl-C
-        )
-        try:
-            yield process, output
-        finally:
-            end_process(process)
-
-
-def end_process(process: subprocess.Popen[bytes]) -> None:
-    """Stop a process that leads its own session, and all its child processes."""
-    for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
-        _signal(process, number)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_PATIENCE_S)
-            break
-    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # child processes that are still running
+    """Yield the process of rerun's viewer and the file with its output; the viewer sends nothing to other machines."""
+    command = [rerun_program(), "--bind", LOOPBACK, *arguments]
+    with (
+        tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
+        tempfile.TemporaryFile() as output,
+        running_program(command, output, viewer_environment(), folder) as process,
+    ):
+        yield process, output
 
 
 def failure_line(output: IO[bytes]) -> str:
@@ -77,14 +59,6 @@ def failure_line(output: IO[bytes]) -> str:
         if found := [line for line in lines if word in line.lower()]:
             return found[0][:300]
     return lines[-1][:300] if lines else "no output"
-
-
-def _signal(process: subprocess.Popen[bytes], number: int) -> None:
-    with suppress(ProcessLookupError, PermissionError):
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, number)
-        else:
-            process.terminate()
 
 
 RECORDING = "/recording.rrd"

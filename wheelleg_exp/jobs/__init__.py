@@ -1,14 +1,18 @@
-"""What the commands do: each job joins the parts (asset, env, rl, run, recording) into one piece of work.
+"""Jobs of the commands: each job joins asset, environment, learning, run, and recording into one piece of work.
 
 | module | offers |
 |---|---|
-| ``train``, ``resume``, ``replay``, ``sweep`` | a training: begun, gone on with, repeated, several |
-| ``play``, ``agents``, ``figures`` | rollouts of a policy, of zeros, of noise, and what they show in numbers |
-| ``export`` | a policy as a deployer takes it |
-| ``diff_inputs`` | what ``wheelleg diff`` compares |
-| ``processes``, ``stop`` | a job in a process of its own, both ends of it, and Ctrl-C |
-| ``threads`` | the thread policy of torch, and what a run records of it |
-| ``display`` | what a job tells while it works |
-| ``documents``, ``episode_recording`` | texts and episodes in a recording |
-| ``kept_robot`` | the robot inside a run directory |
+| ``train`` | preparing, running, and resuming a training |
+| ``replay`` | training a run again from its snapshot, and comparing |
+| ``training_job`` | train, resume, or evaluate in a child process |
+| ``run_sweep``, ``sweep_launchers``, ``sweep_queue`` | several trainings: as processes of this machine, or in a queue |
+| ``pipeline`` | several tasks one after the other, with gates between them |
+| ``play_policy``, ``run_agent``, ``drive`` | rollouts: of a policy, of zeros or noise, and driven by a user |
+| ``evaluate_policy`` | evaluation in the scenarios of a protocol, and comparison of evaluations |
+| ``result_record``, ``reproduce_result`` | a published result, and the check that it can be reproduced |
+| ``export`` | a policy as a folder that runs without this package |
+| ``diff_inputs`` | the two sides that ``wheelleg diff`` compares |
+| ``rollout_figures``, ``rollout_files`` | what a rollout shows in numbers, and its recording and dataset |
+| ``saved_robot``, ``torch_threads`` | the robot in a run directory, and torch's threads |
+| ``job_display`` | displays of a job's progress |
 """

@@ -11,10 +11,9 @@ from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
-from wheelleg_exp.jobs.pipeline.child import StepProcess
-from wheelleg_exp.jobs.pipeline.job import Step
 from wheelleg_exp.jobs.result_record import build_record, compare_with_reference, evaluation_numbers, parameters
 from wheelleg_exp.jobs.train.source_roots import shorten
+from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.run.environment import hardware, versions
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
@@ -181,7 +180,8 @@ def _trained_run(
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
     """Train in another process and return the run directory. Recorded words reach it as overrides, never as options."""
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
-    step = Step("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
-    with StepProcess(step, StopRequest()) as process:
-        (path,) = [event["path"] for event in process.events() if event["event"] == "run"]
+    folders = [str(folder) for folder in config_dirs]
+    request = JobRequest("train", words, folders, ["wheelleg", "train", *words], digest)
+    with run_request(request, StopRequest()) as events:
+        (path,) = [event["path"] for event in events if event["event"] == "run"]
     return str(path)

@@ -1,7 +1,8 @@
-"""Run sweep jobs through a queue: the part on the machine of the sweep, and the part on the machine of the job.
+"""Run sweep jobs through a queue: Slurm's (submitit), or a Ray cluster.
 
-The machines exchange files in the job's folder, which both must see: ``request.json`` is written before the job is
-submitted, ``events.jsonl`` grows while the job runs, and ``stop`` asks the job to stop.
+The machine of the sweep and the machine of a job exchange files in the job's folder, which both must see:
+``request.json`` is written before the job is submitted, ``events.jsonl`` grows while the job runs, and ``stop`` asks
+the job to stop. submitit and Ray are optional and imported only when their launcher is made.
 """
 
 from __future__ import annotations
@@ -11,88 +12,94 @@ import os
 import socket
 import sys
 import time
-from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, Protocol, cast
 
+from wheelleg_exp.child_process import Child, Event, listen, parse_event
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import write_json, write_text
-from wheelleg_exp.jobs.processes import Child, Event, event_of, listen
-from wheelleg_exp.jobs.sweep_job import Request
-from wheelleg_exp.jobs.sweep_launchers import PATH, Job, program_here
+from wheelleg_exp.jobs.sweep_launchers import Job
+from wheelleg_exp.jobs.training_job import JobRequest, job_program
 from wheelleg_exp.run.environment import replay_environ, variables
 
 REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
-SOON, NOW = "soon", "now"  # what STOP may hold
+SOON, NOW = "soon", "now"  # the content of STOP
+_FOLDER = "jobs"
 _WAIT_S = 0.3
-_PATIENCE_S = 90.0  # of Slurm's delay between its warning and the kill, which is 120 s by default
+_PATIENCE_S = 90.0  # Slurm kills a job 120 s after its warning
+# The import path before a queue's library changes it.
+_PATH = tuple(entry for entry in sys.path if Path(entry).exists())
+
+
+# --- on the machine of the job ---
 
 
 class QueueWorker:
-    """Runs one job; the object is what travels to the other machine, and holds nothing.
+    """Runs one job on another machine. The queue pickles this object; it holds nothing.
 
-    Its process computes what it would on the machine of the sweep: variables on which numbers depend are that one's.
+    The process of the job gets the environment variables of the sweep's machine that change numbers, so that it
+    computes what it would compute there.
     """
 
     _child: Child | None = None
-    _carried: Future[str] | None = None
+    _relayed: Future[str] | None = None
 
     def __call__(self, folder: str) -> str:
-        """Run the job whose folder it is, and return its status.
+        """Run the job of a folder, and return its status.
 
         Args:
-            folder: absolute, seen by this machine as by the one that wrote it.
+            folder: absolute path, the same on both machines.
         """
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
-            raise RuntimeError("the job has run already, and is not begun anew")
-        self._tell(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
-        same = all(Path(entry).exists() for entry in request["path"])  # else this machine's own installation
-        path = request["path"] if same else sys.path
-        environ = replay_environ(request["variables"])
-        self._child = Child(
-            program_here(path), request["line"].encode() + b"\n", environ, Path(request["working_directory"])
-        )
-        with ThreadPoolExecutor(1) as reader:  # which no signal interrupts
-            self._carried = reader.submit(self._carry, self._child, place)
-            return self._carried.result()
+            raise RuntimeError("the job has run already, and does not run again")
+        self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
+        same = all(Path(entry).exists() for entry in request["path"])
+        path = request["path"] if same else sys.path  # without a shared installation, this machine's own one
+        line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
+        self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
+        with ThreadPoolExecutor(1) as reader:  # a signal interrupts only the main thread
+            self._relayed = reader.submit(self._relay, self._child, place)
+            return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Let the job stop with a checkpoint: its time is over. It is not begun again."""
+        """Stop the job with a checkpoint when its time is over (submitit calls this); it is not started again."""
         del folder
-        if self._child is not None and self._carried is not None:
+        if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
-            if not wait([self._carried], _PATIENCE_S).done:
+            if not wait([self._relayed], _PATIENCE_S).done:
                 self._child.kill()
 
-    def _carry(self, child: Child, place: Path) -> str:
+    def _relay(self, child: Child, place: Path) -> str:
+        """Write the events of the process to the folder, and pass stop requests on, until the process ends."""
         asked = ""
-        while child.process.poll() is None:
-            self._pass_on(child, place, _WAIT_S)
+        while not child.over():
+            self._write_events(child, place, _WAIT_S)
             wanted = _read_or_empty(place / STOP)
             if wanted != asked:
                 child.ask_to_stop() if wanted == SOON else child.interrupt()
                 asked = wanted
-        self._pass_on(child, place, 0.0)
+        self._write_events(child, place, 0.0)
+        message = f"its process on {socket.gethostname()} {child.describe_death()}"
+        ended = child.ended or {
+            "event": "ended",
+            "status": "failed",
+            "error": {"type": "error", "message": message},
+        }
         child.close()
-        ended = child.ended or {"event": "ended", "status": "failed", "error": _death_error(child)}
-        self._tell(place, ended)
+        self._write(place, ended)
         return str(ended["status"])
 
-    def _pass_on(self, child: Child, place: Path, wait_s: float) -> None:
+    def _write_events(self, child: Child, place: Path, wait_s: float) -> None:
         for _, event in listen([child], wait_s):
-            self._tell(place, event)
+            self._write(place, event)
 
-    def _tell(self, place: Path, event: Mapping[str, Any]) -> None:
+    def _write(self, place: Path, event: Mapping[str, Any]) -> None:
         with (place / EVENTS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(event) + "\n")
-
-
-def _death_error(child: Child) -> dict[str, str]:
-    words = "".join(f": {line.strip()}" for line in [*child.last_words][-1:])
-    return {"type": "error", "message": f"its process on {socket.gethostname()} {child.how_it_died()}{words}"}
 
 
 def _read_or_empty(path: Path) -> str:
@@ -102,52 +109,50 @@ def _read_or_empty(path: Path) -> str:
         return ""
 
 
-_FOLDER = "jobs"
+# --- on the machine of the sweep ---
 
 
 class Ticket(Protocol):
-    """What a queue gives for a job: whether it has it still, and how to take it back."""
+    """The queue's handle of a submitted job."""
 
     def gone(self) -> bool:
-        """Return whether the queue is done with it."""
+        """Return whether the job has left the queue, in whatever way."""
 
     def cancel(self) -> None:
-        """Take it out of the queue, or end it."""
+        """Remove the job from the queue, or end it."""
 
     def why(self) -> str:
-        """Return what the queue says of a job that is gone and has not told how it ended."""
+        """Return the queue's reason for the end of a job that sent no last event."""
 
 
 class QueuedJob:
-    """A job of a queue, heard by the file that its far end writes (``carrier``).
+    """A job in a queue. Its events come from the file that its ``QueueWorker`` writes.
 
     Args:
-        folder: the job's own; it is made here.
-        request: what it trains.
+        folder: the folder of the job, which is created here.
+        request: what the job trains.
 
     Attributes:
-        folder: as given, absolute.
-        ticket: the queue's, once the job is submitted.
-        began: whether it has told that it runs.
+        folder: absolute path of the folder.
+        ticket: the queue's handle once the job is submitted.
+        ended: the event with which the job ended, or None.
     """
 
-    def __init__(self, folder: Path, request: Request) -> None:
+    def __init__(self, folder: Path, request: JobRequest) -> None:
         self.folder = folder.absolute()
         self.ticket: Ticket | None = None
-        self.began = False
         self.ended: Event | None = None
-        self.last_words: deque[str] = deque()  # the ticket has them
-        self._read, self._stopped = 0, False
+        self._read, self._began, self._stopped = 0, False, False
         facts = {
             "line": request.line().decode().rstrip("\n"),
-            "path": [str(Path(entry).absolute()) for entry in PATH],
+            "path": [str(Path(entry).absolute()) for entry in _PATH],
             "working_directory": str(Path.cwd()),
             "variables": variables(),
         }
         write_json(self.folder / REQUEST, facts)
 
     def events(self) -> Iterator[Event]:
-        """Yield what has been told since the last call."""
+        """Yield the events since the last call."""
         try:
             with (self.folder / EVENTS).open("rb") as file:
                 file.seek(self._read)
@@ -157,56 +162,52 @@ class QueuedJob:
         whole = found[: found.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
-            told = event_of(line.decode(errors="replace"))
-            if told is None:
+            event = parse_event(line.decode(errors="replace"))
+            if event is None:
                 continue
-            if told["event"] == "ended":
-                self.ended = told
+            if event["event"] == "ended":
+                self.ended = event
                 continue
-            self.began = self.began or told["event"] == "began"
-            yield told
+            self._began = self._began or event["event"] == "began"
+            yield event
 
     def over(self) -> bool:
-        """Return whether the queue is done with it, or it was stopped before it was handed in."""
+        """Return whether the job ended, left the queue, or was stopped before it was submitted."""
         if self.ticket is None:
             return self._stopped
         return self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
-        """Let it stop at its next whole iteration; one that waits is taken out of the queue."""
+        """Ask the job to stop at its next whole iteration; remove a waiting job from the queue."""
         if self._stopped:
             return
         self._stopped = True
         write_text(self.folder / STOP, SOON)
-        if not self.began and self.ticket is not None:
-            self.ticket.cancel()
+        if not self._began:
+            self.kill()
 
     def interrupt(self) -> None:
-        """Let it stop at once."""
+        """Stop the job at once."""
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
-        """Take it from the queue."""
+        """Remove the job from the queue."""
         if self.ticket is not None:
             self.ticket.cancel()
 
-    def end_now(self) -> None:
-        """Take it from the queue, which may take its time."""
-        self.kill()
-
     def close(self) -> None:
-        """Keep the folder: what the job has told may be asked for."""
+        """Keep the folder of the job, because users may read its events."""
 
-    def how_it_died(self) -> str:
-        """Return what the queue says of it."""
-        return "was never handed in" if self.ticket is None else self.ticket.why()
+    def describe_death(self) -> str:
+        """Return the queue's reason for the end of the job."""
+        return "was never submitted" if self.ticket is None else self.ticket.why()
 
 
 class Queue:
-    """What launchers have in common whose jobs a queue runs; a subclass says how jobs are handed in.
+    """Base class of launchers that submit jobs to a queue.
 
     Args:
-        folder: the sweep's folder.
+        folder: the folder of the sweep.
     """
 
     queued = True
@@ -215,14 +216,14 @@ class Queue:
         self._folder = folder / _FOLDER
         self._pending: list[QueuedJob] = []
 
-    def start(self, number: int, request: Request) -> Job:
-        """Prepare a job; it is handed in with the others, when they are listened to."""
+    def start(self, number: int, request: JobRequest) -> Job:
+        """Prepare a job; ``listen`` submits all prepared jobs together."""
         job = QueuedJob(self._folder / str(number), request)
         self._pending.append(job)
         return job
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Hand jobs in, and return the ticket of each."""
+        """Submit jobs, and return the ticket of each."""
         raise NotImplementedError
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -232,8 +233,156 @@ class Queue:
             for job, ticket in zip(waiting, self.submit(waiting), strict=True):
                 job.ticket = ticket
         until = time.monotonic() + wait_s
-        while not (told := [(job, e) for job in jobs for e in cast(QueuedJob, job).events()]):
+        while not (found := [(job, event) for job in jobs for event in cast(QueuedJob, job).events()]):
             if time.monotonic() >= until or any(job.over() for job in jobs):
                 return
             time.sleep(min(wait_s, 0.1))
-        yield from told
+        yield from found
+
+
+# --- submitit ---
+
+# Settings that submitit takes without the name of its executor as a prefix.
+_SHARED_SETTINGS = (
+    *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
+    *("mem_gb", "nodes", "name", "stderr_to_stdout"),
+)
+_EXECUTOR_SETTINGS = ("max_num_timeout",)
+_OTHER_SETTINGS = ("_target_", "submitit_folder", *_EXECUTOR_SETTINGS)
+
+
+class SubmititLauncher(Queue):
+    """Submits jobs through submitit, as hydra-submitit-launcher does: the jobs of one sweep are one Slurm array.
+
+    Args:
+        cluster: ``slurm`` or ``local``.
+        settings: of ``hydra.launcher``, plain.
+        folder: the folder of the sweep.
+
+    Raises:
+        ConfigError: submitit refuses a setting, or this machine has no Slurm.
+    """
+
+    def __init__(self, cluster: str, settings: Mapping[str, Any], folder: Path) -> None:
+        import submitit
+
+        super().__init__(folder)
+        self._errors = (submitit.core.utils.FailedJobError, OSError)
+        own = {f"{cluster}_{key}": settings[key] for key in _EXECUTOR_SETTINGS if key in settings}
+        try:
+            self._executor = submitit.AutoExecutor(folder=settings["submitit_folder"], cluster=cluster, **own)
+            parameters = {
+                key if key in _SHARED_SETTINGS else f"{cluster}_{key}": value
+                for key, value in settings.items()
+                if key not in _OTHER_SETTINGS
+            }
+            self._executor.update_parameters(**parameters)
+        except (RuntimeError, TypeError, ValueError, NameError, AssertionError) as error:
+            raise ConfigError(
+                f"submitit refuses it: {_one_line(error)[:300]}",
+                key="hydra.launcher",
+                expected="settings of hydra-submitit-launcher, on a machine that has what they ask for",
+            ) from error
+
+    def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
+        """Submit all jobs as one array."""
+        try:
+            with self._executor.batch():
+                found = [self._executor.submit(QueueWorker(), str(job.folder)) for job in jobs]
+        except self._errors as error:
+            raise ConfigError(
+                f"the queue did not take the jobs: {_one_line(error)[-300:]}",
+                key="hydra.launcher",
+                expected="a partition, times and memory that the cluster has",
+            ) from error
+        return [_SubmititTicket(each) for each in found]
+
+
+class _SubmititTicket:
+    def __init__(self, job: Any) -> None:
+        self._job = job
+
+    def gone(self) -> bool:
+        return bool(self._job.done())
+
+    def cancel(self) -> None:
+        self._job.cancel(check=False)
+
+    def why(self) -> str:
+        words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
+        last = f": {words[-1][:300]}" if words else ""
+        # submitit's local executor reports FINISHED for every end.
+        state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
+        return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
+
+
+# --- Ray ---
+
+_OBJECT_STORE = 78_643_200  # bytes, Ray's minimum: only the name of a folder passes through it
+_INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
+
+
+class RayLauncher(Queue):
+    """Submits each job as one Ray task, with the settings of hydra-ray-launcher's option ``ray``.
+
+    Args:
+        settings: of ``hydra.launcher``, plain: ``ray.init`` and ``ray.remote``.
+        folder: the folder of the sweep.
+
+    Raises:
+        ConfigError: the cluster cannot be reached, or Ray refuses a setting.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], folder: Path) -> None:
+        import ray
+
+        super().__init__(folder)
+        chosen = settings["ray"]
+        init = {**_INIT, **chosen["init"]}
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts its own cluster
+            init.setdefault("object_store_memory", _OBJECT_STORE)
+        try:
+            if not ray.is_initialized():
+                ray.init(**init)
+            options = {"max_retries": 0, **chosen["remote"]}  # a job that dies is reported, not restarted
+            self._task = ray.remote(**options)(_run_queue_worker)
+        except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
+            raise ConfigError(
+                f"Ray refuses it: {_one_line(error)[:300]}",
+                key="hydra.launcher.ray",
+                expected="init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus",
+            ) from error
+
+    def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
+        """Submit each job as a task."""
+        return [_RayTicket(self._task.remote(str(job.folder))) for job in jobs]
+
+
+def _run_queue_worker(folder: str) -> str:
+    return QueueWorker()(folder)
+
+
+class _RayTicket:
+    def __init__(self, reference: Any) -> None:
+        import ray
+
+        self._ray, self._reference = ray, reference
+
+    def gone(self) -> bool:
+        done, _ = self._ray.wait([self._reference], timeout=0)
+        return bool(done)
+
+    def cancel(self) -> None:
+        self._ray.cancel(self._reference, force=True)
+
+    def why(self) -> str:
+        try:
+            self._ray.get(self._reference, timeout=1)
+        except self._ray.exceptions.RayError as error:
+            line = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+            return f"was ended from outside on Ray: {line.strip()[:300]}"
+        return "ended on Ray and did not say why"
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import pickle
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from wheelleg_exp.rendering.render_job import READY
+from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
@@ -50,32 +48,14 @@ class Poses:
     qpos: Array
 
 
-def main() -> None:
-    """Draw until standard input ends."""
-    source = sys.stdin.buffer
-    target = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # a driver's printed output must not mix with pictures
-    order: CameraOrder = pickle.load(source)
+@contextmanager
+def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
     import mujoco
 
     model = _prepared(order)
     with mujoco.Renderer(model, order.height, order.width) as renderer:
         draw = _Draw(renderer, model, order)
-        target.write(READY)
-        target.flush()
-        _serve(source, target, draw)
-
-
-def _serve(source: BinaryIO, target: BinaryIO, draw: _Draw) -> None:
-    while True:
-        try:
-            poses: Poses = pickle.load(source)
-        except EOFError:
-            return
-        for qpos in poses.qpos:
-            for picture in draw(qpos):
-                target.write(np.ascontiguousarray(picture).tobytes())
-        target.flush()
+        yield lambda poses: b"".join(np.ascontiguousarray(p).tobytes() for qpos in poses.qpos for p in draw(qpos))
 
 
 def _prepared(order: CameraOrder) -> Any:
@@ -139,4 +119,4 @@ class _Draw:
 
 
 if __name__ == "__main__":
-    main()
+    serve_requests(_prepare)

@@ -17,7 +17,7 @@ from wheelleg_exp.rendering import render_scene
 from wheelleg_exp.rendering.camera_job import FORMS, CameraOrder, Layer, Poses
 from wheelleg_exp.rendering.render_job import Order, View
 from wheelleg_exp.rendering.render_scene import Array, points
-from wheelleg_exp.rendering.renderer import Worker, drawing, working
+from wheelleg_exp.rendering.renderer import GraphicsWorker, drawing, working
 from wheelleg_exp.rendering.scene_models import Kinematics, scene_of_model
 
 _SAMPLES = 4
@@ -90,7 +90,7 @@ class CameraPictures:
         layers: tuple[Layer, ...],
     ) -> None:
         self._order = CameraOrder(model, camera, width, height, clipping_range, layers)
-        self._worker: Worker | None = None
+        self._worker: GraphicsWorker | None = None
         self._open = ExitStack()
         weakref.finalize(self, self._open.close)
 

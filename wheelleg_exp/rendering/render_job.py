@@ -1,22 +1,19 @@
-"""The child process that draws: it reads a scene and views from its input and writes raw pictures to its output.
+"""Draw views of a scene in a worker process.
 
-It is a separate process because a graphics driver can abort it, and because MuJoCo selects its backend on import.
+Drawing needs its own process: a graphics driver may abort it, and MuJoCo chooses its backend when imported.
 """
 
 from __future__ import annotations
 
-import os
-import pickle
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
+from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array, Scene
-
-READY = b"ready\n"
 
 
 @dataclass(frozen=True)
@@ -55,12 +52,8 @@ class View:
     elevation: float
 
 
-def main() -> None:
-    """Draw until standard input ends."""
-    source = sys.stdin.buffer
-    target = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # a driver's printed output must not mix with pictures
-    order: Order = pickle.load(source)
+@contextmanager
+def _prepare(order: Order) -> Iterator[Callable[[View], bytes]]:
     import mujoco
 
     from wheelleg_exp.rendering.scene_models import build_model
@@ -68,19 +61,7 @@ def main() -> None:
     model = build_model(order.scene, order.width, order.height, order.samples)
     data = mujoco.MjData(model)
     with mujoco.Renderer(model, order.height, order.width) as renderer:
-        target.write(READY)
-        target.flush()
-        _serve(source, target, renderer, model, data)
-
-
-def _serve(source: BinaryIO, target: BinaryIO, renderer: Any, model: Any, data: Any) -> None:
-    while True:
-        try:
-            view: View = pickle.load(source)
-        except EOFError:
-            return
-        target.write(_draw(view, renderer, model, data).tobytes())
-        target.flush()
+        yield lambda view: _draw(view, renderer, model, data).tobytes()
 
 
 def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, Any]:
@@ -113,4 +94,4 @@ def _add(scene: Any, arrow: Arrow) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve_requests(_prepare)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import os
-import pickle
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import wheelleg_exp
+from wheelleg_exp.child_process import Worker
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
-from wheelleg_exp.rendering.render_job import READY, Order, View
+from wheelleg_exp.rendering.render_job import Order, View
 
 
 def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
@@ -39,84 +37,43 @@ INSTALL = (
     "a driver that draws without a display; on Debian or Ubuntu: apt install libegl1 libgl1-mesa-dri (MUJOCO_GL=egl)"
     " or libosmesa6 (MUJOCO_GL=osmesa)"
 )
-_PATIENCE_S = 20.0
 
 
 class NoGraphics(WheellegError):
     """No MuJoCo backend can draw on this machine."""
 
 
-class Worker:
-    """A child process with a graphics driver that answers requests with bytes.
+class GraphicsWorker(Worker):
+    """A worker with a graphics driver.
 
     Args:
-        module: its module. It reads an order from standard input, writes ``READY``, and then answers requests.
-        order: the first object that it reads.
+        module: the module of the process.
+        order: what it prepares.
         backend: MuJoCo's backend.
-        errors: the file of its standard error.
-        folder: its working directory.
+        errors: an empty file for its standard error.
+        folder: the working folder.
     """
 
     def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
+        super().__init__(module, order, _environment(backend), errors, folder)  # MuJoCo writes its log into the folder
         self.backend = backend
-        self._errors = errors
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            env=_environment(backend),
-            cwd=folder,  # MuJoCo writes its log into the working directory
-        )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._stdin, self._stdout = self._process.stdin, self._process.stdout
-        try:
-            self._send(order)
-            self.is_ready = self._stdout.read(len(READY)) == READY
-        except OSError:
-            self.is_ready = False
 
-    def ask(self, what: Any, count: int) -> bytes:
-        """Send a request and return ``count`` bytes of its answer.
+    def ask(self, request: Any, count: int) -> bytes:
+        """Return the ``count`` bytes of the answer.
 
         Raises:
             SimulationFailure: the graphics driver failed.
         """
-        data = b""
-        with suppress(OSError):
-            self._send(what)
-            data = self._stdout.read(count)
+        data = super().ask(request, count)
         if len(data) != count:
-            raise SimulationFailure(f"the graphics driver failed while drawing ({self.backend}): {self.reason()}")
+            raise SimulationFailure(f"the graphics driver failed while drawing ({self.backend}): {self.last_line()}")
         return data
-
-    def reason(self) -> str:
-        """Return the last line of the process's error output."""
-        self._errors.seek(0)
-        lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
-        return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
-
-    def close(self) -> None:
-        """Stop the process."""
-        for stream in (self._stdin, self._stdout):
-            with suppress(OSError):
-                stream.close()
-        try:
-            self._process.wait(_PATIENCE_S if self.is_ready else 2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    def _send(self, what: Any) -> None:
-        pickle.dump(what, self._stdin)
-        self._stdin.flush()
 
 
 class Drawing:
     """Draw views in a worker."""
 
-    def __init__(self, worker: Worker, order: Order) -> None:
+    def __init__(self, worker: GraphicsWorker, order: Order) -> None:
         self._worker, self._size = worker, (order.height, order.width, 3)
         self.backend = worker.backend
 
@@ -132,7 +89,7 @@ class Drawing:
 
 @contextmanager
 def drawing(order: Order) -> Iterator[Drawing]:
-    """Yield an object that draws views of a scene.
+    """Yield a ``Drawing`` of a scene.
 
     Raises:
         NoGraphics: no backend works here; the message names the packages to install.
@@ -142,8 +99,8 @@ def drawing(order: Order) -> Iterator[Drawing]:
 
 
 @contextmanager
-def working(module: str, order: Any) -> Iterator[Worker]:
-    """Yield a child process with a working graphics driver (see ``Worker``).
+def working(module: str, order: Any) -> Iterator[GraphicsWorker]:
+    """Yield a worker whose graphics driver works.
 
     Raises:
         NoGraphics: no backend works here; the message names the packages to install.
@@ -156,14 +113,14 @@ def working(module: str, order: Any) -> Iterator[Worker]:
             found.close()
 
 
-def _first_that_works(module: str, order: Any, errors: IO[bytes], folder: Path) -> Worker:
+def _first_that_works(module: str, order: Any, errors: IO[bytes], folder: Path) -> GraphicsWorker:
     reasons = []
     for backend in backends():
-        candidate = Worker(module, order, backend, errors, folder)
+        candidate = GraphicsWorker(module, order, backend, errors, folder)
         if candidate.is_ready:
             return candidate
         candidate.close()
-        reasons.append(f"{backend}: {candidate.reason()}")
+        reasons.append(f"{backend}: {candidate.last_line()}")
         errors.seek(0)
         errors.truncate()
     raise NoGraphics(f"drawing is not possible on this machine ({'; '.join(reasons)})", expected=INSTALL)

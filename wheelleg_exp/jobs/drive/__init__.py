@@ -1,5 +1,10 @@
-"""A trained robot that is driven: by hand in the browser, or by a script without one.
+"""Drive a trained robot: by hand in the browser, or from a script.
 
-``axes`` is what may be commanded, ``controls`` what is asked for, by whom it may be, ``script`` a file of it;
-``session`` takes one control step after the other, ``drive`` is the job around it, and ``page`` what a browser shows.
+| module | offers |
+|---|---|
+| ``run_drive`` | the job: one robot, in real time or as fast as it computes |
+| ``drive_session`` | one control step after the other, and the figures of the drive |
+| ``drive_controls`` | the axes that can be commanded, and the commands and requests in effect |
+| ``drive_script`` | a drive as a YAML file |
+| ``drive_page`` | the page in the browser |
 """

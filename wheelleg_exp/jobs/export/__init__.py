@@ -1,11 +1,10 @@
-"""A trained policy as a deployer takes it: one folder that runs without this package.
+"""Export a trained policy as a bundle: one folder that runs without this package.
 
 | module | offers |
 |---|---|
-| ``export`` | makes the bundle of a run, whole or not at all, and holds it against the simulation that trained it |
-| ``specification`` | ``policy.json``, made of ``readings``, ``observations``, ``actions``, ``drives``, ``network`` |
-| ``deployment`` | the run's environment without what the world adds |
-| ``recorded`` | episodes to hold a runner against |
-| ``onnx_metadata``, ``readme`` | the same for ONNX runtimes, and for people |
-| ``bundle`` | the files that a bundle takes as they stand |
+| ``export_bundle`` | the job: writes the bundle whole or not at all |
+| ``bundle_specification``, ``exported_observations`` | ``policy.json``: the policy as numbers |
+| ``bundle_check`` | recorded episodes, and the comparison of all exported policies with them |
+| ``c_header``, ``bundle_readme`` | ``policy.h`` and ``README.md`` |
+| ``bundle`` | files that are copied into the bundle |
 """

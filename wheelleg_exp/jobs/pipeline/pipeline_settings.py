@@ -11,7 +11,6 @@ from typing import Any
 
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.config.config_errors import override_of, parts, raise_all
 from wheelleg_exp.constraints import Seed
 from wheelleg_exp.errors import ConfigError
@@ -207,11 +206,6 @@ def _mistakes_by_phase(
             elif mistake not in told:
                 told.add(mistake)
                 yield error
-
-
-def phase_digest(composed: Composed) -> str:
-    """Return the digest of a phase's config; what it begins with and how long it trains stand in none of it."""
-    return digest_of(composed)
 
 
 def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.child_process import Event
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.compose_sweep import digest_of
@@ -30,18 +31,15 @@ from wheelleg_exp.evaluation.protocol import evaluate
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.files import while_running
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.pipeline.child import StepProcess
-from wheelleg_exp.jobs.pipeline.job import Step
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, judge, streak
 from wheelleg_exp.jobs.pipeline.pipeline_settings import (
     PipelineSettings,
     compose_gate,
     name_phase,
-    phase_digest,
     phase_overrides,
     place_gate_error,
 )
-from wheelleg_exp.jobs.processes import Event
+from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_index import PipelineIndex, PipelineStatus
@@ -54,9 +52,9 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
-    """Hold the gates of phases against what their protocols measure of the robots of these phases.
+    """Check that the protocols of the gates measure the metrics that the gates name.
 
-    The names are those of an evaluation of actions that are no numbers: every episode is over after its first step.
+    An evaluation with NaN as actions gives the names: every episode ends after its first step.
 
     Args:
         phases: the phases by name.
@@ -112,40 +110,31 @@ def _nan_policy(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.T
 
 
 class PipelineRunner:
-    """Runs the phases that are left, until one does not pass its gate or a stop is asked for.
+    """Runs the remaining phases, until one does not pass its gate or a stop is requested.
 
-    Every step (training up to a gate, going on, evaluating) is a process of its own: a phase's run holds the same bytes
-    as ``wheelleg train`` of its overrides, and whatever is killed goes on where it was.
+    Each step (training up to a gate, resuming, evaluating) has its own process. So the run of a phase holds the same
+    bytes as ``wheelleg train`` with its overrides, and a killed step can be resumed.
 
     Args:
-        index: the pipeline's record, which is kept up to date.
-        declared: what is run.
+        index: the record of the pipeline, which this object keeps up to date.
+        settings: the phases.
         display: receives what happens.
-        stop: asks to stop; a training stops at its next whole iteration, with a checkpoint.
-        program: the command that does one step, by default ``job`` under this interpreter.
+        stop: requests a stop; a training stops at its next whole iteration, with a checkpoint.
     """
 
-    def __init__(
-        self,
-        index: PipelineIndex,
-        declared: PipelineSettings,
-        display: Display,
-        stop: StopRequest,
-        program: Sequence[str] | None = None,
-    ) -> None:
+    def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
         self._index = index
-        self._declared = declared
+        self._settings = settings
         self._display = display
         self._stop = stop
-        self._program = program
         self._folders = [Path(folder) for folder in index.data["config_dirs"]]
 
     @while_running()
     def run(self) -> PipelineStatus:
-        """Run, and return how it ended, as the record has it.
+        """Run the phases, and return the status of the pipeline.
 
         Raises:
-            WheellegError: a phase failed; the record says which and why.
+            WheellegError: a phase failed; the record names the phase and the reason.
         """
         status: PipelineStatus = "failed"
         why: str | None = None
@@ -162,7 +151,7 @@ class PipelineRunner:
 
     def _run(self) -> tuple[PipelineStatus, str | None]:
         source: Path | None = None
-        for name, phase in self._declared.phases.items():
+        for name, phase in self._settings.phases.items():
             entry = next(entry for entry in self._index.phases if entry["name"] == name)
             if entry["status"] != "passed":
                 self._index.update(entry, status="training", started=entry["started"] or utc_text(utc_now()))
@@ -177,7 +166,7 @@ class PipelineRunner:
         return "finished", None
 
     def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
-        """Train a phase up to one gate after the other; return why it does not go on, None when it does."""
+        """Train a phase up to one gate after the other; return why the pipeline must stop, or None."""
         while True:
             target = self._target(entry, phase)
             self._train(entry, phase, source, target)
@@ -201,12 +190,12 @@ class PipelineRunner:
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
-        """Return up to which iteration is trained before the next evaluation."""
+        """Return the iteration up to which to train before the next evaluation."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # It may have done more than that since: `every` can change while a phase is under way.
+        # A resume can change `every`, so that the phase may have trained past the next evaluation.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 
@@ -221,24 +210,24 @@ class PipelineRunner:
         elif _finished_iterations(run) < target:
             override = [f"agent.max_iterations={target}"]
             command = ["wheelleg", "resume", str(run), *override]
-            self._perform(self._step("resume", override, command, run=str(run)), entry)
+            self._perform(self._request("resume", override, command, run=str(run)), entry)
         self._index.update(entry, trained=target)
 
-    def _new(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> Step:
+    def _new(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> JobRequest:
         words = phase_overrides(entry["name"], phase, self._index.data["overrides"])
-        if phase_digest(compose_valid(words, config_dirs=self._folders)) != entry["digest"]:
-            self._display.note(f"note: {entry['name']}: its config is not what it was when the pipeline began")
+        if digest_of(compose_valid(words, config_dirs=self._folders)) != entry["digest"]:
+            self._display.note(f"note: {entry['name']}: its config has changed since the pipeline started")
             self._index.update(entry, config_changed=True)
         words.append(f"agent.max_iterations={target}")
         if source is not None:
             words.append(f"init_from='{source}'")
             self._index.update(entry, init_from=self._index.relative(source))
         command = ["wheelleg", "train", *words, *(w for d in self._folders for w in ("--config-dir", str(d)))]
-        return self._step("train", words, command, digest=digest_of(compose_valid(words, config_dirs=self._folders)))
+        return self._request("train", words, command, digest=digest_of(compose_valid(words, config_dirs=self._folders)))
 
-    def _step(self, kind: Any, overrides: list[str], command: list[str], **facts: str) -> Step:
+    def _request(self, kind: Any, overrides: list[str], command: list[str], **facts: str) -> JobRequest:
         folders = [str(folder) for folder in self._folders]
-        return Step(kind, overrides, folders, command, root=str(self._index.root), **facts)
+        return JobRequest(kind, overrides, folders, command, root=str(self._index.root), **facts)
 
     # --- judging ---
 
@@ -249,35 +238,35 @@ class PipelineRunner:
         words = [f"protocol={gate.protocol}", *gate.overrides]
         command = ["wheelleg", "evaluate", str(run), *words]
         self._display.note(f"{entry['name']}: evaluating {name} in the scenarios of '{gate.protocol}'")
-        told = self._perform(self._step("evaluate", words, command, run=str(run), checkpoint=name), entry)
-        found = told.get("evaluated")
+        events = self._perform(self._request("evaluate", words, command, run=str(run), checkpoint=name), entry)
+        found = events.get("evaluated")
         if found is None:
-            raise SimulationFailure("the evaluation has told nothing", key=str(run))
+            raise SimulationFailure("the evaluation sent no result", key=str(run))
         verdict = judge(gate, found["metrics"])
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
-        kept = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
-        self._index.update(entry, gates=[*entry["gates"], {**facts, **kept}])
-        # Why the last one is not passed is why the pipeline stops, and told with that.
+        made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
+        self._index.update(entry, gates=[*entry["gates"], {**facts, **made}])
+        # If the last gate fails, the pipeline stops and reports the reason itself.
         why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
-        says = ("passed" if verdict.passed else "not passed") + why
-        self._display.note(f"{entry['name']}: gate after {iteration} iterations {says}")
+        outcome = ("passed" if verdict.passed else "not passed") + why
+        self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
     # --- steps ---
 
-    def _perform(self, step: Step, entry: dict[str, Any]) -> dict[str, Event]:
-        """Do a step in another process; return the last event of each kind."""
-        told: dict[str, Event] = {}
+    def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
+        """Do a step in a child process; return the last event of each kind."""
+        last: dict[str, Event] = {}
         if self._stop.requested:
             raise Interrupted
         try:
-            with StepProcess(step, self._stop, self._program) as process:
-                for event in process.events():
-                    told[event["event"]] = event
+            with run_request(request, self._stop) as events:
+                for event in events:
+                    last[event["event"]] = event
                     self._hear(event, entry)
         except WheellegError as error:
             error.message = f"phase '{entry['name']}': {error.message}"
             raise
-        return told
+        return last
 
     def _hear(self, event: Event, entry: dict[str, Any]) -> None:
         kind = event["event"]
@@ -291,7 +280,7 @@ class PipelineRunner:
 
 
 def _finished_iterations(run: Path) -> int:
-    """Return how many iterations a finished run has; 0 for one that has not finished."""
+    """Return the number of iterations of a finished run; 0 for a run that has not finished."""
     with suppress(RunDirectoryError):
         manifest = RunDirectory(run).manifest()
         if manifest.status == "finished":

@@ -1,10 +1,8 @@
-"""Running a run again from its snapshot alone, and holding the result against the original.
+"""Replay a run from its snapshot alone, and compare the result with the original.
 
 | module | offers |
 |---|---|
-| ``replay`` | the job: what is required, restored, trained, compared |
-| ``requirements`` | what a run must be before it is replayed |
-| ``source_trees`` | every recorded source tree in a folder of its own |
-| ``training_process`` | the training's process, seen from the replay |
-| ``boot``, ``snapshot_training`` | what runs in it, on the code of the run |
+| ``replay_run`` | the job: requirements, restored source, training, comparison |
+| ``restored_source`` | every recorded source tree in its own folder |
+| ``restored_imports``, ``snapshot_training`` | the child process that trains with the restored code |
 """

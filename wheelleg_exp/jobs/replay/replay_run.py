@@ -5,7 +5,9 @@ Only a run that has ended and whose snapshot is what its manifest recorded can b
 
 from __future__ import annotations
 
+import json
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.child_process import Child, Event, job_events
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import for_people, read_text, sha256
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.processes import Event
+from wheelleg_exp.jobs.replay import restored_imports
 from wheelleg_exp.jobs.replay.restored_source import RestoredSource, describe_code, restore_all
 from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, Request
-from wheelleg_exp.jobs.replay.training_process import TrainingProcess
 from wheelleg_exp.jobs.train.source_roots import require_variables, shorten
 from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.environment import hardware, replay_environ, requested_variables, variables, versions
@@ -367,12 +369,24 @@ def _train(
     stop: StopRequest,
 ) -> dict[str, Event]:
     """Train in another process; return the last event of each kind."""
-    told: dict[str, Event] = {}
-    with TrainingProcess(request, source.places, environ, folder, stop) as process:
-        for event in process.events():
-            told[event["event"]] = event
-            _show(event, source, display)
-    return told
+    last: dict[str, Event] = {}
+    try:
+        with job_events(_child(request, source, environ, folder), stop) as events:
+            for event in events:
+                last[event["event"]] = event
+                _show(event, source, display)
+    except WheellegError as error:
+        error.message = f"the training from the snapshot failed: {error.message}"
+        raise
+    return last
+
+
+def _child(request: Request, source: RestoredSource, environ: Mapping[str, str], folder: Path) -> Child:
+    # -P: nothing is imported from the working folder. The code is passed as text, so that the process imports no file
+    # of this version.
+    code = Path(restored_imports.__file__).read_text(encoding="utf-8")
+    places = json.dumps({name: str(place) for name, place in source.places.items()})
+    return Child((sys.executable, "-P", "-c", code, places), request.line(), environ, folder)
 
 
 def _show(event: Event, source: RestoredSource, display: Display) -> None:

@@ -1,7 +1,7 @@
-"""Training again from a run's snapshot, in a process of its own that imports the run's restored source.
+"""Train again from the snapshot of a run, in a child process that imports the restored source of the run.
 
-The parent may be of another version than this code, so what passes between them (see ``processes``) is small and
-numbered. The events are ``began``, ``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
+The parent may run another version of this project. So the protocol between them (see ``child_process``) is small and
+has a number. The events are ``began``, ``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wheelleg_exp.child_process import EventPipe, serve_job
 from wheelleg_exp.errors import ConfigError, WheellegError
-from wheelleg_exp.jobs.processes import Events, serve
+from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import CachedConversion
-    from wheelleg_exp.jobs.train.run_training import Training
+    from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.trainer import Iteration
     from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -29,21 +30,21 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """What is trained again.
+    """What a replay trains.
 
     Attributes:
         protocol: the number of this protocol.
         run: the run directory whose snapshot it is.
-        until: how many iterations are trained.
+        until: the number of iterations to train.
         root: the folder of runs in which the new run directory is made.
         name: the last part of the new run directory's name.
         workplace: an existing folder that is removed afterwards.
         config_dirs: the user's config folders, restored.
         projects: the user's projects, restored.
-        source_roots: the folders, beside the package's own, whose source the new run keeps.
-        moved: the restored folder of each recorded one.
+        source_roots: the folders of other packages whose source the new run keeps.
+        moved: the restored folder of each recorded folder.
         command: the command line.
-        facts: what the new run's manifest says besides; what is found out here is added to its ``replay``.
+        facts: further facts for the manifest of the new run; the findings of the replay are added to its ``replay``.
     """
 
     protocol: int
@@ -65,84 +66,83 @@ class Request:
 
     @classmethod
     def read(cls, line: bytes) -> Request:
-        """Return the request of a line; what is not known here is left out.
+        """Return the request of a line, without keys that this version does not know.
 
         Raises:
-            WheellegError: it is of another protocol.
+            WheellegError: the request uses another protocol.
         """
-        told = json.loads(line)
-        if told.get("protocol") != PROTOCOL:
-            raise WheellegError(f"replay protocol {told.get('protocol')!r} is not known", expected=str(PROTOCOL))
-        return cls(**{field.name: told[field.name] for field in fields(cls)})
+        found = json.loads(line)
+        if found.get("protocol") != PROTOCOL:
+            raise WheellegError(f"replay protocol {found.get('protocol')!r} is not known", expected=str(PROTOCOL))
+        return cls(**{field.name: found[field.name] for field in fields(cls)})
 
 
-class ReplayEvents(Events):
-    """Sends events, and asks for a stop when enough iterations are done.
+class ReplayDisplay(PipeDisplay):
+    """Sends events, and stops the training after the last requested iteration.
 
     Args:
-        descriptor: where they go.
-        stop: asked when it is time.
+        pipe: where events go.
+        stop: set when enough iterations are done.
     """
 
-    def __init__(self, descriptor: int, stop: StopRequest) -> None:
-        super().__init__(descriptor)
+    def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
+        super().__init__(pipe)
         self._stop = stop
         self.until: int | None = None
         self.warnings_only = False
         self.found: dict[str, Any] = {}
 
-    def tell(self, event: str, **facts: Any) -> None:
-        """Send what was found out, and remember it for the manifest."""
+    def record(self, event: str, **facts: Any) -> None:
+        """Send a finding, and remember it for the manifest."""
         self.found[event] = facts
-        self.send(event, **facts)
+        self._pipe.send(event, **facts)
 
     def note(self, text: str) -> None:
-        """Send one line for people; what a training says of its source is of no use here."""
+        """Send one line. The notes of a training about its source do not apply to a replay."""
         if not self.warnings_only or text.startswith("warning"):
             super().note(text)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Send that an iteration is done; behind the last one that is wanted, training stops with a checkpoint."""
+        """Send that an iteration is done; after the last requested one, stop the training with a checkpoint."""
         until = total if self.until is None else min(self.until, total)
         super().iteration(iteration, until)
         if until < total and iteration.index + 1 >= until and not self._stop.requested:
-            self.reached = True
+            self._pipe.reached = True
             self._stop.requested = True
 
 
 def main() -> int:
-    """Train what the first line of standard input asks for, and return the exit status."""
-    return serve(ReplayEvents, _train)
+    """Serve the request on standard input, and return the exit status."""
+    return serve_job(_train)
 
 
-def _train(events: ReplayEvents, line: bytes, stop: StopRequest) -> None:
+def _train(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
     import wheelleg_exp
     from wheelleg_exp.packages import join, read_project
     from wheelleg_exp.run.run_directory import RunDirectory
 
-    request = Request.read(line)
-
-    events.send("began", protocol=PROTOCOL, package=str(Path(wheelleg_exp.__file__).parent))
+    request, display = Request.read(line), ReplayDisplay(pipe, stop)
+    pipe.send("began", protocol=PROTOCOL, package=str(Path(wheelleg_exp.__file__).parent))
     for folder in request.projects:
         project = read_project(Path(folder))
         if project is not None:
             join(project)
-    run = RunDirectory.open(request.run, request.root)
-    config = _config(run, request)
-    events.tell("composed", **_composed_again(run, request))
+    run_directory = RunDirectory.open(request.run, request.root)
+    config = _config(run_directory, request)
+    display.record("composed", **_composed_again(run_directory, request))
     stop.check()
-    ready = _start(run, config, request, events)
-    events.send("run", path=str(ready.directory.path))
+    training = _prepare(run_directory, config, request, display)
+    pipe.send("run", path=str(training.directory.path))
 
-    from wheelleg_exp.jobs.train import run_training
+    from wheelleg_exp.jobs.train.run_training import run
 
     stop.check()
-    events.until = request.until
-    run_training.run(ready, events, stop)
+    display.until = request.until
+    run(training, display, stop)
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the snapshot's config, with the new run's place; a replay makes no films and sends nothing."""
+    """Return the config of the snapshot with the folder of the new run, without films and without W&B."""
     from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
@@ -150,51 +150,51 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
     agent["logger"] = agent.get("logger") and "tensorboard"
-    # A resume may have gone on beyond the number that the config names.
+    # A resume may have trained past the number in the config.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config
 
 
-def _start(run: RunDirectory, config: dict[str, Any], request: Request, events: ReplayEvents) -> Training:
-    from wheelleg_exp.jobs.train import run_training
+def _prepare(run: RunDirectory, config: dict[str, Any], request: Request, display: ReplayDisplay) -> Training:
+    from wheelleg_exp.jobs.train.prepare_training import Recipe, prepare_recipe
     from wheelleg_exp.paths import configs_dir
 
-    recipe = run_training.Recipe(
+    recipe = Recipe(
         config=config,
         hydra_files={path.name: path.read_text(encoding="utf-8") for path in sorted(run.hydra.glob("*.yaml"))},
         source_roots=[configs_dir().parent, *(Path(folder) for folder in request.source_roots)],
-        asset=_asset(run, config, request, events),
+        asset=_asset(run, config, request, display),
         config_dirs=[Path(folder) for folder in request.config_dirs],
     )
-    events.warnings_only = True
-    ready = run_training.start(recipe, request.command, events)
-    events.warnings_only = False
-    ready.manifest.record(**{**request.facts, "replay": {**request.facts.get("replay", {}), **events.found}})
-    return ready
+    display.warnings_only = True
+    training = prepare_recipe(recipe, request.command, display)
+    display.warnings_only = False
+    training.manifest.record(**{**request.facts, "replay": {**request.facts.get("replay", {}), **display.found}})
+    return training
 
 
 # --- the robot ---
 
 
-def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, events: ReplayEvents) -> CachedConversion:
-    """Convert the robot again from its restored source, or take the one that the run has kept."""
+def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
+    """Convert the robot again from its restored source, or copy the robot that the run saved."""
     from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
 
     workplace = Path(request.workplace)
     made, why = _converted_again(run, config["env"], request, workplace / "assets")
     kept = saved_mjcf(run).read_text(encoding="utf-8")
     if made is not None and made.output.read_text(encoding="utf-8") == kept:
-        events.tell("asset", converted=True, note=None)
+        display.record("asset", converted=True, note=None)
         return made
-    why = why or "its source converts to another MJCF than the run's; the libraries differ"
-    events.tell("asset", converted=False, note=f"{why}: the run's kept MJCF is simulated")
+    why = why or "the conversion gives another MJCF than the run's; the libraries differ"
+    display.record("asset", converted=False, note=f"{why}: the replay simulates the saved MJCF")
     return copy_saved_robot(run, workplace / "kept")
 
 
 def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
-    """Return the conversion, or None and why there is none."""
+    """Return the conversion, or None and why it failed."""
     from wheelleg_exp.asset.conversion_cache import convert_cached, find_beside, source_digest
     from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
@@ -212,7 +212,7 @@ def _converted_again(
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:
-    """Return where an absolute path is now, when it lies in a restored folder."""
+    """Return an absolute path, inside the restored folder if it was in a recorded one."""
     for before, after in moved.items():
         if Path(name).is_relative_to(before):
             return str(Path(after) / Path(name).relative_to(before))
@@ -223,7 +223,7 @@ def _moved(name: str, moved: Mapping[str, str]) -> str:
 
 
 def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Compose the recorded overrides with the restored configs and hold the result against the snapshot's."""
+    """Compose the recorded overrides with the restored configs, and compare the result with the snapshot."""
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import read_yaml
     from wheelleg_exp.run.run_config import load_params, recorded_overrides
@@ -249,7 +249,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
 
 
 def _first_difference(kept: Any, now: Any, path: str) -> str | None:
-    """Return the first leaf in which two trees differ, order of keys included."""
+    """Return the first difference between two trees, including the order of keys."""
     if isinstance(kept, Mapping) and isinstance(now, Mapping):
         for key in [*kept, *(k for k in now if k not in kept)]:
             below = f"{path}.{key}" if path else str(key)

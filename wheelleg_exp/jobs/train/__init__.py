@@ -1,11 +1,12 @@
-"""A training: from a composed config to a run directory.
+"""A training: from a composed config, or from a stopped run, to a finished run directory.
 
 | module | offers |
 |---|---|
-| ``training`` | prepared, run, finished: one order for trainings, resumes and replays |
-| ``outputs``, ``training_recording`` | what it writes as it goes |
-| ``films`` | a film every so many iterations |
-| ``wandb_log`` | scalars sent to Weights & Biases |
-| ``event_files`` | TensorBoard's files, cut behind a checkpoint |
-| ``source_roots`` | which folders hold the source of a training |
+| ``prepare_training`` | the ordered steps from a composed config to a training that is ready to run |
+| ``run_training`` | the training itself |
+| ``resume_training``, ``resume_point``, ``resume_overrides`` | preparing a resume: checkpoint, files, settings |
+| ``other_ranks`` | the part of the ranks above 0, which write no files |
+| ``training_outputs``, ``training_recording``, ``scalar_logs`` | the files that a training writes |
+| ``initial_networks`` | networks of other runs: the initial policy and the teacher |
+| ``source_roots`` | the folders of a training's source, and differences from a run's source and machine |
 """

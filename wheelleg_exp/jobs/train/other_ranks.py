@@ -9,54 +9,39 @@ from collections.abc import Mapping
 from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.jobs.train import run_training
+from wheelleg_exp.jobs.job_display import SilentDisplay
+from wheelleg_exp.jobs.train.prepare_training import build_trainer, find_inputs
 from wheelleg_exp.jobs.train.training_outputs import checkpoint_due, digested
 from wheelleg_exp.rl.ranks import FirstRankFailed, Ranks, digests_of_all, state_of_all_ranks
-from wheelleg_exp.rl.trainer import Iteration, Trainer
+from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.stop_request import StopRequest
 
 
-class SilentDisplay:
-    """A display that shows nothing."""
-
-    def environment(self, description: str) -> None:
-        """Show nothing."""
-
-    def note(self, text: str) -> None:
-        """Show nothing."""
-
-    def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show nothing."""
-
-    def steps(self, done: int, total: int) -> None:
-        """Show nothing."""
-
-
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
-    """Build environment and networks, as ``training.prepare`` does in the first process.
+    """Prepare a training as ``prepare_training.prepare`` does in rank 0.
 
     Raises:
-        WheellegError: the input is wrong; the first process says why.
+        WheellegError: the input is wrong; rank 0 reports why.
     """
     with ranks.agreed():
-        recipe = run_training.recipe_of(composed, SilentDisplay())
+        recipe = find_inputs(composed, SilentDisplay())
     with ranks.agreed():
-        trainer, _ = run_training.build(recipe, ranks)
+        trainer, _ = build_trainer(recipe, ranks)
     ranks.facts(recipe.config)
     return trainer
 
 
 def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
-    """Train as ``training.run`` does in the first process, and hand it what a checkpoint needs.
+    """Train as ``run_training.run`` does in rank 0, and send rank 0 what a checkpoint needs.
 
     Args:
-        trainer: the training, at the iteration from which it goes on.
+        trainer: environment and networks, at the iteration at which training starts.
         agent: the composed ``agent`` section.
-        stop: asks to stop; all stop after the same iteration.
+        stop: requests a stop; all ranks stop after the same iteration.
 
     Raises:
         KeyboardInterrupt: training was stopped.
-        WheellegError: the first process says why, or is gone.
+        WheellegError: rank 0 reports why, or has died.
     """
     total, state, unsaved = int(agent["max_iterations"]), None, False
     ranks = trainer.ranks

@@ -18,10 +18,9 @@ from wheelleg_exp.files import read_text, sha256
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.saved_robot import load_saved_robot, saved_model_digest
 from wheelleg_exp.jobs.torch_threads import thread_notes
-from wheelleg_exp.jobs.train import run_training
+from wheelleg_exp.jobs.train.prepare_training import Recipe, RecomputedCheck, Training, build_trainer
 from wheelleg_exp.jobs.train.resume_overrides import change_entry, change_settings, recorded_tree, rewritten_files
 from wheelleg_exp.jobs.train.resume_point import ResumePoint, drop_past_checkpoint, find_point, lasting_damage
-from wheelleg_exp.jobs.train.run_training import Recipe, RecomputedCheck, Training
 from wheelleg_exp.jobs.train.source_roots import differences_now, shorten
 from wheelleg_exp.packages import join_recorded, left_out, read_project
 from wheelleg_exp.paths import configs_dir
@@ -130,7 +129,7 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
     run = RunDirectory(Path(told["run"]))
     with ranks.agreed():
         recipe = resume_recipe(run, told["tree"], "", join_recorded(config_dirs, told["recorded"]))
-        trainer, _ = run_training.build(recipe, ranks)
+        trainer, _ = build_trainer(recipe, ranks)
     why: list[str] = []
     with ranks.agreed():
         if told["checkpoint"] is not None:
@@ -204,7 +203,7 @@ def _prepare(
     if ranks.together:
         broadcast_resume(ranks, run, tree, recorded, point, learning_rate_of(changes))
     with _naming_unused_folders(others), ranks.agreed():
-        trainer, threads = run_training.build(recipe, ranks)
+        trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # killed before the first step, while its source was being kept
         roots = [configs_dir().parent, *folders]
         complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))

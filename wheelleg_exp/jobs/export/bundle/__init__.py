@@ -1,4 +1,4 @@
-"""Files that a bundle takes as they stand: they run without this package, and import NumPy, and MuJoCo to simulate.
+"""Files that are copied into a bundle: they run without this package and need NumPy, and MuJoCo to simulate.
 
 | module | what it is in a bundle |
 |---|---|

@@ -1,0 +1,401 @@
+"""Start, serve, and end child processes: jobs, workers, and other programs.
+
+A job trains or evaluates. It reads one line with a request from standard input and writes events to standard output,
+one JSON object per line. The end of its standard input asks the job to stop, so that a job whose parent was killed
+stops as well. The lines on its standard error reach the parent as ``note`` events.
+
+A worker reads pickled requests from standard input and answers each with bytes, until its standard input ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import selectors
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from io import FileIO
+from pathlib import Path
+from typing import IO, Any, cast
+
+from wheelleg_exp.errors import (
+    EXIT_FAILED,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    Interrupted,
+    RunDirectoryError,
+    SimulationFailure,
+    WheellegError,
+)
+from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.stop_request import StopRequest
+
+Event = dict[str, Any]
+_READY = b"ready\n"
+_CHUNK = 1 << 16
+_WAIT_S = 0.2
+_PATIENCE_S, _PROGRAM_PATIENCE_S, _WORKER_PATIENCE_S = 10.0, 5.0, 20.0
+_LAST_LINES = 3
+_KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
+
+
+# --- a job, in the parent ---
+
+
+class Child:
+    """The process of a job: it gets a request, sends events, and stops on request.
+
+    The process leads its own group, so that Ctrl-C reaches only the parent. The parent then asks the job to stop at its
+    next whole iteration.
+
+    Args:
+        program: the command of the process.
+        request: the line that tells the job what to do.
+        environ: the environment variables.
+        folder: the working folder; None is the parent's.
+
+    Attributes:
+        process: the process.
+        ended: the event with which the job ended; None while it runs, and if it died.
+        open: the unfinished last line of each pipe that is still open.
+    """
+
+    def __init__(
+        self, program: Sequence[str], request: bytes, environ: Mapping[str, str], folder: Path | None = None
+    ) -> None:
+        self.process = subprocess.Popen(
+            program,
+            env=dict(environ),
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            process_group=0,
+        )
+        self.ended: Event | None = None
+        self._last_lines: deque[str] = deque(maxlen=_LAST_LINES)
+        pipes = (self.process.stdin, self.process.stdout, self.process.stderr)
+        self._input, self._output, self._errors = cast(tuple[IO[bytes], ...], pipes)
+        self.open = {self._output: b"", self._errors: b""}
+        for pipe in self.open:
+            os.set_blocking(pipe.fileno(), False)
+        with contextlib.suppress(OSError):  # the process may have died; its exit status tells why
+            self._input.write(request)
+            self._input.flush()
+
+    def ask_to_stop(self) -> None:
+        """Ask the job to stop at its next whole iteration."""
+        with contextlib.suppress(OSError):
+            self._input.close()
+
+    def interrupt(self) -> None:
+        """Stop a job at once that was asked to stop: it treats this signal as the second request."""
+        self.process.send_signal(signal.SIGTERM)  # a shell's background job ignores SIGINT
+
+    def kill(self) -> None:
+        """Kill the process."""
+        self.process.kill()
+
+    def over(self) -> bool:
+        """Return whether the process has ended."""
+        return self.process.poll() is not None
+
+    def close(self) -> None:
+        """Kill the process if it still runs, and close its pipes."""
+        self.kill()
+        self.process.wait()
+        self.open = {}
+        self.ask_to_stop()
+        self._output.close()
+        self._errors.close()
+
+    def read(self, pipe: IO[bytes]) -> Iterator[Event]:
+        """Yield the events that a pipe holds now."""
+        for line in self._lines(pipe):
+            if pipe is self._errors:
+                self._last_lines.append(line)
+                yield {"event": "note", "text": line}
+            elif (event := parse_event(line)) is not None:
+                if event["event"] == "ended":
+                    self.ended = event
+                else:
+                    yield event
+
+    def describe_death(self) -> str:
+        """Return how a job ended that sent no last event: its exit status or signal, and its last lines."""
+        code = self.process.wait()
+        if code >= 0:
+            how = f"ended with status {code} and did not say why"
+        else:
+            name = signal.Signals(-code).name
+            how = f"was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
+        return how + "".join(f": {line.strip()}" for line in self._last_lines)
+
+    def _lines(self, pipe: IO[bytes]) -> list[str]:
+        found = self.open.pop(pipe)
+        try:
+            while chunk := os.read(pipe.fileno(), _CHUNK):
+                found += chunk
+            found += b"\n"
+        except BlockingIOError:  # the pipe is empty, but not closed
+            found, _, self.open[pipe] = found.rpartition(b"\n")
+        return [line.decode(errors="replace").rstrip() for line in found.split(b"\n") if line.strip()]
+
+
+def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Event]]:
+    """Yield the events that children have sent; wait at most ``wait_s`` for the first one."""
+    with selectors.DefaultSelector() as selector:
+        for child in children:
+            for pipe in child.open:
+                selector.register(pipe, selectors.EVENT_READ, child)
+        ready = selector.select(wait_s)
+    for key, _ in ready:
+        for event in key.data.read(key.fileobj):
+            yield key.data, event
+
+
+def parse_event(line: str) -> Event | None:
+    """Return the event on a line; None if the line is not an event, for example because a kill cut it off."""
+    try:
+        event = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
+
+
+@contextmanager
+def job_events(child: Child, stop: StopRequest) -> Iterator[Iterator[Event]]:
+    """Yield an iterator over the events of a job; on exit, end its process: politely, then at once, then by force.
+
+    The iterator raises ``Interrupted`` when the job was stopped, and a WheellegError when the job failed.
+    """
+    try:
+        yield _events(child, stop)
+    finally:
+        try:
+            _end(child, child.ask_to_stop, 0.0 if stop.requested else _PATIENCE_S)
+            _end(child, child.interrupt, _PATIENCE_S)
+        finally:
+            child.close()
+
+
+def _events(child: Child, stop: StopRequest) -> Iterator[Event]:
+    while child.open:
+        if stop.requested:
+            child.ask_to_stop()
+        for _, event in listen([child], _WAIT_S):
+            yield event
+    status, ended = child.process.wait(), child.ended
+    if ended is None and not stop.requested:
+        raise SimulationFailure(f"its process {child.describe_death()}")
+    if ended is None or ended["status"] == "interrupted":
+        raise Interrupted
+    if ended["status"] == "failed":
+        kind: type[WheellegError] = RunDirectoryError if status == EXIT_INPUT else SimulationFailure
+        raise kind(str(ended["error"]["message"]))
+
+
+def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
+    if child.over():
+        return
+    act()
+    deadline = time.monotonic() + patience_s
+    while not child.over() and time.monotonic() < deadline:
+        for _ in listen([child], 0.05):  # a process with a full pipe cannot end before somebody reads
+            pass
+
+
+# --- a job, in its own process ---
+
+
+class EventPipe:
+    """Send events to the parent process. A parent that has died receives nothing.
+
+    Attributes:
+        reached: whether the job did all that was requested, so that its stop is not an interruption.
+    """
+
+    reached = False
+
+    def __init__(self, descriptor: int) -> None:
+        self._file = FileIO(descriptor, "w", closefd=False)
+
+    def send(self, event: str, **facts: Any) -> None:
+        """Send one event."""
+        line = json.dumps({"event": event, **facts}, default=float) + "\n"
+        data = memoryview(line.encode())
+        with contextlib.suppress(OSError):
+            while data:
+                data = data[self._file.write(data) :]
+
+
+def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
+    """Do the work that the first line of standard input requests, and return the exit status."""
+    prepare_threads()
+    descriptor = os.dup(1)
+    os.dup2(2, 1)
+    with StopRequest() as stop:
+        source = FileIO(0, "r", closefd=False)
+        request = source.readline()
+        threading.Thread(target=_stop_at_end, args=(source, stop), daemon=True).start()
+        return run_job(EventPipe(descriptor), lambda pipe: work(pipe, request, stop))
+
+
+def run_job(pipe: EventPipe, work: Callable[[EventPipe], None]) -> int:
+    """Do the work, send how it ended, and return the exit status."""
+    try:
+        work(pipe)
+    except Interrupted:
+        if not pipe.reached:
+            pipe.send("ended", status="interrupted", error=None)
+            return EXIT_INTERRUPTED
+    except BaseException as error:
+        pipe.send("ended", status="failed", error={"type": type(error).__name__, "message": str(error)})
+        return error.exit_code if isinstance(error, WheellegError) else EXIT_FAILED
+    pipe.send("ended", status="finished", error=None)
+    return EXIT_OK
+
+
+def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
+    while source.read(1):
+        pass
+    stop.requested = True
+
+
+# --- a worker ---
+
+
+class Worker:
+    """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
+
+    Args:
+        module: the module that the process runs.
+        order: the first object that it gets; it says ``ready`` when it has prepared itself.
+        environ: the environment variables.
+        errors: an empty file for the standard error of the process.
+        folder: the working folder.
+
+    Attributes:
+        is_ready: whether the process has prepared itself.
+    """
+
+    def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
+        self._errors = errors
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            env=dict(environ),
+            cwd=folder,
+        )
+        self._stdin, self._stdout = cast(IO[bytes], self._process.stdin), cast(IO[bytes], self._process.stdout)
+        self.is_ready = False
+        with contextlib.suppress(OSError):
+            self._send(order)
+            self.is_ready = self._stdout.read(len(_READY)) == _READY
+
+    def ask(self, request: Any, count: int) -> bytes:
+        """Return the ``count`` bytes of the answer, or fewer if the process died."""
+        with contextlib.suppress(OSError):
+            self._send(request)
+            return self._stdout.read(count)
+        return b""
+
+    def last_line(self) -> str:
+        """Return the last line on the standard error of the process, or its exit status."""
+        self._errors.seek(0)
+        lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
+        return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
+
+    def close(self) -> None:
+        """End the process."""
+        for stream in (self._stdin, self._stdout):
+            with contextlib.suppress(OSError):
+                stream.close()
+        try:
+            self._process.wait(_WORKER_PATIENCE_S if self.is_ready else 2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _send(self, value: Any) -> None:
+        pickle.dump(value, self._stdin)
+        self._stdin.flush()
+
+
+def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
+    """Answer requests in the process of a ``Worker`` until standard input ends.
+
+    Args:
+        prepare: gets the order, and yields the function that answers a request.
+    """
+    source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # a library that prints must not disturb the answers
+    with prepare(pickle.load(source)) as answer:
+        target.write(_READY)
+        target.flush()
+        while True:
+            try:
+                request = pickle.load(source)
+            except EOFError:
+                return
+            target.write(answer(request))
+            target.flush()
+
+
+# --- another program ---
+
+
+@contextmanager
+def running_program(
+    command: Sequence[str], output: IO[bytes], environ: Mapping[str, str], folder: str
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Yield a running program that leads its own session; on exit, end it and all processes that it started.
+
+    Args:
+        command: the command.
+        output: the file for its standard output and error.
+        environ: the environment variables.
+        folder: the working folder.
+    """
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        env=dict(environ),
+        cwd=folder,
+        start_new_session=True,  # Ctrl-C must reach only the parent
+    )
+    try:
+        yield process
+    finally:
+        end_program(process)
+
+
+def end_program(process: subprocess.Popen[bytes]) -> None:
+    """End a program that leads its own session, and all processes that it started."""
+    for number in (signal.SIGTERM, _KILL):
+        _signal_group(process, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_PROGRAM_PATIENCE_S)
+            break
+    _signal_group(process, _KILL)  # its own children may have outlived it
+
+
+def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, number)
+        else:
+            process.terminate()

@@ -1,0 +1,155 @@
+"""Train, resume, or evaluate in a child process: the request, the process that serves it, and its parent's side.
+
+Each job of a sweep and each step of a pipeline is such a process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from wheelleg_exp.child_process import Child, Event, EventPipe, job_events, serve_job
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.job_display import PipeDisplay
+from wheelleg_exp.machine import own_environ
+from wheelleg_exp.stop_request import StopRequest
+
+# The child imports from the folders of its parent, whatever folder it is called from.
+_BOOT = (
+    "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
+    "from wheelleg_exp.jobs.training_job import main; sys.exit(main())"
+)
+
+
+@dataclass(frozen=True)
+class JobRequest:
+    """What a job does.
+
+    Attributes:
+        kind: train a new run, resume a run, or evaluate a run.
+        overrides: of the training, the resume, or the protocol.
+        config_dirs: the user's config folders.
+        command: the command line that does the same alone, for the manifest.
+        digest: the digest of the checked config of a training.
+        run: the run that is resumed or evaluated.
+        checkpoint: the name of the evaluated checkpoint.
+        root: the folder of all runs.
+    """
+
+    kind: Literal["train", "resume", "evaluate"]
+    overrides: list[str]
+    config_dirs: list[str]
+    command: list[str]
+    digest: str = ""
+    run: str = ""
+    checkpoint: str = ""
+    root: str = "runs"
+
+    def line(self) -> bytes:
+        """Return the request as one line."""
+        return json.dumps(asdict(self)).encode() + b"\n"
+
+
+def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
+    """Return the command that serves a job with this interpreter.
+
+    Args:
+        path: the folders to import from; by default those of this process.
+    """
+    return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
+
+
+def run_request(
+    request: JobRequest, stop: StopRequest, program: Sequence[str] | None = None
+) -> AbstractContextManager[Iterator[Event]]:
+    """Return a context that runs a job and yields its events.
+
+    Args:
+        request: what the job does.
+        stop: asks to stop; a training stops at its next whole iteration, with a checkpoint.
+        program: the command that serves the job, by default ``job_program()``.
+    """
+    return job_events(Child(program or job_program(), request.line(), own_environ()), stop)
+
+
+def main() -> int:
+    """Serve the request on standard input, and return the exit status."""
+    return serve_job(serve)
+
+
+def serve(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
+    """Do what a request says."""
+    request = JobRequest(**json.loads(line))
+    {"train": _train, "resume": _resume, "evaluate": _evaluate}[request.kind](pipe, request, stop)
+
+
+def _train(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
+    from wheelleg_exp.config.composing.compose_sweep import digest_of
+    from wheelleg_exp.packages import with_current
+
+    folders = with_current([Path(folder) for folder in request.config_dirs])
+    composed = compose_valid(request.overrides, config_dirs=folders)
+    if digest_of(composed) != request.digest:
+        raise ConfigError(
+            "the config files have changed since the sweep was checked",
+            expected="files that do not change until the last job has started",
+        )
+
+    from wheelleg_exp.jobs.train.prepare_training import prepare
+    from wheelleg_exp.jobs.train.run_training import run
+    from wheelleg_exp.lint.physics_check import examine
+
+    stop.check()
+    display = PipeDisplay(pipe)
+    training = prepare(composed, request.command, display)
+    pipe.send("run", path=str(training.directory.path))
+    for finding in examine(composed).open:
+        display.note(f"warning: {finding.line()}")
+    run(training, display, stop)
+
+
+def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
+    from wheelleg_exp.machine import keep_kernels
+    from wheelleg_exp.run.run_directory import RunDirectory
+
+    run_directory = RunDirectory.open(request.run, request.root)
+    keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
+
+    # These modules import tensordict, which uses MKL, so that they must follow keep_kernels.
+    from wheelleg_exp.jobs.train.resume_training import prepare_resume
+    from wheelleg_exp.jobs.train.run_training import run
+
+    stop.check()
+    display, folders = PipeDisplay(pipe), [Path(folder) for folder in request.config_dirs]
+    run(prepare_resume(run_directory, request.overrides, request.command, display, folders), display, stop)
+
+
+def _evaluate(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
+    from wheelleg_exp.jobs.evaluate_policy import evaluate_run
+    from wheelleg_exp.packages import with_current
+    from wheelleg_exp.run.run_directory import RunDirectory
+
+    run = RunDirectory.open(request.run, request.root)
+
+    def check_stop(_test: str, _done: int, _total: int) -> None:
+        stop.check()
+
+    folders = with_current([Path(folder) for folder in request.config_dirs])
+    made = evaluate_run(run, run.inside(request.checkpoint), request.overrides, request.command, check_stop, folders)
+    pipe.send(
+        "evaluated",
+        folder=made.folder.relative_to(run.path).as_posix(),
+        metrics={name: figure["value"] for name, figure in made.content["metrics"].items()},
+        scenarios_sha256=made.content["scenarios_sha256"],
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
