@@ -1,4 +1,4 @@
-"""What ``wheelleg diff`` compares: a run, a task, or a list of overrides, made comparable."""
+"""The two sides that ``wheelleg diff`` compares: each is a run, a task, or a list of overrides."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import changed_states
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
-# What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
+# Sections that decide the numbers of a run; its folder and silenced findings do not.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
 _CODE = ("commit", "tree", "dirty", "patch_sha256")
 
@@ -34,11 +34,11 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
     """Return both sides of a comparison.
 
-    Where one side is a run and the other is not, the other has the facts of this machine and checkout.
+    If only one side is a run, the other gets the facts of this machine and checkout.
 
     Args:
         a: a run (path, id, ``latest``), a task, or overrides; overrides may follow a run or a task.
-        b: the same.
+        b: likewise.
         root: the folder of all runs.
         config_dirs: the user's config folders.
 
@@ -54,7 +54,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
 
 
 def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
-    """Return a side, and what it was composed from unless it is a run."""
+    """Return a side, and its composed config unless it is a run."""
     words = split_words(text)
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
@@ -69,7 +69,7 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
 
 
 def split_words(text: str) -> list[str]:
-    """Return the words of a line: parted by spaces, but not inside quotes and brackets, which Hydra reads itself.
+    """Return the words of a line. Spaces inside quotes and brackets do not split, because Hydra reads those itself.
 
     Raises:
         WheellegError: a quote or a bracket is not closed.
@@ -109,7 +109,7 @@ def _composed(label: str, composed: Composed) -> Side:
 
 
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return who set a key, or removed it, or selected the terms among which it is not."""
+    """Return who set a key, removed it, or selected the terms of a list without it."""
     places, keys = composed.provenance, split_path(path)
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
@@ -134,7 +134,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
 
 
 def _kept(run: RunDirectory) -> dict[str, Any]:
-    """Return what ``params`` does not hold, from Hydra's own file where the run kept it."""
+    """Return what ``params`` lacks, from Hydra's own file if the run has it."""
     manifest = run.manifest()
     kept: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):
@@ -144,12 +144,12 @@ def _kept(run: RunDirectory) -> dict[str, Any]:
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return kept  # what does not resolve by itself is not compared
+        return kept  # a config that does not resolve is not compared
     return {**kept, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 
 def _sets(override: str, path: str) -> bool:
-    """Return whether an override writes a key or the whole that it belongs to."""
+    """Return whether an override writes a key, or a section that contains the key."""
     keys = split_path(override.lstrip("+~").split("=", 1)[0])
     return bool(keys) and split_path(path)[: len(keys)] == keys
 
@@ -180,7 +180,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies the source; further repositories of the user's carry their numbers."""
+    """Return what identifies the source; the user's further repositories carry numbers."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
@@ -193,7 +193,7 @@ def _asset(identity: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
-    """Return the facts of this machine and checkout, as far as they are known without building anything."""
+    """Return the facts of this machine and checkout that need no build."""
     with tempfile.TemporaryDirectory() as folder:
         record = snapshot_source(source_roots(composed), Path(folder))
     return {

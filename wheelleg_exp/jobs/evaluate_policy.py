@@ -65,15 +65,15 @@ _ALTERNATIVES = {
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Any]:
-    """Return ``env``, ``agent``, ``protocol`` and ``seed``, plain: the run's own but for the overrides.
+    """Return ``env``, ``agent``, ``protocol`` and ``seed``, plain: the run's own, with the overrides.
 
     Args:
         run: the run.
-        overrides: those of ``protocol`` and ``seed`` choose and change the protocol, all others the run's parameters.
+        overrides: those of ``protocol`` and ``seed`` change the protocol, all others the run's parameters.
         config_dirs: folders of the user's own protocols.
 
     Raises:
-        WheellegError: an override, the run or the protocol is wrong.
+        WheellegError: an override, the run, or the protocol is wrong.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
@@ -105,7 +105,7 @@ def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
 
 
 def run_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that change the run's parameters, and not the protocol."""
+    """Return the overrides that change the run's parameters instead of the protocol."""
     return [text for text in overrides if not _is_of_protocol(text)]
 
 
@@ -114,21 +114,21 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-Draw = Callable[[Evaluation, Path], list[Path]]  # draws an evaluation into a folder, and returns the files
+Draw = Callable[[Evaluation, Path], list[Path]]  # draws plots of an evaluation into a folder, and returns the files
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What an evaluation made.
+    """The result of an evaluation.
 
     Attributes:
-        run: the run whose policy it was.
-        checkpoint: the checkpoint; None of the reference controller.
-        folder: what was written, below the run.
-        evaluation: what was found.
-        content: what stands in ``evaluation.json``.
+        run: the run of the policy.
+        checkpoint: the checkpoint; None for the reference controller.
+        folder: the written folder below the run.
+        evaluation: the measured values.
+        content: the content of ``evaluation.json``.
     """
 
     run: RunDirectory
@@ -147,24 +147,24 @@ def evaluate_run(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the mean of a run's policy, and keep what was found under the run.
+    """Evaluate the mean action of a run's policy, and save the result under the run.
 
     Args:
         run: the run.
-        checkpoint: which of its checkpoints; None is the last.
+        checkpoint: one of its checkpoints; None means the last.
         overrides: the protocol, changes to it, and changes to the run's parameters.
         command: the command line, for the manifest.
-        tell: told the test, and how many of its steps are done of how many.
+        tell: receives the test, its finished steps, and its number of steps.
         config_dirs: folders of the user's own protocols.
-        draw: draws what was found.
+        draw: draws plots of the result.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong.
+        WheellegError: the run, the checkpoint, or an override is wrong.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
     found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
-    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    own = checkpoint.resolve().is_relative_to(run.path)
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
     about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "overrides": list(overrides)}
     content = {**about, **found.as_dict()}
@@ -179,18 +179,12 @@ def evaluate_reference(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the reference controller on a run's robot and task, and keep what was found under the run.
+    """Evaluate the reference controller on a run's robot and task, and save the result under the run.
 
-    Args:
-        run: the run.
-        overrides: as for ``evaluate_run``, as are the others.
-        command: the command line, for the manifest.
-        tell: told how far it is.
-        config_dirs: folders of the user's own protocols.
-        draw: draws what was found.
+    The arguments are those of ``evaluate_run``.
 
     Raises:
-        WheellegError: an override is wrong, or the robot or its actions are none that the reference can balance.
+        WheellegError: an override is wrong, or the reference cannot balance the robot with its actions.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -212,7 +206,7 @@ def _save(
     command: Sequence[str],
     draw: Draw | None,
 ) -> Path:
-    """Write what was found below the run, whole or not at all, and return the folder."""
+    """Write the result below the run, whole or not at all, and return the folder."""
     folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
         with while_running():
@@ -220,7 +214,7 @@ def _save(
             write_json(folder / RESULT, content)
             drawn = [] if draw is None else draw(found, folder)
             run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
-    except BaseException:  # an interrupted evaluation leaves nothing that looks like one
+    except BaseException:  # an interrupted evaluation must not look like a finished one
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return folder
@@ -232,7 +226,7 @@ def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell
 
 
 def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
-    """Return what makes the policy of a checkpoint for an environment: its mean action, clipped as in training.
+    """Return a maker of the checkpoint's policy for an environment: its mean action, clipped as in training.
 
     Args:
         checkpoint: the checkpoint.
@@ -255,7 +249,7 @@ def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
 
 
 def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the manifest says of an evaluation: which, of what, and its values."""
+    """Return the manifest's entry of an evaluation."""
     kept = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
     values = {name: figure["value"] for name, figure in content["metrics"].items()}
     told = {key: content[key] for key in kept if key in content}
@@ -263,7 +257,7 @@ def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def episodes_text(episodes: Mapping[str, Any]) -> str:
-    """Return the episodes as CSV, one row each; numbers as Python writes them, so that they are read back exactly."""
+    """Return the episodes as CSV, one row each; Python's number format makes reading exact."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(episodes)
@@ -282,10 +276,10 @@ _EXPECTED = "an evaluation that wheelleg evaluate has written"
 
 
 def read_content(folder: Path) -> dict[str, Any]:
-    """Return what stands in a kept ``evaluation.json``.
+    """Return the content of a saved ``evaluation.json``.
 
     Raises:
-        RunDirectoryError: it is missing or damaged, or of another version.
+        RunDirectoryError: the file is missing or damaged, or has another version.
     """
     path = folder / RESULT
     try:
@@ -299,10 +293,10 @@ def read_content(folder: Path) -> dict[str, Any]:
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """Return a kept evaluation, its episodes included.
+    """Return a saved evaluation with its episodes.
 
     Raises:
-        RunDirectoryError: a file of it is missing or damaged.
+        RunDirectoryError: one of its files is missing or damaged.
     """
     content = read_content(folder)
     try:
@@ -314,7 +308,7 @@ def read_evaluation(folder: Path) -> Evaluation:
 
 
 def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the columns of ``episodes.csv``: numbers, NaN where a cell is empty, or texts."""
+    """Return the columns of ``episodes.csv``: texts, or numbers with NaN for empty cells."""
     with for_people(path, "read"):
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
     if not rows:
@@ -323,13 +317,13 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the newest kept evaluation of a checkpoint under a protocol; None when there is none.
+    """Return the newest saved evaluation of a checkpoint under a protocol, or None.
 
     Args:
         run: the run.
         checkpoint: the checkpoint's sha256.
-        tree: what ``settings`` returns for the overrides: a protocol is the same in whatever words it was asked for.
-        overrides: those of the run's own parameters and of the protocol.
+        tree: the result of ``evaluation_settings``: different words can give the same protocol.
+        overrides: of the run's parameters and of the protocol.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -342,7 +336,7 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
 
 
 def load_evaluated(run: RunDirectory, checkpoint: Path, folder: Path) -> Evaluated:
-    """Return a kept evaluation as if it had just been made."""
+    """Return a saved evaluation in the form of a new one."""
     return Evaluated(run, checkpoint, folder, read_evaluation(folder), read_content(folder))
 
 
@@ -364,15 +358,15 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """What a comparison made.
+    """The result of a comparison.
 
     Attributes:
-        folder: what was written, below the first run.
+        folder: the written folder below the first run.
         seeds: every metric over the runs.
-        differences: how they differ from those that they are held against; empty when they are against none.
-        verdict: what that comes to, in words; empty likewise.
-        push_verdict: what it comes to in push recovery; empty likewise, and where no pushes were measured.
-        content: what stands in ``comparison.json``.
+        differences: the differences from the other side; empty without another side.
+        verdict: the differences in words; empty without another side.
+        push_verdict: the verdict on push recovery; also empty if no pushes were measured.
+        content: the content of ``comparison.json``.
     """
 
     folder: Path
@@ -390,17 +384,17 @@ def compare(
     command: Sequence[str],
     name: str | None = None,
 ) -> Compared:
-    """Compare evaluated runs and keep what was found under the first of them.
+    """Compare evaluated runs, and save the result under the first of them.
 
     Args:
         runs: of one method, trained with different seeds.
-        against: of another; may be empty.
-        reference: the reference controller; told beside them.
+        against: of another method; may be empty.
+        reference: the reference controller, reported next to the runs.
         command: the command line, for the manifest.
-        name: what the runs are called together; by default by the id of the first.
+        name: the name of the runs as a group; by default the id of the first.
 
     Raises:
-        RunDirectoryError: they are of different scenarios.
+        RunDirectoryError: the evaluations have different scenarios.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
@@ -436,13 +430,13 @@ def compare(
 
 
 def group_name(made: Sequence[Evaluated]) -> str:
-    """Return what evaluated runs are called in a sentence."""
+    """Return the name of evaluated runs in a sentence."""
     names = [display_name(one) for one in made]
     return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
 
 
 def display_name(made: Evaluated) -> str:
-    """Return what one is called in a table: the run's id, or the reference's name."""
+    """Return the name of an evaluation in a table: the run's id, or the reference's name."""
     return made.run.id if made.checkpoint is not None else f"the {made.content['policy']}"
 
 

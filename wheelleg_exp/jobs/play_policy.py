@@ -52,15 +52,15 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A policy and an environment that fits it.
+    """A policy, and an environment for it.
 
     Attributes:
         run: the run.
-        checkpoint: the checkpoint that the policy is of.
-        tree: ``env`` and ``agent`` of the run, and the settings of ``configs/play.yaml``, with the changes.
+        checkpoint: the checkpoint of the policy.
+        tree: ``env`` and ``agent`` of the run and the settings of ``configs/play.yaml``, with the overrides.
         adapter: the environment as rsl_rl sees it.
-        policy: the policy, which returns its mean action.
-        about: the checkpoint's name, as seen from the run, and its sha256.
+        policy: returns the policy's mean action.
+        about: the checkpoint's name, relative to the run, and its sha256.
     """
 
     run: RunDirectory
@@ -71,10 +71,10 @@ class RunPolicy:
     about: dict[str, str]
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
-        """Return the recording of what is to be played, in a folder below the run.
+        """Return the recording of a play or a drive.
 
         Args:
-            folder: where ``recording.rrd`` goes.
+            folder: the folder of ``recording.rrd``, below the run.
             command: the command line.
         """
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
@@ -106,13 +106,14 @@ def prepare_policy(
 
     Args:
         run: the run.
-        checkpoint: which of its checkpoints; None is the last.
+        checkpoint: one of its checkpoints; None means the last.
         overrides: changes to the run's parameters.
-        display: is told when the compiled model is another than the training's.
-        change: a last change to the tree, after the overrides.
+        command: the command line.
+        display: receives a note if the compiled model differs from the training's.
+        change: changes the tree after the overrides.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong.
+        WheellegError: the run, the checkpoint, or an override is wrong.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
@@ -125,10 +126,10 @@ def prepare_policy(
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
     if tree["env"] == kept["env"] and env.scene.model_digest() != saved_model_digest(run):
-        display.note("note: the compiled model is not the one of the training; is this another MuJoCo version?")
+        display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
-    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    own = checkpoint.resolve().is_relative_to(run.path)
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
     about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
     return RunPolicy(run, checkpoint, tree, adapter, policy, about)
@@ -140,13 +141,13 @@ def _play_settings() -> Tree:
 
 
 def _settings_read(tree: Mapping[str, Any]) -> Any:
-    """Return what a play reads: of ``agent``, what the policy depends on and how many failures are accepted."""
+    """Return what a play reads: of ``agent``, the policy's network and the number of accepted failures."""
     agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
     return {**tree, "agent": agent}
 
 
 def _require_playable(kept: Tree, tree: Tree) -> None:
-    """Hold the amended tree against what a play reads, before anything is built or made."""
+    """Check the amended tree before anything is built."""
     errors = check_tree(tree, schema.PlayRoot)
     if errors:
         raise_all(errors)
@@ -161,15 +162,15 @@ def _require_playable(kept: Tree, tree: Tree) -> None:
 
 @dataclass(frozen=True)
 class Played:
-    """What a play made.
+    """The result of a play.
 
     Attributes:
-        run: the run whose policy it was.
+        run: the run of the policy.
         checkpoint: the checkpoint.
-        folder: what was written, below the run.
+        folder: the written folder below the run.
         recording: the recording, or None.
-        figures: how the policy stood.
-        motion: how it moved, and what its motors bore.
+        figures: how well the policy stood.
+        motion: how the policy moved, and the load of its motors.
         failures: the episodes that ended because a number was not finite.
     """
 
@@ -189,17 +190,17 @@ def play(
     command: Sequence[str],
     display: Display,
 ) -> Played:
-    """Play the mean of a run's policy for one episode of each environment, with the task's own events.
+    """Play the mean action of a run's policy for one episode of each environment, with the task's own events.
 
     Args:
         run: the run.
-        checkpoint: which of its checkpoints; None is the last.
-        overrides: changes to the run's parameters, for this play alone.
+        checkpoint: one of its checkpoints; None means the last.
+        overrides: changes to the run's parameters for this play.
         command: the command line, for the manifest.
         display: receives progress.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong.
+        WheellegError: the run, the checkpoint, or an override is wrong.
     """
     prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
@@ -223,7 +224,7 @@ def play(
             write_json(folder / "figures.json", content)
             files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
             run.manifest().add("play", files, content, command=command)
-    except BaseException:  # an interrupted play leaves nothing that looks like one
+    except BaseException:  # an interrupted play must not look like a finished one
         shutil.rmtree(folder, ignore_errors=True)
         raise
     path = recording.path if recording else None

@@ -30,12 +30,12 @@ _COMMAND = ("wheelleg", "results")
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What came of getting a result again.
+    """The result of a reproduction.
 
     Attributes:
-        differences: in words what came out otherwise; empty when all is equal to the bit.
-        machine: how this machine, its versions and threads differ from those of the result where that may change bits.
-        other_code: whether the runs were trained by other source files.
+        differences: in words, the numbers that differ; empty if all are equal to the bit.
+        machine: differences of machine, versions, and threads that may change bits.
+        other_code: whether other source files trained the runs.
     """
 
     differences: list[str]
@@ -44,14 +44,14 @@ class Reproduction:
 
     @property
     def verdict(self) -> str:
-        """What it comes to, in words."""
+        """The outcome in words."""
         if not self.differences:
             return "reproduced to the bit" + (", on another machine" if self.machine else "")
         why = ["with other source files"] if self.other_code else []
-        why += [f"where {fact.section} were otherwise ({', '.join(_fact_lines([fact]))})" for fact in self.machine]
+        why += [f"where {fact.section} differed ({', '.join(_fact_lines([fact]))})" for fact in self.machine]
         if not why:
             return "not reproduced to the bit, with the same source, on the same kind of machine"
-        judged = "equal bits are promised on the same kind of machine with the same versions and source alone"
+        judged = "equal bits are promised only on the same kind of machine with the same versions and source"
         return f"not reproduced to the bit; it was made {'; '.join(why)}, and {judged}"
 
 
@@ -63,18 +63,18 @@ def reproduce(
     config_dirs: Sequence[Path] = (),
     trained: dict[str, RunDirectory] | None = None,
 ) -> Reproduction:
-    """Train and evaluate what a record names, and compare every number of the record.
+    """Train and evaluate the runs of a record, and compare every number of the record.
 
     Args:
         record: of the result.
         manifests: of its runs.
         root: a folder for the runs, with those of ``trained`` and no others.
-        say: told what is being done.
-        config_dirs: the user's config folders, that runs or protocol may be of.
-        trained: runs that have been made again, by what they are made of; those that this makes are added.
+        say: receives progress.
+        config_dirs: the user's config folders, for runs and protocol.
+        trained: runs that were trained before, by recipe; new runs are added.
 
     Raises:
-        WheellegError: a training ended with an error.
+        WheellegError: a training failed.
     """
     differs = _fact_lines(
         _machine_differences(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True)
@@ -82,7 +82,7 @@ def reproduce(
     for line in differs:
         say(f"differs: {line}")
     if differs:
-        say("equal bits are promised on the same kind of machine alone: other numbers say nothing against the page")
+        say("equal bits are promised only on the same kind of machine: other numbers here do not refute the page")
     trained = {} if trained is None else trained
     runs: list[Evaluated] = []
     for number, kept in enumerate(record["runs"], start=1):
@@ -100,7 +100,7 @@ def reproduce(
 
 
 def evaluation_differences(kept: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
-    """Yield in words what of an evaluation is not as it was."""
+    """Yield in words the differences of an evaluation."""
     now = evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
         if now[key] != kept[key]:
@@ -110,11 +110,11 @@ def evaluation_differences(kept: Mapping[str, Any], made: Evaluated) -> Iterator
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # what it is, not how much
+            yield from _leaf_differences(was, is_now, name)  # unit and direction, not the value
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
-    """Yield what came out otherwise: networks and evaluations; where these are equal, what was computed from them."""
+    """Yield differences of networks and evaluations; if there are none, differences of computed values."""
     equal = True
     for number, (kept, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)
@@ -142,7 +142,7 @@ def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
-    """Return in what runs were made otherwise that may change bits; ``early`` what is not known yet is left out."""
+    """Return differences between the machines that may change bits; ``early`` skips what is still unknown."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
     sides = zip(was, now, strict=True)
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
@@ -164,7 +164,7 @@ def _trained_run(
     say: Callable[[str], None],
     config_dirs: Sequence[Path] = (),
 ) -> RunDirectory:
-    """Return the run of a recipe, trained if it has not been yet."""
+    """Return the run of a recipe, trained if necessary."""
     if repr(recipe) in trained:
         return trained[repr(recipe)]
     words = list(recipe["overrides"])
@@ -178,7 +178,7 @@ def _trained_run(
 
 
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
-    """Train in another process and return the run directory. Recorded words reach it as overrides, never as options."""
+    """Train in a child process, and return the run directory. Recorded words are overrides, never options."""
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
     folders = [str(folder) for folder in config_dirs]
     request = JobRequest("train", words, folders, ["wheelleg", "train", *words], digest)

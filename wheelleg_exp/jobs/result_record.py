@@ -34,8 +34,8 @@ def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]
     """Return a result as Markdown.
 
     Args:
-        record: what ``record.write_results`` writes.
-        manifests: of its runs.
+        record: the record that ``write_results`` writes.
+        manifests: the manifests of its runs.
     """
     parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
@@ -67,7 +67,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the machines on which a run was trained, the first first; one that was resumed may have several."""
+    """Yield the machines on which a run was trained, in order; a resumed run can have several."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
         hardware = process.get("hardware") or {}
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
@@ -98,7 +98,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return the verdict; marked where the runs alone bear it out, and their seeds do not."""
+    """Return the verdict, with a mark if the runs support it but other seeds may not."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -136,12 +136,12 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# What a manifest tells of a run, without what belongs to the machine's folders and processes.
+# Keys of a manifest, without folders and processes of the machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH = "agent.max_iterations="
-_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # overrides that say where, not what
+_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # overrides that name places, not settings
 
 
 def write_results(
@@ -154,19 +154,20 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the files.
 
-    They take the place of an earlier result of this name, whose runs' manifests go.
+    They replace an earlier result of this name, whose manifests are removed.
 
     Args:
-        name: what the result is called.
-        folder: where tables stand.
+        name: the name of the result.
+        folder: the folder of all results.
         compared: the comparison of the runs.
         runs: the evaluated runs.
         reference: the evaluated reference controller.
-        words: the overrides that the runs were evaluated with.
+        words: the overrides of the evaluations.
 
     Raises:
-        RunDirectoryError: a run was not trained in one go, or began with another that is not there any more; or what
-            stands under this name is no result.
+        RunDirectoryError: a run was not trained in one go, or started with a run that is missing; or the existing file
+            of
+            this name is not a result.
     """
     record = build_record(name, compared, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -185,10 +186,10 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifests in ``NAME/`` that an earlier record of this name brought.
+    """Return the manifests in ``NAME/`` that belong to an earlier record of this name.
 
     Raises:
-        RunDirectoryError: it is no record: what belongs to it is not known.
+        RunDirectoryError: the file is not a record, so that its manifests are unknown.
     """
     path = folder / f"{name}.json"
     if not path.exists():
@@ -204,14 +205,14 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Return the runs of a result side by side, against the reference where there is one."""
+    """Return the comparison of the runs with the reference, if there is one."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the record of a result; arguments and errors are those of ``write_results``."""
+    """Return the record of a result; ``write_results`` explains arguments and errors."""
     return {
         "format": FORMAT,
         "name": name,
@@ -241,7 +242,7 @@ def read_record(path: Path) -> dict[str, Any]:
     """Return a record that ``write_results`` has written.
 
     Raises:
-        RunDirectoryError: it is none.
+        RunDirectoryError: the file is not a record.
     """
     try:
         with for_people(path, "read"):
@@ -249,24 +250,26 @@ def read_record(path: Path) -> dict[str, Any]:
     except Unreadable as error:
         raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected="a result's record") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise RunDirectoryError("is no result's record", key=str(path), expected="what wheelleg results has written")
+        raise RunDirectoryError(
+            "is not the record of a result", key=str(path), expected="what wheelleg results has written"
+        )
     return record
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Return the manifests of a record's runs, which stand in a folder of its name.
+    """Return the manifests of a record's runs, from the folder with its name.
 
     Raises:
-        RunDirectoryError: one is missing or damaged.
+        RunDirectoryError: a manifest is missing or damaged.
     """
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
 def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a result's record and the manifests of its runs, which its page agrees with.
+    """Return a result's record and the manifests of its runs, after a check against its page.
 
     Raises:
-        RunDirectoryError: something is missing or damaged, or not what ``write_results`` has written.
+        RunDirectoryError: a file is missing or damaged, or was not written by ``write_results``.
     """
     path = folder / f"{name}.json"
     record = read_record(path)
@@ -282,34 +285,35 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
         require_matching_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:
         expected = "what wheelleg results has written"
-        raise RunDirectoryError(f"lacks what a record has: {error}", key=str(path), expected=expected) from error
+        raise RunDirectoryError(f"lacks a key of a record: {error}", key=str(path), expected=expected) from error
     return record, manifests
 
 
 def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
-    """Return the overrides of a recipe and of the recipe of the run that it began with."""
+    """Return the overrides of a recipe, and of the recipe of the run with which it starts."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
 def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Raise RunDirectoryError unless a record's page says what the record says."""
+    """Raise RunDirectoryError unless the page shows the content of the record."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
         raise RunDirectoryError(
-            "is not the page of its record",
+            "does not show its record",
             key=str(path),
-            expected="what wheelleg results has written: the page or the record was changed by itself",
+            expected="the page that wheelleg results wrote: only one of page and record was changed",
         )
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:
-    """Return how to train a run again: its overrides, and the recipe of the run that it began with.
+    """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run that was only resumed exactly, perhaps to go on for longer, is what one training of that length makes. So is
-    one that went on on another machine, as far as the two compute alike: the page names both.
+    A run with exact resumes, even longer ones, equals one training of the final length. So does a run that was resumed
+    on
+    another machine, as far as both machines compute alike: the page names both.
 
     Raises:
-        RunDirectoryError: no one training makes it, or it began with a run that is not there any more.
+        RunDirectoryError: no single training gives the run, or it started with a run that is missing.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
@@ -318,11 +322,11 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         raise RunDirectoryError(
             "was not trained in one go",
             key=run.id,
-            expected="a finished run, if resumed then with no change but of its length or of the machine",
+            expected="a finished run whose resumes changed nothing but its length or the machine",
         )
     if (run.asset / TEACHER).is_file():
         raise RunDirectoryError(
-            "learned from another run's policy", key=run.id, expected="a run whose commands make it again by themselves"
+            "learned from another run's policy", key=run.id, expected="a run that its own commands reproduce"
         )
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
@@ -341,19 +345,19 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether another machine is all that made a resume inexact: not other versions, threads or variables."""
+    """Return whether a resume is inexact only because of its machine: not of versions, threads, or variables."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
-    """Raise RunDirectoryError unless the runs were trained alike but for their seed."""
+    """Raise RunDirectoryError unless the runs differ only in their seeds."""
     first, *others = (_method(recipe(run)) for run in runs)
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
             raise RunDirectoryError(
-                f"was trained otherwise than {runs[0].id}: {_describe_difference(other, first)}",
+                f"was trained differently from {runs[0].id}: {_describe_difference(other, first)}",
                 key=run.id,
-                expected="runs that differ by their seed alone (wheelleg diff names all else)",
+                expected="runs that differ only in their seed (see wheelleg diff)",
             )
 
 
@@ -363,7 +367,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return in words what the commands of two trainings differ in, or of those that they began with."""
+    """Return how the commands of two trainings differ, or the commands of the runs with which they start."""
     words = set(one["overrides"]), set(other["overrides"])
     told = [
         f"{side} {word}"
@@ -373,25 +377,25 @@ def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> st
     if told:
         return ", ".join(told)
     if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:
-        return f"what it began with was trained {_describe_difference(one['begins_with'], other['begins_with'])}"
-    return "it began with another checkpoint"
+        return f"the run it starts with was trained {_describe_difference(one['begins_with'], other['begins_with'])}"
+    return "it starts with another checkpoint"
 
 
 def parameters(run: RunDirectory) -> str:
-    """Return the digest of the networks that a run ended with."""
+    """Return the digest of the final networks of a run."""
     with for_people(run.iterations, "read"):
         last = run.iterations.read_text(encoding="utf-8").splitlines()[-1]
     return str(json.loads(last)["digests"]["parameters"])
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return what has to come out again of an evaluation."""
+    """Return the numbers of an evaluation that a reproduction must give again."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:
-    """Return what a result keeps of a run's manifest."""
+    """Return the part of a run's manifest that a result keeps."""
     data = run.manifest().data
     source = data.get("source") or {}
     kept = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}

@@ -19,21 +19,22 @@ from wheelleg_exp.sim.sensors import ContactSensor
 
 @dataclass(frozen=True)
 class StandFigures:
-    """How a policy stood, over the first episode of each environment; see ``definitions.rollout``.
+    """How well a policy stood, over the first episode of each environment; see ``definitions.rollout``.
 
     Attributes:
         episodes: number of episodes.
         unfinished: episodes that had not ended when the rollout did.
-        survival: share of the ended ones that reached the time-out; None when none ended.
-        settle_s: seconds at the start of each episode that height and pitch leave out.
+        survival: share of the ended episodes that reached the time-out; None if none ended.
+        settle_s: seconds at the start of each episode that height and pitch exclude.
         settled_episodes: episodes that lasted longer.
-        settled_steps: control steps that height and pitch are of.
+        settled_steps: control steps over which height and pitch are computed.
         height_rmse_m: root mean square of base height minus target; None without target.
         height_mean_m: mean base height.
         pitch_rms_deg: root mean square of the pitch against upright.
         pitch_mean_deg: mean pitch: the lean.
-        mean_return: mean of the ended episodes' sums of rewards, of those whose numbers were finite; None without any.
-        ended_by: number of episodes by what ended them; one that two terminations ended counts for both together.
+        mean_return: mean of the rewards summed over each ended episode with finite numbers; None without such an
+            episode.
+        ended_by: number of episodes by their end; an episode that two terminations ended counts for their combination.
         non_finite: number of episodes that ended because a number was not finite, by config key.
     """
 
@@ -53,7 +54,7 @@ class StandFigures:
 
     @property
     def ended(self) -> int:
-        """How many episodes have ended."""
+        """The number of episodes that have ended."""
         return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
@@ -63,11 +64,11 @@ class StandFigures:
 
 
 class StandMeter:
-    """Observes an environment over the first episode of each of its N environments.
+    """Measures standing over the first episode of each of the N environments.
 
     Args:
         env: the environment.
-        settle_s: seconds at the start of each episode that height and pitch leave out.
+        settle_s: seconds at the start of each episode that height and pitch exclude.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
@@ -85,7 +86,7 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Take up one step, before anything is reset."""
+        """Measure one step, before resets."""
         env, now = self._env, self.running
         self._note_failures()
         self._return += env.reward_buf * now
@@ -130,14 +131,14 @@ class StandMeter:
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """What one link carried: normal force at the end of each step between landing and tipping over.
+    """Contact forces of one link: the normal force at the end of each step between landing and tipping over.
 
     Attributes:
         body: the link.
         mean_n: mean force, N.
         max_n: largest force, N.
         contact_share: share of the steps with contact.
-        steps: number of steps, of all environments.
+        steps: number of steps, summed over the environments.
     """
 
     body: str
@@ -150,13 +151,13 @@ class ContactFigures:
 class ContactMeter:
     """Sums the contact forces of each link while its robot stands.
 
-    A robot stands from ``settle_s`` after its reset on, as long as it is tilted by less than ``upright_rad``.
+    A robot stands from ``settle_s`` after its reset on, as long as its tilt is less than ``upright_rad``.
 
     Args:
         env: the environment.
         sensor: name of the contact sensor.
-        settle_s: seconds after a reset until the robot has landed.
-        upright_rad: tilt from which on it is falling, rad.
+        settle_s: seconds from a reset until the robot has landed.
+        upright_rad: tilt at which it starts to fall, rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
@@ -168,7 +169,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Take up one step, before anything is reset."""
+        """Measure one step, before resets."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -180,7 +181,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return what each link carried, in the sensor's order; empty when no robot stood."""
+        """Return the figures of each link, in the sensor's order; empty if no robot stood."""
         count = self._count
         if count == 0:
             return []
@@ -189,7 +190,7 @@ class ContactMeter:
 
 
 def target_height(env: ManagerBasedRLEnv) -> float | None:
-    """Return the base height that the task rewards, or None where no reward names one."""
+    """Return the base height that a reward of the task names, or None."""
     for name in env.reward_manager.active_terms:
         target = env.reward_manager.get_term_cfg(name).params.get("target_height")
         if target is not None:
@@ -201,8 +202,8 @@ def _rms(values: torch.Tensor) -> float:
     return float(values.square().mean().sqrt()) if len(values) else float("nan")
 
 
-SATURATION = 0.99  # share of the effort limit from which on an actuator is at it
-DEADBAND = 0.001  # share of the effort limit that a torque must pass for its sign to count
+SATURATION = 0.99  # share of the effort limit that counts as at the limit
+DEADBAND = 0.001  # share of the effort limit below which the sign of a torque does not count
 
 
 @dataclass(frozen=True)
@@ -210,13 +211,13 @@ class MotionFigures:
     """How a policy moved, over the first episode of each environment; see ``definitions.rollout``.
 
     Attributes:
-        drift_m: largest distance in the plane from where the base was once settled, mean over the settled episodes.
-        yaw_drift_deg: largest turn of the base from its heading once settled, likewise.
+        drift_m: largest horizontal distance from the settled position of the base, mean over the settled episodes.
+        yaw_drift_deg: largest turn of the base from its settled heading, mean over the settled episodes.
         action_rate_per_s: mean change of an action's component per second.
-        power_net_w: mean mechanical power of all joints, sizes summed, without what swings the armature.
+        power_net_w: mean mechanical power, absolute values summed over all joints, without the power of the armature.
         torque_rms_nm: root mean square of the torque, by actuator group.
         at_limit: share of the physics steps at the effort limit, by actuator group.
-        sign_changes_per_s: how often a joint's torque changes its sign, by actuator group.
+        sign_changes_per_s: sign changes of a joint's torque per second, by actuator group.
     """
 
     drift_m: float | None
@@ -233,11 +234,11 @@ class MotionFigures:
 
 
 class MotionMeter:
-    """Observes an environment over the first episode of each of its N environments.
+    """Measures motion over the first episode of each of the N environments.
 
     Args:
         env: the environment.
-        settle_s: seconds at the start of each episode that nothing here counts.
+        settle_s: seconds at the start of each episode that all figures exclude.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
@@ -259,7 +260,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Take up one step, before anything is reset."""
+        """Measure one step, before resets."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)

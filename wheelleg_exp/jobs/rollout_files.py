@@ -29,7 +29,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory
 
-_MAX_CHARACTERS = 400_000  # characters of a text: a viewer is to show it
+_MAX_CHARACTERS = 400_000  # more would be too long for a viewer
 
 
 def fenced(text: str, language: str) -> str:
@@ -40,9 +40,9 @@ def fenced(text: str, language: str) -> str:
 
 
 def run_documents(directory: RunDirectory) -> dict[str, str]:
-    """Return the texts that a run directory tells of its training: manifest, source state, command line.
+    """Return the documents of a run directory: manifest, source state, command line, config.
 
-    A file that is missing or cannot be read has no text.
+    A file that is missing or unreadable has no document.
     """
     found = {}
     manifest = _read_text_or_none(directory, MANIFEST_NAME)
@@ -59,17 +59,17 @@ def run_documents(directory: RunDirectory) -> dict[str, str]:
 
 
 def command_document(command: Sequence[str]) -> dict[str, str]:
-    """Return the command line as a text, none for an empty one."""
+    """Return the command line as a document; empty for an empty command line."""
     return {"command": fenced(shlex.join(command), "sh")} if command else {}
 
 
 def config_document(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return a composed config as a text."""
+    """Return a composed config as a document."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
 
 
 def json_document(name: str, value: Any) -> dict[str, str]:
-    """Return a value as a text of JSON."""
+    """Return a value as a JSON document."""
     return {name: fenced(dump_json(value), "json")}
 
 
@@ -88,15 +88,15 @@ def _command(manifest: str) -> list[str]:
 
 
 class ObservingRecording:
-    """Captures every control step from entering to leaving, and shows it meanwhile where that is asked for.
+    """Captures every control step while entered, and can show the recording in a viewer meanwhile.
 
     Args:
         env: the environment.
-        recorder: writes the file; it is closed on leaving.
-        live: whether a viewer is opened.
+        recorder: writes the file, and is closed on exit.
+        live: whether to open a viewer.
 
     Attributes:
-        notes: what people should know of the recording before it begins.
+        notes: warnings about the recording.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
@@ -122,29 +122,29 @@ class ObservingRecording:
             if self._live is not None:
                 self._live.close()
 
-    def warn(self, tell: Callable[[str], None]) -> None:
-        """Tell the notes, one line each."""
+    def warn(self, report: Callable[[str], None]) -> None:
+        """Pass each note to ``report`` as a warning."""
         for note in self.notes:
-            tell(f"warning: {note}")
+            report(f"warning: {note}")
 
     def _begin_recording(self) -> None:
-        """Begin the first segment."""
+        """Start the first segment."""
         raise NotImplementedError
 
 
 class EpisodeRecording(ObservingRecording):
-    """Records every control step from entering to leaving, as far as the bound on the size allows.
+    """Records every control step while entered, up to the limit on the file's size.
 
-    Each simulated second is in the file as soon as it is over.
+    The file holds each simulated second as soon as it is over.
 
     Args:
         path: the file.
         env: the environment.
         options: ``env_ids``, ``max_mb`` and ``live`` of the config's ``recording``.
-        purpose: decides what the layout shows.
-        name: the recording's identity and what the viewer shows.
-        about: what the recording says of itself besides what the environment tells.
-        documents: texts that go into the recording, by name.
+        purpose: decides the layout.
+        name: the identity of the recording, which the viewer shows.
+        about: further facts about the recording.
+        documents: texts for the recording, by name.
     """
 
     def __init__(
@@ -182,20 +182,20 @@ class EpisodeRecording(ObservingRecording):
         return self._recorder.path
 
     def figures(self, value: Any) -> None:
-        """Put what was found at the end into the recording."""
+        """Write the final figures into the recording."""
         for name, text in json_document(FIGURES, value).items():
             self._recorder.document(name, text)
 
     def _begin_recording(self) -> None:
-        words = f"the bound of {self._bound:g} MB is reached; what follows is not recorded"
+        words = f"the limit of {self._bound:g} MB is reached; later steps are not recorded"
         self._recorder.start(steps=self._frames, last_words=words)
         if not self._frames:
             self._recorder.say(words)
 
     def _warning(self) -> str:
-        room = f"{self._frames} steps surely fit" if self._frames else "no step surely fits"
+        room = f"at least {self._frames} steps fit" if self._frames else "maybe no step fits"
         return (
-            f"the bound of {self._bound:g} MB is small: {room} beside shapes and texts; "
+            f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
             f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
         )
 
@@ -204,30 +204,30 @@ _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
 
 
 def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
-    """Write the episodes that have ended since the last call, a file for each group; return the files.
+    """Write the episodes that ended since the last call, one file for each group; return the files.
 
     Args:
-        folder: the dataset's folder; groups other than ``episodes`` stand in folders of their own below it.
+        folder: the folder of the dataset; groups other than ``episodes`` have their own folders below it.
         env: the environment.
-        iteration: number of the file.
+        iteration: the number of the file.
     """
     return _write_groups(folder, env, f"{iteration:06d}.npz")
 
 
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write what is left, and the episodes under way where ``env.dataset.export_in_close`` asks for it.
+    """Write the remaining episodes, including unfinished ones if ``env.dataset.export_in_close`` is set.
 
     Args:
-        folder: the dataset's folder.
+        folder: the folder of the dataset.
         env: the environment.
-        iteration: the last one; None where nothing was written before: the file is ``episodes.npz``.
+        iteration: the last iteration; None if nothing was written before: then the file is ``episodes.npz``.
     """
     env.recorder_manager.close()
     return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the files of ``iteration`` and later ones, and those of episodes that go on after a resume."""
+    """Return the files of ``iteration`` and later, and those of episodes that a resume continues."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 
@@ -242,7 +242,7 @@ def _write_groups(folder: Path, env: ManagerBasedRLEnv, name: str) -> list[Path]
 
 
 def _archive(arrays: Arrays) -> bytes:
-    """Return an ``.npz``: as numpy's own, but the same arrays give the same bytes at any time."""
+    """Return an ``.npz`` like numpy's, but without times: the same arrays always give the same bytes."""
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as file:
         for name, array in arrays.items():

@@ -26,20 +26,20 @@ from wheelleg_exp.user_exceptions import ending_as
 
 AgentKind = Literal["zero", "random"]
 
-# From landing (a drop of 15 mm takes 0.06 s) to the tilt at which a wheeled biped without control is falling.
+# Contacts count from landing (a drop of 15 mm takes 0.06 s) up to the tilt at which a biped without control falls.
 SETTLE_S = 0.2
 UPRIGHT_RAD = 0.2
 
 
 @dataclass(frozen=True)
 class AgentRun:
-    """What an agent's run made.
+    """The result of an agent's run.
 
     Attributes:
-        folder: where the recording and the figures are.
+        folder: holds the recording and the figures.
         recording: the recording, or None.
-        contacts: what each link carried while the robot stood, by sensor.
-        figures: how long the first episodes lasted and how they ended.
+        contacts: contact forces of each link while the robot stood, by sensor.
+        figures: duration and ends of the first episodes.
         failures: the episodes that ended because a number was not finite.
     """
 
@@ -51,16 +51,16 @@ class AgentRun:
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
-    """Run zero or random actions and record environment by environment what happens.
+    """Run zero or random actions, and record the rollout.
 
     Args:
         kind: ``zero``: all actions 0; ``random``: uniform in [-1, 1].
         composed: the composed task.
-        steps: control steps; None is one episode.
+        steps: control steps; None means one episode.
         display: receives progress.
 
     Raises:
-        WheellegError: the config is wrong; nothing has been made.
+        WheellegError: the config is wrong; nothing was written.
     """
     config = composed.config
     with composed.placing():

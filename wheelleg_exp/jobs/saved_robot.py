@@ -31,13 +31,13 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
-    """Copy the converted robot into ``asset/`` and write what it was made from.
+    """Copy the converted robot into ``asset/``, and write the identity of its source.
 
     Args:
         directory: the run directory.
         asset: the conversion.
         source: the robot's file as the config names it.
-        model_sha256: digest of the compiled scene, the identity of all that physics reads.
+        model_sha256: digest of the compiled scene, which identifies all that the physics reads.
     """
     directory.asset.mkdir(parents=True, exist_ok=True)
     for part in (*asset.meshes, *asset.beside):
@@ -54,8 +54,9 @@ def saved_mjcf(directory: RunDirectory) -> Path:
     """Return the run's MJCF.
 
     Raises:
-        RunDirectoryError: it is missing, or holds what no conversion writes: what would make MuJoCo read other files,
-            load libraries, or take any amount of memory.
+        RunDirectoryError: the MJCF is missing, or holds an element that no conversion writes: one that makes MuJoCo
+            read
+            other files, load libraries, or allocate any amount of memory.
     """
     path = directory.asset / MJCF
     if not path.is_file():
@@ -63,34 +64,30 @@ def saved_mjcf(directory: RunDirectory) -> Path:
     try:
         elements = list(ElementTree.fromstring(read_bytes(path)).iter())
     except ElementTree.ParseError as error:
-        raise RunDirectoryError(f"is no MJCF: {error}", key=str(path)) from error
+        raise RunDirectoryError(f"is not an MJCF: {error}", key=str(path)) from error
     for element in elements:
         if element.tag in _FORBIDDEN_TAGS:
             raise RunDirectoryError(f"holds <{element.tag}>, which no conversion writes", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
                 raise RunDirectoryError(
-                    f"names {value!r}, outside its folder", key=str(path), expected="files that lie beside it"
+                    f"names {value!r}, outside its folder", key=str(path), expected="files in its folder"
                 )
     return path
 
 
 def saved_model_digest(directory: RunDirectory) -> str:
-    """Return the digest of the scene that the run compiled (RunDirectoryError when it is not kept)."""
+    """Return the digest of the scene that the run compiled, or raise RunDirectoryError."""
     return str(recorded_robot(directory)["model_sha256"])
 
 
 def saved_sources(directory: RunDirectory) -> dict[str, str]:
-    """Return the sha256 of each file that the run's robot was made of, as seen from its source's folder.
-
-    Raises:
-        RunDirectoryError: they are not kept.
-    """
+    """Return the sha256 of each source file of the run's robot, by path relative to its source's folder."""
     return dict(recorded_robot(directory)["sources"])
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the networks of other runs that a run has kept, by their paths beside its robot."""
+    """Return the saved networks of other runs, by their paths beside the robot."""
     named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
     return {name: path for name, path in named.items() if path.is_file()}
 
@@ -99,11 +96,11 @@ def _report(path: Path) -> Report:
     try:
         return Report.from_json(read_text(path))
     except (ValueError, RecursionError) as error:
-        raise RunDirectoryError(f"is no report of a conversion: {error}", key=str(path)) from error
+        raise RunDirectoryError(f"is not a conversion report: {error}", key=str(path)) from error
 
 
 def load_saved_robot(directory: RunDirectory) -> CachedConversion:
-    """Return the run's own conversion where it stands, in the run directory.
+    """Return the run's conversion, in the run directory.
 
     Raises:
         RunDirectoryError: a part of it is missing.
@@ -113,7 +110,7 @@ def load_saved_robot(directory: RunDirectory) -> CachedConversion:
 
 
 def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
-    """Return the run's own conversion, copied into a new folder, as if it had just been made.
+    """Copy the run's conversion into a new folder, in the form of a new conversion.
 
     Raises:
         RunDirectoryError: a part of it is missing.

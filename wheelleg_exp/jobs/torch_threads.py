@@ -17,7 +17,7 @@ from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
-# MKL's own numbers for its code branches (mkl_types.h, MKL_CBWR_*).
+# MKL's numbers of its code branches (mkl_types.h, MKL_CBWR_*).
 _BRANCHES = {
     1: "off",
     2: "auto",
@@ -33,36 +33,37 @@ _BRANCHES = {
     13: "avx512_mic_e1",
     14: "avx512_e1",
 }
-_in_time: list[bool] = []  # what each call to prepare_threads said: once late is late for this process
+_in_time: list[bool] = []  # the results of prepare_threads; one late call makes the process late
 
 _STRICT = 0x10000
 _EVERYTHING = -1
-_VECTOR_STEP = 32  # numbers of one step of torch's vector loops: two vectors of sixteen, with AVX-512
-# With these the number of threads changes matrix products, strict or not.
+_VECTOR_STEP = 32  # numbers per step of torch's vector loops: two AVX-512 vectors of sixteen
+# In these branches the number of threads changes matrix products, even in strict mode.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
-    """Set torch's threads from ``agent.torch_threads`` and return what a run records of threads and arithmetic.
+    """Set torch's threads from ``agent.torch_threads``, and return what a run records about threads and arithmetic.
 
     Args:
         agent: the composed ``agent`` section, plain.
-        physics_threads: threads of the physics.
-        samples: environment steps of one rollout, where a training does rollouts.
+        physics_threads: the threads of the physics.
+        samples: environment steps of one rollout of a training; None without training.
 
     Returns:
         ``torch``, ``interop`` and ``physics`` threads; ``cpu_capability`` and ``device`` of torch; whether the
-        variables of ``prepare_threads`` stood before torch was imported; ``mkl`` as it is in force; ``matmul``, what
-        ``agent.matmul`` comes to; ``numerics``; and whether the results are ``independent`` of torch's threads, else
+        variables of
+        ``prepare_threads`` were set before torch was imported; MKL's mode ``mkl``; the choice ``matmul`` of
+        ``agent.matmul``; ``numerics``; and whether the results are ``independent`` of torch's threads, else
         ``dependent_because``.
 
     Raises:
-        ConfigError: the number is not a whole number of at least 1, or products cannot be what they shall be.
+        ConfigError: the number is not a whole number of at least 1, or this CPU cannot compute ``agent.matmul``.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # MKL heeds its variable up to its first use, OpenMP up to torch's import
+    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(
@@ -86,13 +87,13 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return what changes in the record of threads where products in bfloat16 depend on their number; else nothing.
+    """Return the changes to the record of threads if bfloat16 products depend on the number of threads; else nothing.
 
     Args:
-        networks: those that are trained.
+        networks: the trained networks.
         agent: the composed ``agent`` section, plain.
         samples: environment steps of one rollout.
-        threads: what ``set_threads`` returned.
+        threads: the result of ``set_threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
@@ -102,7 +103,7 @@ def dependent_products(
 
 
 def thread_notes(threads: Mapping[str, Any]) -> list[str]:
-    """Return what people should know of a run's threads, one line each; none where all is as it should be."""
+    """Return warnings about a run's threads, one line each."""
     count = threads["torch"]
     reasons = threads.get("dependent_because") or []
     notes = [f"warning: the number of torch's threads ({count}) is part of this result: {reason}" for reason in reasons]
@@ -112,9 +113,9 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 
 
 def mkl_in_force() -> dict[str, Any] | None:
-    """Return MKL's code branch and whether it is strict, as MKL itself says; None where torch has no MKL.
+    """Return MKL's code branch and whether it is strict, as MKL reports them; None if torch has no MKL.
 
-    Both are None where MKL does not answer. Asking settles it: variables that are set later change nothing.
+    Both are None if MKL does not answer. The question fixes the mode: variables that are set later have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None
@@ -144,23 +145,24 @@ def numerics() -> dict[str, Any]:
 
 
 def _libraries() -> list[str]:
-    """Return the versions of what torch was built with: MKL, oneDNN, OpenMP, BLAS."""
+    """Return the versions of torch's libraries: MKL, oneDNN, OpenMP, BLAS."""
     lines = [line.strip(" -") for line in torch.__config__.show().splitlines()]
     words = ("Math Kernel Library", "MKL-DNN", "oneDNN", "OpenMP", "LAPACK", "OpenBLAS", "Compute Library")
     return [line for line in lines if any(word in line for word in words) and not line.startswith("Build settings")]
 
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
-    """Return over how many numbers the update takes a mean."""
+    """Return the number of samples over which the update computes a mean."""
     algorithm = agent.get("algorithm") or {}
     return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
-    """Return which of the networks' ELU depend on the threads.
+    """Return the activations whose rounding depends on the threads.
 
-    torch gives each thread a part of the numbers; what remains of a part after the last whole step of its vector loop
-    is computed by other code than the rest, and rounded otherwise.
+    torch gives each thread a part of the numbers. Other code, with other rounding, computes the end of a part that is
+    not
+    a whole step of the vector loop.
     """
     if samples is None or str(agent["device"]) != "cpu":
         return []
@@ -184,7 +186,7 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
 
 
 def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch's threads part so many numbers at a place that is not a whole step of its vector loop."""
+    """Return whether torch splits so many numbers at a place that is not a whole step of its vector loop."""
     parts = min(threads, -(-numbers // SPLIT_ABOVE))
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 

@@ -22,7 +22,7 @@ class Axis:
     """One component of a command.
 
     Attributes:
-        name: what scripts and sliders call it: the component, after the term's name where two terms have one.
+        name: the component's name in scripts and sliders, with the term's name as a prefix where two terms have it.
         term: the command term.
         component: its key in the term's ``ranges``.
         low: lower end of the range, in the component's unit.
@@ -37,27 +37,27 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """Config key of the range."""
+        """The config key of the range."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
     def rest(self) -> float:
-        """What nobody's hand asks for: 0, or the middle of a range without it."""
+        """The value without input: 0, or the middle of a range without 0."""
         return 0.0 if self.low <= 0.0 <= self.high else 0.5 * (self.low + self.high)
 
     def at(self, share: float) -> float:
-        """Return the value at a share of the way from rest to an end: 1 is ``high``, -1 ``low``."""
+        """Return the value at a share of the way from rest to an end: 1 is ``high``, -1 is ``low``."""
         share = min(max(share, -1.0), 1.0)
         end = self.high if share > 0.0 else self.low
         return self.rest + abs(share) * (end - self.rest)
 
     def bounded(self, value: float) -> float:
-        """Return the value of the range that is nearest to ``value``."""
+        """Return ``value`` clamped to the range."""
         return min(max(value, self.low), self.high)
 
 
 def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
-    """Return the axes of all commands that are drawn from ranges, but those whose range is empty, in their order."""
+    """Return the axes of all commands that are drawn from ranges, except empty ranges, in order."""
     found = [
         (term, component, float(pair[0]), float(pair[1]))
         for term in env.command_manager.active_terms
@@ -69,13 +69,13 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 
 
 class CommandHold:
-    """Keeps an environment's commands at given values, through resets and redraws.
+    """Holds an environment's commands at given values, through resets and redraws.
 
-    A range that is a single value is what every draw gives, so that nothing is written past the command terms.
+    It sets ranges to a single value, so that every draw gives this value and the command terms work unchanged.
 
     Args:
         env: the environment.
-        axes: what may be commanded.
+        axes: the axes that can be commanded.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -83,7 +83,7 @@ class CommandHold:
         self._held: dict[str, float] = {}
 
     def __call__(self, values: Mapping[str, float]) -> None:
-        """Let the coming step end with these commands (by axis name); the observation that it returns has them."""
+        """Set the commands (by axis name) for the observation that the next step returns."""
         changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
         for axis in changed:
             term = self._env.command_manager.get_term(axis.term)
@@ -96,7 +96,7 @@ class CommandHold:
 
 @dataclass(frozen=True)
 class Push:
-    """Add a velocity to the base's, in its yaw axes.
+    """Add a velocity to the base's velocity, in its yaw frame.
 
     Attributes:
         x: forwards, m/s.
@@ -109,12 +109,12 @@ class Push:
 
 @dataclass(frozen=True)
 class Reset:
-    """Begin a new episode."""
+    """Start a new episode."""
 
 
 @dataclass(frozen=True)
 class Choose:
-    """Drive another checkpoint, or on another ground; what is None stays.
+    """Drive another checkpoint, or on another ground; None keeps the present one.
 
     Attributes:
         checkpoint: the checkpoint.
@@ -134,14 +134,14 @@ Request = Push | Reset | Choose | Finish
 
 
 class Controls:
-    """The commands as they are asked for, and requests that wait to be done.
+    """The requested commands, and the requests that wait for the next step. All methods are safe in any thread.
 
     Args:
-        axes: what may be commanded.
+        axes: the axes that can be commanded.
 
     Attributes:
         paused: whether time stands still.
-        speed: simulated seconds in one second of the clock on the wall.
+        speed: simulated seconds per second of real time.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
@@ -159,28 +159,28 @@ class Controls:
             return dict(self._values)
 
     def set(self, name: str, value: float) -> None:
-        """Ask for a value; what lies beyond the range is brought to its end, and unknown axes count for nothing."""
+        """Set a command, clamped to its range; ignore unknown axes and NaN."""
         if name in self.axes and value == value:
             with self._lock:
                 self._values[name] = self.axes[name].bounded(value)
 
     def steer(self, name: str, share: float) -> None:
-        """Ask for a share of the range, from -1 (its low) by 0 (rest) to 1 (its high), as sticks and keys do."""
+        """Set a command as a share of its range: -1 (low), 0 (rest), 1 (high), as sticks and keys do."""
         if name in self.axes:
             self.set(name, self.axes[name].at(share))
 
     def stop(self) -> None:
-        """Ask for rest on every axis."""
+        """Set every axis to rest."""
         with self._lock:
             self._values = {name: axis.rest for name, axis in self.axes.items()}
 
     def request(self, request: Request) -> None:
-        """Ask for something to be done once, before the next step."""
+        """Request an action before the next step."""
         with self._lock:
             self._requests.append(request)
 
     def take(self) -> list[Request]:
-        """Return what has been asked for since the last call, in order."""
+        """Return the requests since the last call, in order."""
         with self._lock:
             taken, self._requests = self._requests, []
         return taken

@@ -33,11 +33,11 @@ _LISTENS = "0A"  # state of a socket in /proc/net/tcp
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a port can be listened on, with who has it where the system tells.
+    """Raise WheellegError unless a port is free; name the process that uses it, if the system shows it.
 
     Args:
-        port: the port; 0 is any that is free.
-        use: what it is for, in words.
+        port: the port; 0 means any free port.
+        use: the purpose, in words.
     """
     try:
         with socket.socket() as probe:
@@ -53,7 +53,7 @@ def require_free(port: int, use: str) -> None:
 
 
 def port_in_use(port: int, use: str) -> WheellegError:
-    """Return what to tell of a port that somebody else has."""
+    """Return the error for a port that another process uses."""
     who = port_holder(port)
     return _port_error(f"port {port}, for {use}, is in use" + (f" by {who}" if who else ""), _OTHER_PORT)
 
@@ -66,17 +66,17 @@ def _port_error(message: str, expected: str) -> WheellegError:
 
 
 def port_holder(port: int) -> str:
-    """Return name and number of the process that listens on a port; empty where the system does not tell."""
+    """Return name and number of the process that listens on a port; empty if the system does not show it."""
     sockets = {f"socket:[{inode}]" for inode in _listening(port)}
     for folder in _PROC.glob("[0-9]*/fd") if sockets else ():
-        with suppress(OSError):  # of another user, or gone by now
+        with suppress(OSError):  # the process belongs to another user, or has ended
             if any(_points_to(entry) in sockets for entry in folder.iterdir()):
                 return f"{(folder.parent / 'comm').read_text().strip()}, process {folder.parent.name}"
     return ""
 
 
 def _points_to(entry: Path) -> str:
-    with suppress(OSError):  # closed by now, as what listed the folder is
+    with suppress(OSError):  # closed since the folder was listed
         return str(entry.readlink())
     return ""
 
@@ -100,7 +100,7 @@ KEYS_HELP = (
 
 
 def state_html(status: Status, controls: Controls, step_dt: float) -> str:
-    """Return time, commands and measures, and the height."""
+    """Return time, commands, measured values, and height."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
     lines = [
@@ -113,7 +113,7 @@ def state_html(status: Status, controls: Controls, step_dt: float) -> str:
 
 
 def reward_bars_html(values: Mapping[str, float]) -> str:
-    """Return a bar a term, to the right for what pays and to the left for what costs, as long as its share."""
+    """Return a bar for each term: rewards to the right, penalties to the left, as long as their share."""
     most = max((abs(value) for value in values.values()), default=0.0) or 1.0
     rows = []
     for name, value in values.items():
@@ -143,7 +143,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# By the names that browsers give to the places of keys, whatever is printed on them.
+# By the browsers' names of key positions, which do not depend on the keyboard layout.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -155,20 +155,20 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyG": ("height", -1.0),
 }
 KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop", "KeyM": "slow"}
-# Of a pad in the standard layout: the left stick forwards is axis 1 at -1, the right one to the right axis 2 at 1.
+# Standard gamepad layout: left stick forwards is axis 1 at -1, right stick to the right is axis 2 at 1.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
 _BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
-_DEADZONE = 0.12  # of a stick that nobody touches
+_DEADZONE = 0.12  # values of an untouched stick
 SLOW = 0.25  # simulated seconds in one second of slow motion
 _MAX_MESSAGE = 1024  # bytes of a message
 
 
 class InputServer:
-    """Listens to keys and gamepads of a page on the loopback address; one whose page goes away lets go of all.
+    """Receives keys and gamepads of a page on the loopback address; a page that disconnects releases all of its axes.
 
     Args:
-        controls: of whom they ask.
-        origins: the pages that may ask, such as ``http://127.0.0.1:8080``.
+        controls: receive the commands.
+        origins: the accepted pages, such as ``http://127.0.0.1:8080``.
         port: of the loopback address; 0 takes a free one.
 
     Attributes:
@@ -184,7 +184,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self) -> str:
-        """Return what the page runs."""
+        """Return the script that the page runs."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         told = {
@@ -208,7 +208,7 @@ class InputServer:
         self._thread.join()
 
     def press(self, name: str) -> None:
-        """Do what a key asks for by its name; unknown ones count for nothing."""
+        """Carry out the action of a key, by name; ignore unknown names."""
         controls = self.controls
         if name == "pause":
             controls.paused = not controls.paused
@@ -245,20 +245,20 @@ class InputServer:
             self.press(said["press"])
 
 
-_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # as seen from the base, in heights of it
+_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # relative to the base, in heights of the base
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
 class DrivePage:
-    """A server of the page on the loopback address; ``with`` starts and ends it.
+    """A server of the page on the loopback address, running while entered.
 
     Args:
-        port: where; keys and gamepads use the next one. 0 takes free ones.
+        port: of the page; keys and gamepads use the next one. 0 takes free ones.
         scenes: the grounds that can be chosen.
         checkpoints: the checkpoints that can be chosen.
 
     Raises:
-        WheellegError: what draws the page is not installed, or the port is taken.
+        WheellegError: viser or mjviser is not installed, or the port is in use.
     """
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
@@ -290,11 +290,11 @@ class DrivePage:
 
     @property
     def url(self) -> str:
-        """What a browser opens."""
+        """The address for the browser."""
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a drive that begins: its robot, its ground, what can be asked of it; return the page's address.
+        """Show a new drive with its robot, its ground, and its controls; return the page's address.
 
         Args:
             session: the drive.
@@ -306,7 +306,7 @@ class DrivePage:
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
-        model = copy.copy(session.env.scene.sim.model)  # the viewer changes its colours
+        model = copy.copy(session.env.scene.sim.model)  # the viewer changes colours in its model
         self._scene = self._scene_class(self._server, model, num_envs=1)
         self._look_from()
         self._build(choice)
@@ -314,7 +314,7 @@ class DrivePage:
         return self.url
 
     def show(self, status: Status) -> None:
-        """Show how the drive stands."""
+        """Show the state of the drive."""
         env = self._session.env
         self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
@@ -323,9 +323,9 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # by keys or a script; a slider in somebody's hand stays in it
+                if self._mirrored.get(name) != value:  # changed by keys or a script, not by the slider itself
                     self._mirrored[name] = self._sliders[name].value = value
-            self._pause.label = "Go on" if self._controls.paused else "Pause"
+            self._pause.label = "Resume" if self._controls.paused else "Pause"
 
     def _stop(self) -> None:
         with _without_output():
@@ -343,7 +343,7 @@ class DrivePage:
             self._mirrored: dict[str, float] = {}
             self._sliders = {name: self._slider(name) for name in controls.axes}
             if not controls.axes:
-                gui.add_markdown("This task's commands have no range: the robot can be pushed, not driven.")
+                gui.add_markdown("This task's commands have no ranges: the robot can be pushed, not driven.")
             gui.add_button("Stop", hint="x").on_click(lambda _: controls.stop())
         with gui.add_folder("Time"):
             self._pause = gui.add_button("Pause", hint="space")
@@ -374,7 +374,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # not our own picture of it
+            if event.client is not None:  # moved by a user, not by ``show``
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 
@@ -400,13 +400,13 @@ class DrivePage:
 
 
 def _viewer() -> tuple[Any, Any]:
-    """Return the server's class, which never opens a tunnel to elsewhere, and the scene's."""
+    """Return the classes of the server, which never opens a tunnel to another machine, and of the scene."""
     try:
         import viser
         from mjviser import ViserMujocoScene
     except ImportError as error:
         raise WheellegError(
-            f"the page is drawn by viser and mjviser, and there is no {error.name}",
+            f"viser and mjviser draw the page, and {error.name} is missing",
             key="--drive",
             expected='pip install "wheelleg_exp[drive]"',
         ) from error
@@ -421,14 +421,14 @@ def _viewer() -> tuple[Any, Any]:
 
 
 def _run_in_page(server: Any, source: str) -> None:
-    """Let every page that is open, or opened later, run a script, as viser itself does for its plots."""
+    """Run a script in every page, open now or later, as viser itself does for its plots."""
     from viser._messages import RunJavascriptMessage
 
     server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
 
 
 def _refuse_other_origins(server: Any, origins: Sequence[str]) -> None:
-    """Close connections of pages that are not ours: a page of anybody's may try to reach the loopback address."""
+    """Close connections of other pages: any web page can try to reach the loopback address."""
     own = server._websock_server
 
     async def check(client: Any) -> None:
@@ -441,6 +441,6 @@ def _refuse_other_origins(server: Any, origins: Sequence[str]) -> None:
 
 @contextmanager
 def _without_output() -> Iterator[None]:
-    """Keep what viser prints away from standard output, on which reports go."""
+    """Hide viser's output, because reports go to standard output."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

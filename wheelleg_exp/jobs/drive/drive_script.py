@@ -27,12 +27,12 @@ _NUMBER = "a number"
 
 @dataclass(frozen=True)
 class Entry:
-    """What is asked for at one moment.
+    """The commands and requests at one moment.
 
     Attributes:
-        at: the moment, s of simulated time from the beginning.
+        at: simulated time from the start, s.
         values: commands by axis name.
-        requests: what is done once.
+        requests: actions that happen once.
         stops: whether every axis that ``values`` does not name goes to rest.
     """
 
@@ -47,8 +47,8 @@ class Script:
     """A drive.
 
     Attributes:
-        entries: in the order of time.
-        duration_s: when it is over, s.
+        entries: in order of time.
+        duration_s: the end, s.
         text: the file.
     """
 
@@ -58,23 +58,23 @@ class Script:
 
 
 class ScriptPlayer:
-    """Asks for what a script says, at the right control step.
+    """Sets the commands and requests of a script at the right control steps.
 
     Args:
         script: the script.
-        controls: of whom it asks.
+        controls: receives them.
         step_dt: control step, s.
     """
 
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
-        # The first step that begins at or after the moment; rounded first, because 0.1 s / (1 / 60 s) is step 6.
+        # The first step at or after the moment. Rounding comes first, because 0.1 s / (1 / 60 s) must be step 6.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
 
     def before(self, step: int) -> None:
-        """Ask for what is due before a control step, counted from 0."""
+        """Set what is due before a control step, counted from 0."""
         due = bisect_left(self._steps, step + 1)
         for entry in self._script.entries[self._next : due]:
             if entry.stops:
@@ -91,35 +91,37 @@ def read_script(path: Path, axes: Sequence[Axis]) -> Script:
 
     Args:
         path: the file.
-        axes: what may be commanded.
+        axes: the axes that can be commanded.
 
     Raises:
-        ConfigError: it is no list of entries, or one names an unknown key or a value out of its range; with the line.
-        RunDirectoryError: it cannot be read.
+        ConfigError: the file is not a list of entries, or an entry has an unknown key or a value out of range; the
+            error
+            names the line.
+        RunDirectoryError: the file cannot be read.
     """
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
     except Unreadable as error:
         line = "" if error.line is None else f":{error.line}"
-        raise ConfigError(f"is no YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
+        raise ConfigError(f"is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
     if not isinstance(value, list) or not value or not isinstance(tree, yaml.SequenceNode):
-        raise ConfigError("holds no list of commands", key="--script", where=str(path), expected=_example(axes))
+        raise ConfigError("is not a list of commands", key="--script", where=str(path), expected=_example(axes))
     places = [_Place(path, node) for node in tree.value]
     entries: list[Entry] = []
     end = 0.0
     for index, (item, place) in enumerate(zip(value, places, strict=True)):
         if not isinstance(item, dict):
-            raise ConfigError("is no command", key=f"[{index}]", where=place.of(), expected=_example(axes))
+            raise ConfigError("is not a command", key=f"[{index}]", where=place.of(), expected=_example(axes))
         entry, end = _entry(item, place, {axis.name: axis for axis in axes}, entries[-1].at if entries else 0.0, end)
         entries.append(entry)
     if "for" not in value[-1]:
-        raise ConfigError("does not say when the drive is over", where=places[-1].of(), key="for", expected="seconds")
+        raise ConfigError("does not give the end of the drive", where=places[-1].of(), key="for", expected="seconds")
     return Script(entries, end, text)
 
 
 class _Place:
-    """Where the keys of an entry stand."""
+    """The lines of an entry's keys."""
 
     def __init__(self, path: Path, node: yaml.Node) -> None:
         self._path, self._line = path, node.start_mark.line + 1
@@ -133,12 +135,12 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return an entry and when it ends, from when the one before began and ended."""
+    """Return an entry and its end; ``before`` and ``end`` are start and end of the previous entry."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
             raise ConfigError(
-                "a script has no such key",
+                "unknown key in a script",
                 key=str(key),
                 where=place.of(key),
                 expected="one of " + ", ".join(names),
@@ -158,17 +160,17 @@ def _entry(
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
     value = item.get(key, default)
     if not _is_number(value) or value < 0.0:
-        raise ConfigError(f"{value!r} is no time", key=key, where=place.of(key), expected="seconds, at least 0")
+        raise ConfigError(f"{value!r} is not a time", key=key, where=place.of(key), expected="seconds, at least 0")
     return float(value)
 
 
 def _value(axis: Axis, value: Any, place: _Place) -> float:
     expected = f"{_NUMBER} from {axis.low:g} to {axis.high:g} ({axis.key})"
     if not _is_number(value):
-        raise ConfigError(f"{value!r} is no number", key=axis.name, where=place.of(axis.name), expected=expected)
+        raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
     if not axis.low <= value <= axis.high:
         raise ConfigError(
-            f"{value:g} lies beyond what was commanded in training",
+            f"{value:g} is outside the range of the training",
             key=axis.name,
             where=place.of(axis.name),
             expected=expected,
@@ -184,7 +186,7 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
         parts = push if isinstance(push, list) and len(push) == 2 else [push]
         if not all(map(_is_number, parts)):
             expected = "m/s forwards, or [forwards, to the left]"
-            raise ConfigError(f"{push!r} is no push", key="push", where=place.of("push"), expected=expected)
+            raise ConfigError(f"{push!r} is not a push", key="push", where=place.of("push"), expected=expected)
         yield Push(*map(float, parts))
 
 
@@ -205,7 +207,7 @@ def _example(axes: Sequence[Axis]) -> str:
 
 
 class DriveLog:
-    """Notes changes of commands and what was asked for, by control step.
+    """Records changes of commands and requests, by control step.
 
     Args:
         step_dt: control step, s.
@@ -217,18 +219,18 @@ class DriveLog:
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Note the commands under which a step is done."""
+        """Record the commands of a step."""
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._note(step, changed)
             self._values = dict(values)
 
     def asked(self, step: int, request: Reset | Push) -> None:
-        """Note what is done before a step."""
+        """Record a request before a step."""
         self._note(step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True})
 
     def script(self, steps: int) -> list[dict[str, Any]]:
-        """Return the entries of a script of so many steps."""
+        """Return the entries of a script with so many steps."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
         last = self._entries[-1][0] if self._entries else 0
         entries[-1]["for"] = round(self._time(steps) - self._time(last), 6)

@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-# What an axis of a command is measured by, of the robot's data: the first row is the driven robot's.
+# How an axis is measured from the robot's data; the first row is the driven robot.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
     "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
     "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
@@ -29,15 +29,15 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 
 
 class DriveMeter:
-    """Sums what a drive shows, step by step; see ``definitions.drive``.
+    """Sums the figures of a drive, step by step; see ``definitions.drive``.
 
     Args:
-        env: the environment, of one robot.
-        axes: what may be commanded.
+        env: the environment, with one robot.
+        axes: the axes that can be commanded.
 
     Attributes:
-        height_m: height of the root link's origin above the ground below it, of the last step.
-        measured: what the robot did in it, for the axes that are known: m/s, rad/s, m and rad, by name.
+        height_m: height of the root link's origin above the ground below it, in the last step.
+        measured: the measured value of each axis that can be measured, in the last step: m/s, rad/s, m and rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -52,11 +52,11 @@ class DriveMeter:
 
     @property
     def falls(self) -> int:
-        """How many episodes have ended by themselves."""
+        """The number of episodes that a termination ended."""
         return sum(self._ended.values())
 
     def observe(self, commanded: Mapping[str, float]) -> None:
-        """Take up a step that was done under commands."""
+        """Measure a step that was done under the given commands."""
         place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
         if self._place is not None:
             self._distance += float(torch.linalg.vector_norm(place - self._place))
@@ -69,15 +69,15 @@ class DriveMeter:
             self._squares[name] += (value - commanded[name]) ** 2
 
     def ended(self, by: str) -> None:
-        """Note that an episode has ended, and by what."""
+        """Count the end of an episode, by its cause."""
         self._ended[by] += 1
 
     def asked(self, request: Reset | Push) -> None:
-        """Note a request that is done."""
+        """Count a request."""
         self._requests[type(request).__name__] += 1
 
     def began(self) -> None:
-        """Note that the robot stands elsewhere: the way there was not driven."""
+        """Note a reset: the jump to the new position does not count as distance."""
         self._place = None
 
     def figures(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return height and measures; once a step, because rays that ask for the ground touch the engine."""
+        """Return height and measured values; only once per step, because ground rays query the engine."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
@@ -110,16 +110,16 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """How a drive stands, in numbers of the host.
+    """The state of a drive, in numbers of the host.
 
     Attributes:
-        time_s: simulated time since the drive began.
-        commands: what is commanded, by axis.
-        measured: the same of the robot, for the axes that can be measured.
+        time_s: simulated time since the start of the drive.
+        commands: the commands, by axis.
+        measured: the measured values, for the axes that can be measured.
         height_m: height of the root link's origin above the ground below it.
-        rewards: this step's weighted values per second, by term.
+        rewards: the weighted rewards of this step per second, by term.
         falls: how often the robot has fallen.
-        fallen: by what the episode has ended; None while it goes on.
+        fallen: what ended the episode; None while it runs.
     """
 
     time_s: float
@@ -132,20 +132,20 @@ class Status:
 
 
 class DriveSession:
-    """A drive: nothing is reset unless somebody asks for it, and an episode that is over waits until it is.
+    """A drive. Nothing is reset automatically: an episode that has ended waits for a reset.
 
     Args:
-        adapter: the environment, of one robot.
+        adapter: the environment, with one robot.
         policy: returns actions (1, A) for observations.
 
     Attributes:
         env: the environment.
-        axes: what may be commanded.
-        controls: what is asked for.
-        driven: what was asked for, step by step.
+        axes: the axes that can be commanded.
+        controls: commands and requests.
+        driven: the log of commands and requests.
         meter: figures of the drive.
-        steps: control steps since the drive began.
-        fallen: by what the episode has ended; None while it goes on.
+        steps: control steps since the start of the drive.
+        fallen: what ended the episode; None while it runs.
 
     Raises:
         ConfigError: there are several environments.
@@ -169,11 +169,11 @@ class DriveSession:
 
     @property
     def time_s(self) -> float:
-        """Simulated time since the drive began, s."""
+        """Simulated time since the start of the drive, s."""
         return self.steps * self.env.step_dt
 
     def step(self) -> None:
-        """Do one control step under the present commands; an episode that is over is not gone on with.
+        """Do one control step under the present commands.
 
         Raises:
             SimulationFailure: the policy's actions are not finite.
@@ -192,7 +192,7 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: Reset | Push) -> None:
-        """Do what was asked for; a robot that has fallen can only be reset, which would be done unasked as well."""
+        """Carry out a request; after a fall, only a reset."""
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()
@@ -205,7 +205,7 @@ class DriveSession:
             self.reset()
 
     def reset(self) -> None:
-        """Begin a new episode under the present commands."""
+        """Start a new episode under the present commands."""
         self._hold(self.controls.values)
         self.env.reset()
         self.meter.began()
@@ -220,7 +220,7 @@ class DriveSession:
         self.env.scene.refresh()
 
     def status(self) -> Status:
-        """Return how the drive stands."""
+        """Return the state of the drive."""
         rewards = self.env.reward_manager.get_active_iterable_terms(0)
         return Status(
             time_s=self.time_s,

@@ -35,7 +35,7 @@ from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # the run's own ground
 _GROUP = "scene"
-_DISTURBANCES = ("interval", "step")  # modes of events that act while an episode goes on
+_DISTURBANCES = ("interval", "step")  # modes of events that act during an episode
 
 
 def scenes() -> list[str]:
@@ -44,11 +44,11 @@ def scenes() -> list[str]:
 
 
 def require_scene(name: str) -> None:
-    """Raise ConfigError for a ground that there is not."""
+    """Raise ConfigError for an unknown ground."""
     known = scenes()
     if name not in known:
         raise ConfigError(
-            f"there is no ground '{name}'",
+            f"unknown ground '{name}'",
             key="--scene",
             expected="one of " + ", ".join(known),
             nearest=nearest_name(name, known),
@@ -58,12 +58,13 @@ def require_scene(name: str) -> None:
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return a play's tree for driving.
 
-    One robot; episodes as long as ``drive.episode_length_s``; no events but those of starts and resets, and no
-    curriculum; commands that follow the hand instead of a heading or a share that stands.
+    It has one robot, episodes of ``drive.episode_length_s``, only events at startup and reset, no curriculum, and
+    commands
+    without heading control or standing robots.
 
     Args:
         tree: the tree.
-        scene: option of ``scene`` whose ground takes the place of the run's, or ``own``.
+        scene: option of ``scene`` that replaces the run's ground, or ``own``.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -81,23 +82,23 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
 
 
 def _with_ground(own: Tree, name: str) -> Tree:
-    """Return a scene with another's ground, and what the sensors of both need there; the run's others stay."""
+    """Return a scene with another's ground; shared sensors are the other scene's, the remaining ones stay."""
     other = compose([f"+{_GROUP}={name}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
     shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
     ground = {key: value for key, value in other.items() if key != "sensors"}
     return {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
 
 
-_MAX_DELAY_S = 0.1  # later than that is not made up for: a machine that is too slow shows slow motion
+_MAX_DELAY_S = 0.1  # a longer delay is not made up: a slow machine shows slow motion
 
 
 class RealTimePacer:
-    """Waits between control steps as long as they last.
+    """Waits between control steps, so that simulated time equals real time.
 
     Args:
         step_dt: control step, s.
-        frames_per_s: pictures in one second of the clock on the wall.
-        clock: returns that clock, s.
+        frames_per_s: pictures per second of real time.
+        clock: returns real time, s.
         sleep: waits so many seconds.
     """
 
@@ -116,7 +117,7 @@ class RealTimePacer:
         """Wait until the next step is due.
 
         Args:
-            speed: simulated seconds in one second.
+            speed: simulated seconds per second.
         """
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
@@ -135,22 +136,22 @@ class RealTimePacer:
 
 
 class DriveView(Protocol):
-    """What shows a drive to the one who drives, and lets them ask."""
+    """Shows a drive, and receives the driver's requests."""
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a drive that begins, of a checkpoint on a ground, with pushes of so many m/s; return where it is."""
+        """Show a new drive of a checkpoint on a ground, with pushes in m/s; return the address of the view."""
 
     def show(self, status: Status) -> None:
-        """Show how it stands."""
+        """Show the state of the drive."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a drive made.
+    """The result of a drive.
 
     Attributes:
         checkpoint: the checkpoint.
-        folder: what was written, below the run.
+        folder: the written folder below the run.
         recording: the recording, or None.
         figures: see ``definitions.drive``.
     """
@@ -163,11 +164,11 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """What is to be driven.
+    """What to drive.
 
     Attributes:
         run: the run.
-        checkpoint: which of its checkpoints; None is the last.
+        checkpoint: one of its checkpoints; None means the last.
         overrides: changes to the run's parameters.
         scene: option of the config group ``scene``; None or ``own`` is the run's own ground.
         script: a file of commands, or None.
@@ -182,72 +183,79 @@ class DriveRequest:
     command: Sequence[str] = ()
 
 
-def drive(wish: DriveRequest, display: Display, face: DriveView | None = None) -> list[Drive]:
-    """Drive until somebody finishes; each checkpoint and each ground that is chosen on the way is a drive of its own.
+def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
+    """Drive until the driver finishes; each chosen checkpoint or ground makes a new drive.
 
-    Without a face there must be a script, which is driven as fast as it goes. With both the script goes first, in
-    real time, and the hand takes over.
+    Without a view there must be a script, which runs as fast as it computes. With both, the script runs first, in real
+    time, and the driver continues.
 
     Args:
-        wish: what is to be driven.
+        request: what to drive.
         display: receives progress.
-        face: what shows the drive, or None.
+        view: shows the drive, or None.
 
     Raises:
-        WheellegError: the run, a checkpoint, an override or the script is wrong.
+        WheellegError: the run, a checkpoint, an override, or the script is wrong.
         SimulationFailure: numbers are not finite, or the disk is full.
     """
     drives: list[Drive] = []
-    choice: Choose | None = Choose(wish.checkpoint or wish.run.latest_checkpoint(), wish.scene)
-    script = wish.script
+    choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
+    script = request.script
     with StopRequest() as stop:
         while choice is not None:
-            made, choice = _drive_one(wish, choice, script, display, face, stop)
+            made, choice = _drive_one(request, choice, script, display, view, stop)
             drives.append(made)
             script = None
     return drives
 
 
 def _drive_one(
-    wish: DriveRequest, choice: Choose, path: Path | None, display: Display, face: DriveView | None, stop: StopRequest
+    request: DriveRequest,
+    choice: Choose,
+    path: Path | None,
+    display: Display,
+    view: DriveView | None,
+    stop: StopRequest,
 ) -> tuple[Drive, Choose | None]:
-    """Return what was driven, and what is to be driven next."""
+    """Return the finished drive, and what to drive next."""
     scene = choice.scene or OWN_GROUND
     require_scene(scene)
-    prepared = prepare_policy(wish.run, choice.checkpoint, wish.overrides, display, lambda tree: drivable(tree, scene))
+    prepared = prepare_policy(
+        request.run, choice.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
+    )
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
-    folder = create_exclusively(wish.run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    folder = create_exclusively(request.run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
         with while_running():
-            return _drive_recorded(wish, choice, prepared, session, script, folder, display, face, stop)
-    except BaseException:  # what was not finished leaves nothing that looks like a drive
+            return _drive_recorded(request, choice, prepared, session, script, folder, display, view, stop)
+    except BaseException:  # an interrupted drive must not look like a finished one
         shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
 def _drive_recorded(
-    wish: DriveRequest,
+    request: DriveRequest,
     choice: Choose,
     prepared: RunPolicy,
     session: DriveSession,
     script: Script | None,
     folder: Path,
     display: Display,
-    face: DriveView | None,
+    view: DriveView | None,
     stop: StopRequest,
 ) -> tuple[Drive, Choose | None]:
     tree = prepared.tree
-    recording = prepared.recording(folder, wish.command) if tree["recording"]["enabled"] else None
+    recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
     with recording or nullcontext():
-        if face is not None:
-            where = face.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+        if view is not None:
+            where = view.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
             display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
-        following = _Driver(session, script, tree["drive"], display, face, stop).run()
+        following = _Driver(session, script, tree["drive"], display, view, stop).run()
         content = {
             **prepared.about,
             "seed": tree["seed"],
-            "overrides": list(wish.overrides),
+            "overrides": list(request.overrides),
             "scene": choice.scene or OWN_GROUND,
         }
         content |= session.meter.figures()
@@ -258,7 +266,7 @@ def _drive_recorded(
     write_json(folder / "figures.json", content)
     files = [*close_dataset(folder / "dataset", session.env), folder / "figures.json", driven]
     files += [] if recording is None else [recording.path]
-    wish.run.manifest().add("drive", files, content, command=wish.command)
+    request.run.manifest().add("drive", files, content, command=request.command)
     made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
     if following is None:
         return made, None
@@ -266,7 +274,7 @@ def _drive_recorded(
 
 
 class _Driver:
-    """Does step after step until the script is over, or somebody finishes or chooses something else."""
+    """Steps until the script ends, or the driver finishes or chooses something else."""
 
     def __init__(
         self,
@@ -274,21 +282,21 @@ class _Driver:
         script: Script | None,
         options: dict[str, Any],
         display: Display,
-        face: DriveView | None,
+        view: DriveView | None,
         stop: StopRequest,
     ) -> None:
-        self._session, self._display, self._face, self._stop = session, display, face, stop
+        self._session, self._display, self._view, self._stop = session, display, view, stop
         self._controls: Controls = session.controls
         step_dt = session.env.step_dt
         self._hand = None if script is None else ScriptPlayer(script, self._controls, step_dt)
-        self._pace = None if face is None else RealTimePacer(step_dt, float(options["frames_per_s"]))
-        self._shown_s = 0.0 if face is None else float(options["fall_shown_s"])
+        self._pace = None if view is None else RealTimePacer(step_dt, float(options["frames_per_s"]))
+        self._shown_s = 0.0 if view is None else float(options["fall_shown_s"])
         self._fallen_at: float | None = None
 
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Return what was chosen, or None when the drive is over."""
+        """Return the driver's choice, or None at the end of the drive."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):
@@ -300,7 +308,7 @@ class _Driver:
                 self._stand_up()
             elif not self._controls.paused:
                 self._session.step()
-                if self._hand is not None and self._face is None:
+                if self._hand is not None and self._view is None:
                     self._display.steps(self._session.steps, self._hand.last_step)
             self._keep_time()
         return None
@@ -311,13 +319,13 @@ class _Driver:
         return self._controls.take()
 
     def _is_over(self) -> bool:
-        if self._face is not None:
+        if self._view is not None:
             return self._stop.requested
         self._stop.check()
         return self._hand is None or self._session.steps >= self._hand.last_step
 
     def _stand_up(self) -> None:
-        """Reset a robot that has fallen, as soon as that was seen."""
+        """Reset a fallen robot after the fall was visible for a while."""
         now = time.monotonic()
         self._fallen_at = now if self._fallen_at is None else self._fallen_at
         if now - self._fallen_at >= self._shown_s:
@@ -326,8 +334,8 @@ class _Driver:
             self._fallen_at = None
 
     def _keep_time(self) -> None:
-        if self._pace is None or self._face is None:
+        if self._pace is None or self._view is None:
             return
         if self._pace.is_frame_due():
-            self._face.show(self._session.status())
+            self._view.show(self._session.status())
         self._pace.wait(self._controls.speed)

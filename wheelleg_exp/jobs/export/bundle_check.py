@@ -38,21 +38,22 @@ def recorded_episodes(
     clip_actions: float | None,
     steps: int,
 ) -> dict[str, np.ndarray]:
-    """Return what a policy saw and did in the first simulation, float32, a row a control step.
+    """Return what a policy saw and did in the first simulation, float32, one row per control step.
 
     Args:
         adapter: the environment.
         policy: the mean action of observations, which is applied.
         trained: the same in float32, as training computes it.
-        groups: the observation groups that it sees.
-        names: the readings to keep.
+        groups: the policy's observation groups.
+        names: the readings to record.
         clip_actions: bound of the raw actions, or None.
         steps: control steps.
 
     Returns:
-        ``reset`` (T,) bool: an episode begins; ``reading:<name>`` (T, width); ``observations`` (T, O); ``actions``
-        (T, A), clipped, and ``actions_float32``, of ``trained``; ``targets`` (T, 3, J): positions, velocities, efforts
-        of all joints.
+        ``reset`` (T,) bool: an episode starts; ``reading:<name>`` (T, width); ``observations`` (T, O); ``actions`` (T,
+        A),
+        clipped, and ``actions_float32``, of ``trained``; ``targets`` (T, 3, J): positions, velocities, efforts of all
+        joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}
@@ -71,7 +72,7 @@ def recorded_episodes(
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
-            env.reset()  # as a deployer begins: nothing has happened before the first reading
+            env.reset()  # like a deployed runner: no history before the first reading
     return {name: np.stack(values) for name, values in rows.items()}
 
 
@@ -125,10 +126,10 @@ int main(void) {
 
 
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
-    """Return the largest differences of the policies from ``check.npz``, and why the header was not compared, if so.
+    """Return the largest differences of the policies from ``check.npz``, and the reason if the header was not compared.
 
     Args:
-        folder: the bundle with what ``runner.py`` needs.
+        folder: the bundle with the files of ``runner.py``.
         torchscript: the content of ``policy.pt``.
         onnx: the content of ``policy.onnx``.
         header: the content of ``policy.h``.

@@ -38,9 +38,10 @@ _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
     """Return the actuator groups in order.
 
-    ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (the same of
-    the state before each physics step), ``dc_motor`` (behind a motor's line), or null: no simulation but training's
-    has it.
+    ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (the same,
+    computed from the state before each physics step), ``dc_motor`` (with a motor's torque-speed line), or null: a law
+    that
+    only the training's simulation has.
     """
     found = []
     for name, group in env.scene.robot.actuators.items():
@@ -55,15 +56,16 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return by which law a group turns targets into torques, or None for one that no runner knows."""
+    """Return the law by which a group turns targets into torques, or None for a law that no runner knows."""
     return _DRIVE_LAWS.get(type(group))
 
 
 def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
-    """Return gains and limits of every joint in the robot's order, and what it is; without a drive gains are 0.
+    """Return gains, limits, and properties of every joint in the robot's order; joints without a drive have gains of 0.
 
-    ``inertia`` is of the parts about the joint's axis, without ``armature``. ``drive_rate`` (Hz) is how often a drive
-    must compute its torque: each physics step, and ten times as often as stability needs (kp·dt² + 2·kd·dt < 4·I).
+    ``inertia`` is that of the parts about the joint's axis, without ``armature``. ``drive_rate`` (Hz) is the rate at
+    which
+    a drive must compute its torque: each physics step, and ten times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
     """
     robot = env.scene.robot
     count = len(robot.joint_names)
@@ -80,7 +82,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # what a torque meets while everything else can move
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # inertia against a torque while all other joints are free
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -99,7 +101,7 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
     """Return the action terms in order, each with its slice of the policy's output and its joints.
 
     Raises:
-        ConfigError: a term is none of this package's.
+        ConfigError: a term does not come from this package.
     """
     manager, start, found = env.action_manager, 0, []
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
@@ -114,14 +116,14 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # On a robot the way to the drives takes its own time.
+        # A real robot has its own delay between policy and drives.
         found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
         start += width
     return found
 
 
 def _clip(term: Any) -> list[list[float | None]] | None:
-    """Return the bounds of each joint, null where there is none."""
+    """Return the bounds of each joint; null means no bound."""
     if term._low is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
@@ -164,7 +166,7 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
 
 _ACTIVATIONS: dict[type, str] = {
     torch.nn.ELU: "elu",
-    torch.nn.CELU: "elu",  # with alpha 1, as rsl_rl makes it
+    torch.nn.CELU: "elu",  # rsl_rl uses alpha 1
     torch.nn.ReLU: "relu",
     torch.nn.LeakyReLU: "leaky_relu",
     torch.nn.SELU: "selu",
@@ -179,7 +181,7 @@ _GAUSSIAN = GaussianDistribution.__name__
 
 
 def require_perceptron(section: Mapping[str, Any], key: str) -> None:
-    """Raise ConfigError, by name, for a network that is no perceptron whose output is the mean action.
+    """Raise ConfigError for a network that is not a perceptron with the mean action as its output.
 
     Args:
         section: the network's section of the agent.
@@ -201,7 +203,7 @@ def require_perceptron(section: Mapping[str, Any], key: str) -> None:
 
 
 def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return what a network is, for people and runners, and its arrays by name, float32 but for the deviation.
+    """Return the description of a network, and its arrays by name: float32, the deviation float64.
 
     Args:
         policy: the trained network, a perceptron.
@@ -263,18 +265,17 @@ FORMAT_VERSION = 1
 def specification(
     env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return what a deployer must know of an environment and its agent, but for the network.
+    """Return the whole ``policy.json`` of an environment and its agent, except the network.
 
-    Lists by joint are in the order of ``joint_names``; null stands for a limit that there is not. Names are Isaac
-    Lab's where it has one.
+    Lists by joint are in the order of ``joint_names``; null means no limit. Names are Isaac Lab's where it has one.
 
     Args:
-        env: the environment, of one simulation and without events: numbers are the config's own.
+        env: the environment, with one simulation and without events, so that its numbers are the config's.
         agent: the agent's section.
-        ranges: of each command, [low, high] by component, as they were at the end of training.
+        ranges: [low, high] of each command by component, at the end of training.
 
     Raises:
-        ConfigError: a runner without the simulation cannot do what a term does.
+        ConfigError: a runner without the simulation cannot compute a term.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])

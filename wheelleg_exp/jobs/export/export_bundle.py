@@ -63,10 +63,10 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` section for one simulation whose numbers nothing draws or changes: no events, no curriculum.
+    """Return the ``env`` section for one simulation without events and curriculum, so that nothing changes its numbers.
 
     Args:
-        env: the run's section, plain; it stays as it is.
+        env: the run's section, plain; it is not changed.
     """
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
@@ -76,12 +76,13 @@ def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
     """Return the ``env`` section for episodes that a runner can repeat from readings.
 
-    Noise and delays belong to the sensors and the way to the drives, which a robot has by itself: they are left out.
-    So are errors of encoders, pushes between two readings and what is drawn once of the robot. Resets stay, but rolling
-    joints then are at their defaults, because a runner counts their positions from there.
+    Noise and delays are left out, because a real robot has its own. So are encoder errors, pushes between two readings,
+    and randomization of the robot. Resets stay, but rolling joints start at their defaults, because a runner counts
+    their
+    positions from there.
 
     Args:
-        env: the run's section, plain; it stays as it is.
+        env: the run's section, plain; it is not changed.
         rolling_joints: the joints whose positions count from the reset.
     """
     found = as_configured(env)
@@ -101,10 +102,10 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
 
 
 def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -> dict[str, Any]:
-    """Return the ``env`` section of a scene with nothing but the robot on level ground.
+    """Return the ``env`` section of a scene with only the robot on level ground.
 
     Args:
-        env: the run's section, plain; it stays as it is.
+        env: the run's section, plain; it is not changed.
         friction: the ground's static and dynamic friction and its restitution.
     """
     found = as_configured(env)
@@ -117,8 +118,8 @@ def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model that carries a bundle's specification.
 
-    Lists are words with commas between, as in mjlab's exports; ``action_scale`` and ``action_offset`` are there where
-    every action has them, in the order of ``action_joint_names``.
+    Lists are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset`` exist if every action has
+    them, in the order of ``action_joint_names``.
 
     Args:
         model: the model.

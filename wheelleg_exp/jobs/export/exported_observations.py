@@ -25,11 +25,11 @@ COMMANDS = "commands."
 
 @dataclass(frozen=True)
 class Reading:
-    """What one reading is.
+    """A sensor reading.
 
     Attributes:
         unit: its unit.
-        meaning: what it measures, in which axes.
+        meaning: what it measures, in which frame.
         of: returns it from a simulation, (N, width).
     """
 
@@ -55,7 +55,7 @@ READINGS = {
 }
 
 
-# Of an IMU (``<sensor>.<quantity>``): its unit and meaning, and the attribute of the sensor's data.
+# Quantities of an IMU (``<sensor>.<quantity>``): unit, meaning, and attribute of the sensor's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
     "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),
@@ -65,7 +65,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return what a reading is, also of a command (``commands.<term>``) or an IMU (``<sensor>.<quantity>``)."""
+    """Return a reading by name, also of a command (``commands.<term>``) or an IMU (``<sensor>.<quantity>``)."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):
@@ -75,24 +75,24 @@ def reading(name: str) -> Reading:
             unit, f"of the IMU '{sensor}': {meaning}", lambda env: getattr(env.scene[sensor].data, attribute)
         )
     term = name.removeprefix(COMMANDS)
-    meaning = f"what the command '{term}' asks for; its components and ranges stand in commands.{term}"
+    meaning = f"the command '{term}'; commands.{term} lists its components and ranges"
     return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))
 
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the sensor that terms take by default
+_IMU = "imu"  # the default sensor of terms
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
-    """Return the groups that a policy sees, in order, each with its terms.
+    """Return the observation groups of a policy, in order, each with its terms.
 
     Args:
         env: an environment with the policy's observations.
         groups: names of the groups.
 
     Raises:
-        ConfigError: a term looks at what a runner has no reading of, or does what it cannot.
+        ConfigError: a term needs a reading or a computation that a runner does not have.
     """
     found: list[Spec] = []
     for group in groups:
@@ -104,7 +104,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 
 def readings_of(groups: list[Spec]) -> list[str]:
-    """Return the names of the readings that the terms take, each once; joint positions always."""
+    """Return the names of the readings that the terms need, each once, and always the joint positions."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
         names += [term["reading"]] if "reading" in term else term.get("needs", [])
@@ -129,7 +129,7 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
     spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
     if scale is not None:
         spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
-    # What the world did to the reading while training; on a robot it does so by itself.
+    # Noise of the training. A real robot has its own noise.
     noise = node.get("noise") if env.cfg["observations"][_group(bound)].get("enable_corruption") else None
     return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
 

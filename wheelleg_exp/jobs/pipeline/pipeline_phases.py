@@ -12,15 +12,15 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 
 @dataclass(frozen=True)
 class Gate:
-    """``pipeline.phases.<phase>.gate``: what a policy must be able to do before the next phase.
+    """``pipeline.phases.<phase>.gate``: what a policy must achieve before the next phase.
 
     Attributes:
-        protocol: the protocol of `wheelleg evaluate` whose scenarios are driven; training never sees them.
-        at_least: the least value of each metric, by ``group/metric``.
-        at_most: the greatest value of each metric.
+        protocol: a protocol of `wheelleg evaluate`; training never sees its scenarios.
+        at_least: the smallest accepted value of each metric, by ``group/metric``.
+        at_most: the largest accepted value of each metric.
         overrides: changes to the protocol, such as ``protocol.stand.episodes=16``.
-        every: iterations between two evaluations while it trains; null evaluates behind the last one alone.
-        passes: how many evaluations must pass in a row for it to go on before the last iteration.
+        every: iterations between two evaluations during training; null evaluates only after the last iteration.
+        passes: consecutive passed evaluations that end the phase before its last iteration.
     """
 
     protocol: str
@@ -37,9 +37,9 @@ class Phase:
 
     Attributes:
         task: the task.
-        max_iterations: most iterations, in total.
+        max_iterations: largest number of iterations in total.
         overrides: further overrides of ``wheelleg train``.
-        gate: what it must pass; null lets the next phase begin in any case.
+        gate: the gate after the phase; null means that the next phase always starts.
     """
 
     task: str
@@ -54,7 +54,7 @@ class Pipeline:
 
     Attributes:
         name: the pipeline's name.
-        phases: the phases by name, in order, each begun with the policy of the one before; null removes one.
+        phases: the phases by name, in order; each starts with the policy of the previous one; null removes a phase.
     """
 
     name: str
@@ -63,12 +63,12 @@ class Pipeline:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a gate says.
+    """The verdict of a gate.
 
     Attributes:
-        passed: whether every bound holds.
-        values: the metrics that it asks for.
-        why: the bounds that do not hold, in words.
+        passed: whether all bounds hold.
+        values: the metrics of the gate.
+        why: the violated bounds, in words.
     """
 
     passed: bool
@@ -77,11 +77,11 @@ class Verdict:
 
 
 def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
-    """Hold metrics against a gate; one that is no number passes none.
+    """Compare metrics with the bounds of a gate; a value that is not finite never passes.
 
     Args:
         gate: the bounds.
-        metrics: values by ``group/metric``; None and NaN where no episode had one.
+        metrics: values by ``group/metric``; None or NaN if no episode had a value.
 
     Raises:
         ConfigError: the protocol has no such metric.
@@ -101,12 +101,12 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
         known = value is not None and math.isfinite(value)
         if not known or (value < bound if least else value > bound):  # type: ignore[operator]
             shown = f"{value:.4g}" if known else "not a number"
-            why.append(f"{name} is {shown}, and {'at least' if least else 'at most'} {bound:g} is asked for")
+            why.append(f"{name} is {shown}, but must be {'at least' if least else 'at most'} {bound:g}")
     return Verdict(not why, values, why)
 
 
 def streak(verdicts: list[bool]) -> int:
-    """Return how many of the last verdicts in a row have passed."""
+    """Return how many of the last verdicts passed in a row."""
     count = 0
     for passed in reversed(verdicts):
         if not passed:

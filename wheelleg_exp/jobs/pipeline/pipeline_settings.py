@@ -21,18 +21,18 @@ from wheelleg_exp.terms.config_values import require_fit
 from wheelleg_exp.terms.key_syntax import PIPELINE as PRIMARY
 from wheelleg_exp.terms.key_syntax import split_path
 
-_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # what a pipeline sets itself
-_NAME = re.compile(r"[\w-]+")  # of a phase: it stands in keys and names a folder
+_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # keys that a pipeline sets itself
+_NAME = re.compile(r"[\w-]+")  # of a phase: a part of keys and folder names
 
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A pipeline as it is declared.
+    """A composed pipeline.
 
     Attributes:
         tree: its plain config.
         phases: its phases by name.
-        composed: what it was composed from, which knows the file and the line of a key; None of a record.
+        composed: the composed config, which knows the file and line of each key; None for a recorded pipeline.
     """
 
     tree: dict[str, Any]
@@ -44,7 +44,7 @@ def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ())
     """Compose a pipeline.
 
     Raises:
-        ConfigError: there is none of that name, or a setting of it is wrong.
+        ConfigError: there is no such pipeline, or one of its settings is wrong.
     """
     composed = compose(overrides, primary=PRIMARY, config_dirs=config_dirs)
     with composed.placing():
@@ -52,10 +52,10 @@ def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ())
 
 
 def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
-    """Return a pipeline's plain config, read.
+    """Read the plain config of a pipeline.
 
     Raises:
-        ConfigError: a setting of it is wrong.
+        ConfigError: a setting is wrong.
     """
     if errors := section_errors(PRIMARY, tree, Pipeline):
         raise_all(errors)
@@ -75,12 +75,12 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that a phase is trained with, but for what it begins with and how long it trains.
+    """Return the overrides of a phase's training, without its initial policy and number of iterations.
 
     Args:
         name: the phase's name, which its run gets.
         phase: the phase.
-        overrides: those of the command line, for all phases.
+        overrides: of the command line, for all phases.
     """
     return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
 
@@ -88,15 +88,15 @@ def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[s
 def compose_phases(
     phases: Mapping[str, Phase], overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Composed]:
-    """Compose and check every phase, and hold each against the one whose policy it begins with.
+    """Compose and check every phase, and check that each policy fits the next phase.
 
     Raises:
-        ConfigError: the mistakes of all phases, each with its phase; one that all of them have is told once.
+        ConfigError: the mistakes of all phases, each with its phase; a mistake in all phases is reported once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
             raise ConfigError(
-                "a pipeline's phases say this themselves",
+                "the phases of a pipeline set this themselves",
                 key=_key(text),
                 where=f"override {text}",
                 expected=f"settings of {PRIMARY}.phases.<phase>",
@@ -108,7 +108,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # what the first phase may begin with is there, and fits
+                pass  # the initial policy of the first phase exists and fits
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:
@@ -129,22 +129,22 @@ def _key(text: str) -> str:
 
 
 def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[ConfigError]:
-    """Yield what is wrong with a phase by itself; no override of it or of its gate replaces what it says."""
+    """Yield the mistakes of a phase by itself; overrides must not replace what the phase itself sets."""
     key, gate = f"{PRIMARY}.phases.{name}", phase.gate
     if not _NAME.fullmatch(name):
-        yield ConfigError(f"'{name}' names no phase", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
+        yield ConfigError(f"'{name}' is not a phase name", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
     if gate is not None and not (gate.at_least or gate.at_most):
-        yield ConfigError("asks for nothing", key=f"{key}.gate", expected="at_least or at_most, or no gate")
+        yield ConfigError("has no bounds", key=f"{key}.gate", expected="at_least or at_most, or no gate")
     for text in phase.overrides:
-        if _key(text) in _RESERVED_KEYS and not (is_first and _key(text) == "init_from"):  # where the whole road begins
-            yield ConfigError(f"'{text}': the phase says this itself", key=f"{key}.overrides")
+        if _key(text) in _RESERVED_KEYS and not (is_first and _key(text) == "init_from"):
+            yield ConfigError(f"'{text}': the phase sets this itself", key=f"{key}.overrides")
     for text in gate.overrides if gate is not None else ():
         if _key(text) == "protocol":
-            yield ConfigError(f"'{text}': the gate says this itself", key=f"{key}.gate.overrides")
+            yield ConfigError(f"'{text}': the gate sets this itself", key=f"{key}.gate.overrides")
 
 
 def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose a gate's protocol and its seed.
+    """Compose the protocol and the seed of a gate.
 
     Raises:
         ConfigError: there is no such protocol, or an override of it is wrong.
@@ -156,7 +156,7 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Return a mistake of what a phase says by the phase's own key, whose file and line are known."""
+    """Return a mistake of a phase at the phase's own key, whose file and line are known."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
@@ -168,13 +168,13 @@ def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: S
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Return a mistake of what a phase's gate says by the gate's own key, whose file and line are known."""
+    """Return a mistake of a gate at the gate's own key, whose file and line are known."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f"{_with_key(error)}, in '{blamed}'")
-    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # of a value that several of them make
+    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # a wrong value that several overrides compute
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", _with_key(error))
     return error
 
@@ -184,14 +184,14 @@ def _at_key(error: ConfigError, key: str, message: str | None = None) -> ConfigE
 
 
 def _with_key(error: ConfigError) -> str:
-    """Return a message that keeps the key which another one takes the place of."""
+    """Return the message of an error with its key, for an error at another key."""
     return f"{error.key}: {error.message}"
 
 
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Yield each mistake with its phase; one of an override for all phases that all of them have is told once."""
+    """Yield each mistake with its phase; a shared override that is wrong in all phases is reported once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()
@@ -215,11 +215,11 @@ def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
         roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")
         for error in [*found.mistakes, *found.suspects]:
-            expected = f"what phase '{before}' has, whose policy it begins with"
+            expected = f"the settings of phase '{before}', with whose policy it starts"
             yield name_phase(ConfigError(_with_key(error), key=f"{PRIMARY}.phases.{name}", expected=expected), name)
 
 
 def name_phase(error: ConfigError, name: str) -> ConfigError:
-    """Return a mistake that says in whose phase it is."""
+    """Return a mistake with the name of its phase."""
     message = f"phase '{name}': {error.message}"
     return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)

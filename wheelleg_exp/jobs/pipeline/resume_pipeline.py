@@ -18,22 +18,22 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-_CHANGEABLE_LATER = ("max_iterations", "gate")  # what may change of a phase that has begun
+_CHANGEABLE_LATER = ("max_iterations", "gate")  # settings that can change in a phase that has started
 
 
 def resume_pipeline(
     index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> PipelineSettings:
-    """Make a pipeline ready to go on, and return what is run from here on.
+    """Prepare a pipeline to resume, and return its settings.
 
     Args:
         index: its record.
         overrides: changes to its phases, such as ``pipeline.phases.walk.max_iterations=600``.
         command: the command line, for the record.
-        config_dirs: the user's config folders; if none are given, the recorded ones, which must be the user's own.
+        config_dirs: the user's config folders; if empty, the recorded ones, which must belong to the user.
 
     Raises:
-        WheellegError: it is under way or finished, or an override is wrong. Nothing of the record has changed then.
+        WheellegError: the pipeline is running or finished, or an override is wrong. The record has not changed then.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         raise RunDirectoryError(
@@ -44,7 +44,7 @@ def resume_pipeline(
     for text in overrides:
         if not names_pipeline(text):
             raise ConfigError(
-                "a pipeline goes on with the settings that it began with",
+                "a pipeline keeps the settings with which it started",
                 key=text.lstrip("+~").partition("=")[0],
                 where=f"override {text}",
                 expected=f"settings of {PIPELINE}.phases.<phase>",
@@ -62,7 +62,9 @@ def resume_pipeline(
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
-        raise ConfigError("the phases of a pipeline stay", key=f"{PIPELINE}.phases", expected=str(list(kept["phases"])))
+        raise ConfigError(
+            "the phases of a pipeline cannot change", key=f"{PIPELINE}.phases", expected=str(list(kept["phases"]))
+        )
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
         _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
@@ -75,7 +77,7 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders to use: a pipeline composes its phases again, so it needs every recorded one."""
+    """Return the config folders to use; a pipeline needs all recorded ones, because it composes its phases again."""
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
@@ -85,7 +87,7 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
 
 
 def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
-    """Hold changed gates against what their protocols measure."""
+    """Check changed gates against the metrics of their protocols."""
     if phases:
         from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
 
@@ -97,12 +99,12 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     name = change.keys[2] if len(change.keys) > 2 and change.keys[1] == "phases" else None
     phase = next((phase for phase in index.phases if phase["name"] == name), None)
     if phase is None:
-        raise ConfigError("the phases of a pipeline stay", key=change.key, expected="settings of its phases")
+        raise ConfigError("the phases of a pipeline cannot change", key=change.key, expected="settings of its phases")
     if phase["status"] == "passed":
         raise ConfigError(f"phase '{name}' has passed already", key=change.key, expected="settings of a later phase")
     if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
         raise ConfigError(
-            f"phase '{name}' has begun",
+            f"phase '{name}' has started",
             key=change.key,
             expected=f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline",
         )
@@ -116,11 +118,11 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return what a phase that did not pass its gate goes on with: another gate judges the same policy anew."""
+    """Return the updated entry of a phase that did not pass its gate; another gate judges the same policy again."""
     changed = any(change.keys[2] == phase["name"] for change in found)
     if not changed:
         raise ConfigError(
-            f"phase '{phase['name']}' has not passed its gate, and would not: {phase['why']}",
+            f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}",
             key=f"{PIPELINE}.phases.{phase['name']}.max_iterations",
             expected=f"more than {config['max_iterations']}, or another gate",
         )

@@ -40,10 +40,10 @@ _SNAPSHOT_FILES = (*NEEDED, OVERRIDES, "source/git.json")
 
 
 def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | None) -> int:
-    """Return how many iterations a replay trains: those that the run has, or fewer.
+    """Return how many iterations a replay trains: those of the run, or fewer.
 
     Raises:
-        RunDirectoryError: the run still goes on, has none, or has fewer than are wanted.
+        RunDirectoryError: the run still trains, has no iteration, or has fewer than requested.
     """
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}):
         raise RunDirectoryError(f"run '{run.id}' is still running", expected="a run that has ended")
@@ -59,11 +59,11 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
 
 
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Refuse a snapshot that is not, byte for byte, what the manifest recorded.
+    """Refuse a snapshot that differs from what the manifest recorded.
 
     Raises:
-        RunDirectoryError: a file of it is missing, changed, or not the run's own; the manifest itself was changed; or
-            several processes have trained the run.
+        RunDirectoryError: a file is missing, changed, or not in the manifest; the manifest was changed; or several
+            processes trained the run.
     """
     if manifest.seal_holds() is False:
         raise RunDirectoryError(
@@ -106,21 +106,21 @@ KIND = "replay"
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a replay made and found.
+    """The result of a replay.
 
     Attributes:
         original: the run.
         run: the new run.
-        iterations: how many iterations were trained, and compared.
-        whole: whether these are all that the original has.
-        source: how the source was restored.
+        iterations: how many iterations were trained and compared.
+        whole: whether these are all iterations of the original.
+        source: the restored source.
         machine: how this machine differs from the original's.
         composed: whether the recorded overrides compose to the snapshot with the restored configs: ``equal`` and
             ``difference``.
-        asset: whether the robot was ``converted`` again, and a ``note`` when it was not.
-        notes: what else has to be told, one line each.
-        kept: the folder of the restored source, None when it was removed.
-        comparison: the original and the new run held against each other.
+        asset: whether the robot was ``converted`` again, and a ``note`` if not.
+        notes: further remarks, one line each.
+        kept: the folder of the restored source; None if it was removed.
+        comparison: the comparison of both runs.
     """
 
     original: RunDirectory
@@ -136,7 +136,7 @@ class Replayed:
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as one JSON document."""
+        """Return the result as one JSON document."""
         return {
             "run": str(self.original.path),
             "replay": str(self.run.path),
@@ -166,23 +166,23 @@ def replay(
 ) -> Replayed:
     """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare.
 
-    The run, the user's repositories and the working tree are read, never written.
+    The run, the user's repositories, and the working tree are only read.
 
     Args:
         run: the run.
         command: the command line, for the new manifest.
         display: receives progress.
-        stop: asks to stop.
-        root: the folder of runs below which the new run is made.
+        stop: requests a stop.
+        root: the folder of runs for the new run.
         repositories: clones that may hold the run's commits.
-        iterations: how many iterations to train; None is all that the run has.
+        iterations: how many iterations to train; None means all of the run.
         keep: whether the restored source stays.
 
     Raises:
-        RunDirectoryError: the run's snapshot is damaged or incomplete, its source cannot be restored, or its config
-            asks for a variable that is not known.
+        RunDirectoryError: the snapshot is damaged or incomplete, its source cannot be restored, or its config names an
+            unknown environment variable.
         SimulationFailure: the training failed, or the disk is full.
-        KeyboardInterrupt: it was stopped.
+        KeyboardInterrupt: the replay was stopped.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
@@ -218,36 +218,33 @@ def replay(
     )
 
 
-# --- before ---
-
-
 def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], stop: StopRequest) -> RestoredSource:
     try:
         return restore_all(run, workplace, repositories)
     except WheellegError:
-        stop.check()  # Ctrl-C reaches git as well, which then fails
+        stop.check()  # Ctrl-C also makes git fail
         raise
 
 
 def _damage_notes(run: RunDirectory) -> list[str]:
-    """Tell before the training what no replay can be equal to."""
-    return [f"{name} {what}: what is damaged is never identical" for name, what in measure(run).damage.items()]
+    """Name damaged files before the training, because a replay can never equal them."""
+    return [f"{name} {what}: a damaged file is never identical" for name, what in measure(run).damage.items()]
 
 
 def _resume_notes(manifest: Manifest) -> list[str]:
-    """Tell what of a resumed run a straight training cannot repeat."""
+    """Describe the resumes of a run that a training without a stop cannot repeat."""
     entries = manifest.data["resumes"]
     notes = []
     if entries:
-        notes.append(f"the run was stopped and resumed {_times(len(entries))}; the replay trains straight through")
+        notes.append(f"the run was stopped and resumed {_times(len(entries))}; the replay trains without a stop")
     for entry in entries:
         if entry.get("exact", not entry.get("overrides")):
             continue
         at = f" before iteration {entry['iteration']}" if entry.get("iteration") is not None else ""
         why = "; ".join(map(str, entry.get("why") or ())) or " ".join(map(str, entry.get("overrides") or ()))
         notes.append(
-            f"a resume{at} was not exact ({why}): the replay has the last config from the start, so that equal numbers "
-            "are not to be expected"
+            f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
+            "numbers will differ"
         )
     return notes
 
@@ -262,13 +259,12 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     environ = replay_environ(recorded, also=asked_for)
     if manifest.data.get("config_variables") is None:
         return environ
-    # What the config asked for in vain was not set, but for what no manifest keeps.
+    # A variable that the config names and the manifest lacks was not set, unless manifests never record it.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 
 
 def _recorded_variables(manifest: Manifest) -> dict[str, str]:
-    """Return the environment variables that a run has kept."""
     kept = manifest.data.get("environment_variables"), manifest.data.get("config_variables")
     return {name: value for known in kept for name, value in (known or {}).items()}
 
@@ -299,7 +295,7 @@ def _report(display: Display, source: RestoredSource, machine: list[FactDifferen
 
 @contextmanager
 def _workplace(keep: bool) -> Iterator[Path]:
-    """Yield a new folder; it is removed in the end, unless the source is to be kept and was used to the end."""
+    """Yield a new folder, and remove it in the end, except for the source of a successful replay with ``keep``."""
     with for_people(Path(tempfile.gettempdir())):
         folder = Path(tempfile.mkdtemp(prefix="wheelleg-replay-")).resolve()
     kept = False
@@ -314,7 +310,7 @@ def _workplace(keep: bool) -> Iterator[Path]:
 
 
 def _id(run: RunDirectory, manifest: Manifest) -> str:
-    """Return the run's id, which a copy may have lost from its folder's name."""
+    """Return the run's id from its manifest, because a copied folder can have another name."""
     return str(manifest.data.get("id") or run.id)
 
 
@@ -355,7 +351,7 @@ def _request(
 
 
 def _working_folder(manifest: Manifest, source: RestoredSource, workplace: Path) -> Path:
-    """Return the folder that the run was started in, restored; an empty one when it was no part of the source."""
+    """Return the restored working folder of the run; an empty folder if it was not part of the source."""
     now = source.now(str(manifest.data.get("working_directory") or "/"))
     return now if now.is_dir() and now.is_relative_to(workplace) else workplace / "here"
 
@@ -368,7 +364,7 @@ def _train(
     display: Display,
     stop: StopRequest,
 ) -> dict[str, Event]:
-    """Train in another process; return the last event of each kind."""
+    """Train in a child process; return the last event of each kind."""
     last: dict[str, Event] = {}
     try:
         with job_events(_child(request, source, environ, folder), stop) as events:
@@ -414,9 +410,6 @@ def _require_restored_code(package: Path, source: RestoredSource) -> None:
     expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
     if package.resolve() != expected:
         raise RunDirectoryError(f"the training imported '{package}'", expected=f"the restored '{expected}'")
-
-
-# --- after ---
 
 
 def _facts(event: Event) -> Event:

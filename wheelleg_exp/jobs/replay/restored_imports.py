@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# Where the package begins a training of a snapshot: now, and in the sources of older runs.
+# The modules that train from a snapshot: in this version, and in the sources of older runs.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
@@ -33,10 +33,10 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module; None leaves it to the others.
+        """Return the spec of a module; None for a module of another package.
 
         Raises:
-            ModuleNotFoundError: the module belongs to this package and is not in its restored folder.
+            ModuleNotFoundError: the module belongs to this package and is missing in its restored folder.
         """
         top = fullname.partition(".")[0]
         if top not in self._places:
@@ -48,7 +48,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Take the imports over and train."""
+    """Install the finder, and train."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

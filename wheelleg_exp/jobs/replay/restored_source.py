@@ -24,15 +24,15 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """One recorded source folder and where its content comes from now.
+    """One recorded source folder, and the present source of its content.
 
     Attributes:
         root: the recorded folder.
         how: ``restored`` (from commit and patch), ``installed`` (what is installed now), ``in place`` (the recorded
-            folder as it is now), or ``missing``.
+            folder, unchanged), or ``missing``.
         commit: the recorded commit.
-        tree: the restored tree's id.
-        origin: the repository that the commit was read from.
+        tree: the id of the restored tree.
+        origin: the repository from which the commit was read.
     """
 
     root: str
@@ -44,16 +44,16 @@ class RestoredTree:
 
 @dataclass
 class RestoredSource:
-    """All sources of a run, restored.
+    """All restored sources of a run.
 
     Attributes:
         trees: one for each recorded folder, the package's own first.
-        places: the folder in which each top-level package or module is found.
+        places: the folder of each top-level package or module.
         config_dirs: the user's config folders.
         projects: the user's projects.
-        source_roots: the folders, beside the package's own, whose source a new run keeps.
-        moved: the restored folder of each recorded one.
-        notes: what is not as it was, one line each.
+        source_roots: the folders of other packages whose source a new run keeps.
+        moved: the restored folder of each recorded folder.
+        notes: differences from the recorded state, one line each.
     """
 
     trees: list[RestoredTree] = field(default_factory=list)
@@ -65,7 +65,7 @@ class RestoredSource:
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
-        """Return where a recorded path is now: in a restored folder, or where it was."""
+        """Return the present path of a recorded path: in a restored folder, or unchanged."""
         found = [root for root in self.moved if Path(path).is_relative_to(root)]
         if not found:
             return Path(path)
@@ -84,7 +84,7 @@ def describe_code(run: RunDirectory) -> str:
         patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
         code = f"the code of commit {main['commit'][:12]}{patch}"
     elif main["patch"]:
-        code = f"the code that the run has kept ({main['patch_bytes']} bytes)"
+        code = f"the code that the run recorded ({main['patch_bytes']} bytes)"
     else:
         code = f"the installed {PACKAGE}"
     further = sum(1 for entry in others if entry["patch"])
@@ -93,16 +93,16 @@ def describe_code(run: RunDirectory) -> str:
 
 
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
-    """Restore every source that a run has kept below ``workplace``.
+    """Restore every source that a run recorded below ``workplace``.
 
     Args:
         run: the run.
         workplace: an existing folder.
-        repositories: clones to look for commits in, before the recorded folders and the current checkout.
+        repositories: clones to search for commits, before the recorded folders and the current checkout.
 
     Raises:
-        RunDirectoryError: the package's own source was not kept, its commit is in no repository, or its code is too
-            old to be trained by another process.
+        RunDirectoryError: the package's own source was not recorded, its commit is in no repository, or its code is too
+            old for a replay.
         SimulationFailure: the disk is full.
     """
     source = RestoredSource()
@@ -151,7 +151,7 @@ def _restore(
 
 
 def _destination(root: str, number: int, workplace: Path) -> Path:
-    """Return where a tree is restored: into a folder of its own with the recorded name."""
+    """Return a new folder for a tree, with the recorded name."""
     name = _UNSAFE.sub("_", Path(root).name).strip(".") or "source"
     folder = workplace / "source" / str(number)
     with for_people(folder):
@@ -170,7 +170,7 @@ def _require_entry(folder: Path, record: dict[str, Any]) -> None:
 
 
 def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
-    """Name the files and submodules that the run did not capture."""
+    """Note what the record left out."""
     for entry in record["refused"]:
         now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
@@ -180,7 +180,7 @@ def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> 
 
 
 def _register(folder: Path, source: RestoredSource) -> None:
-    """Let a restored folder or module be found: as a project, or as a package or module."""
+    """Register a restored folder or module: as a project, or as a package or module to import."""
     if folder.is_file():
         source.places.setdefault(folder.stem, folder.parent)
     elif read_project(folder) is not None:
@@ -202,14 +202,14 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
     package = configs_dir().parent
     if not is_installed(package) or content_digest(package) != record["content_sha256"]:
         source.notes.append(
-            f"the run was made by an installed {PACKAGE} whose files are not those of '{package}', which trains now"
+            f"the run was made by an installed {PACKAGE}; its files are not those of '{package}', which trains now"
         )
     source.trees.append(RestoredTree(record["root"], "installed"))
     source.places[PACKAGE] = Path(__file__).resolve().parents[3]
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use a source folder that the run did not capture as it is now, and note what may differ."""
+    """Use a folder that the run did not capture as it is now, and note what may differ."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest
@@ -221,7 +221,7 @@ def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
         return
     if status == "installed":
         name = record.get("distribution") or str(root)
-        source.notes.append(f"the run used the installed {name}; what is installed here is not known to be the same")
+        source.notes.append(f"the run used the installed {name}; the package installed here may differ")
     else:
         missing = f"no repository here contains commit {str(record['commit'])[:12]}; see --repository"
         reason = missing if record["patch"] else status
@@ -232,7 +232,6 @@ def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _recorded_config_dirs(run: RunDirectory) -> list[str]:
-    """Return the folders of the user's configs, as the run recorded them."""
     known = run.manifest().data.get("config_dirs")
     if known is not None:
         return [str(folder) for folder in known]

@@ -25,21 +25,25 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import load_params, upgrade_env_params
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
 
-# Of an observation group: what its vector's layout follows from, beside its terms.
+# Keys of an observation group that decide the layout of its vector, in addition to its terms.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
-_TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")  # of a term: what is another term, or another width
-_IGNORED_KEYS = ("noise",)  # of an observation term: what a policy may meet anew
+_TERM_KEYS = (
+    "_target_",
+    "history_length",
+    "flatten_history_dim",
+)  # keys that decide what a term computes, and its width
+_IGNORED_KEYS = ("noise",)  # keys of an observation term that a policy tolerates
 _MAX_SHOWN = 60
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How what a policy was trained with differs from what it is to begin with.
+    """How the settings with which a policy was trained differ from the new settings.
 
     Attributes:
-        mistakes: why it cannot begin there.
-        suspects: other joints, bodies or sensors of a term, which may or may not change its width.
-        notes: what keeps its place in the vectors and means something else; the suspects in words among them.
+        mistakes: differences that make the policy unusable.
+        suspects: other joints, bodies, or sensors of a term, which may change its width.
+        notes: in words, values that keep their place in a vector but mean something else; includes the suspects.
     """
 
     mistakes: list[ConfigError]
@@ -53,16 +57,16 @@ def fit(
     roles: Sequence[str],
     of: str,
 ) -> Fit:
-    """Hold the settings of a policy's training against those of another.
+    """Compare the settings with which a policy was trained with new settings.
 
-    Whether a changed parameter of a term changes its width, such as other joints, is told by the networks alone: it is
-    among the notes, which explain a network that does not fit.
+    Only the networks show whether a changed parameter, such as other joints, changes the width of a term. So these
+    changes are notes, which explain a network that does not fit.
 
     Args:
-        was: the ``env`` and ``agent`` sections that it was trained with, plain.
-        now: those that it is to begin with.
-        roles: which networks are taken over, of ``actor`` and ``critic``.
-        of: whose policy it is, for the messages.
+        was: the ``env`` and ``agent`` sections of the policy's training, plain.
+        now: the new ``env`` and ``agent`` sections.
+        roles: the networks that are taken over, of ``actor`` and ``critic``.
+        of: the name of the policy's run, for messages.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -151,7 +155,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# What is taken over, by the value of `init_from_what`: parts of a checkpoint.
+# The parts of a checkpoint that are taken over, by the value of `init_from_what`.
 PARTS = {
     "networks": ("actor", "critic"),
     "policy": ("actor",),
@@ -161,7 +165,7 @@ PARTS = {
 
 @dataclass(frozen=True)
 class _Source:
-    """The checkpoint that a training begins with, and the run that it is of; a file alone has none."""
+    """The checkpoint with which a training starts, and its run; a file alone has none."""
 
     path: Path
     run: RunDirectory | None
@@ -175,17 +179,17 @@ class _Source:
 def initial_file(
     config: Mapping[str, Any], note: Callable[[str], None]
 ) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield the file of what a training begins with by its name beside the robot, and whose it is; both may be empty.
+    """Yield the file of the initial networks by its saved name, and facts about its run; empty without ``init_from``.
 
-    The file does not say whose it is: the same networks of two runs are one file.
+    The file does not name its run, because the same networks of two runs are one file.
 
     Args:
         config: the composed tree, plain.
-        note: is told what the policy reads otherwise than it was trained to.
+        note: receives what the policy will read differently than in its training.
 
     Raises:
-        ConfigError: there is no such run or checkpoint, it is damaged, or it does not fit the observations, actions
-            and networks of the config; it names those that do not.
+        ConfigError: the run or checkpoint is missing or damaged, or does not fit the observations, actions, and
+            networks of the config; the message names what does not fit.
     """
     if config.get(KEY) is None:
         yield {}, {}
@@ -202,24 +206,24 @@ def initial_file(
 
 
 def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
-    """Return what a training begins with, as it lies beside its robot; None where it begins from nothing.
+    """Return the initial networks that are saved beside the robot; None without ``init_from``.
 
     Raises:
-        RunDirectoryError: the config names a run, and nothing is kept of it.
+        RunDirectoryError: the config names a run, and no networks are saved.
     """
     if config.get(KEY) is None:
         return None
     path = asset.output.parent / INITIAL
     if not path.is_file():
         raise RunDirectoryError(
-            f"is missing: the training began with the policy of '{config[KEY]}'",
+            f"is missing: the training started with the policy of '{config[KEY]}'",
             key=str(path),
-            expected="the networks that the run has kept; without them it cannot be trained again from its beginning",
+            expected="the saved networks; without them the run cannot be trained again from its start",
         )
     state = checkpoint.load(path)
     facts = state.get("init_from")
     if not isinstance(facts, Mapping):
-        raise RunDirectoryError("does not say whose it is", key=str(path), expected="the file that the run has kept")
+        raise RunDirectoryError("does not name its source", key=str(path), expected="the file that the run saved")
     parts = [str(part) for part in facts.get("parts") or ()]
     return Initial(
         state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
@@ -227,17 +231,17 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
 
 
 def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a checkpoint that is taken over, in the form of a checkpoint, and where it is from."""
+    """Return the selected parts of a checkpoint in the form of a checkpoint, with facts about their origin."""
     what = _parts_name(config)
     parts = PARTS[what]
     if "actor" not in config["agent"]:
-        raise ConfigError("a student learns from its teacher alone", key=KEY, expected="null, or another agent")
+        raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
     absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
     if absent:
         raise ConfigError(
-            f"'{source.label}' has no {absent[0]} to begin with",
+            f"'{source.label}' has no {absent[0]} to start with",
             key=WHAT,
-            expected="policy, which takes the actor alone",
+            expected="policy, which needs only the actor",
         )
     facts = {
         "checkpoint": source.path.name,
@@ -246,7 +250,7 @@ def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[st
         "what": what,
         "parts": list(parts),
     }
-    # A checkpoint has two networks; of the one that is not taken over nothing is read.
+    # A checkpoint must have two networks; the unused one stays empty.
     networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
     networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
     return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
@@ -265,7 +269,9 @@ def _find(named: str, root: str) -> _Source:
     path = Path(named)
     if not path.is_file():
         if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
-            RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))  # tells the nearest there is
+            RunDirectory.open(path.parent, root).checkpoint(
+                checkpoint_iteration(path)
+            )  # the error names the nearest one
         run = RunDirectory.open(named, root)
         return _require_recorded(_Source(run.latest_checkpoint(), run))
     folder = path.resolve().parent
@@ -274,7 +280,7 @@ def _find(named: str, root: str) -> _Source:
 
 
 def _require_recorded(source: _Source) -> _Source:
-    """Refuse a checkpoint that is not what its run has recorded."""
+    """Refuse a checkpoint that differs from what its run recorded."""
     if source.run is not None and not source.run.manifest().vouches_for(source.path):
         raise RunDirectoryError(
             "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
@@ -286,7 +292,7 @@ def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], n
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # a student's networks go by other names
+    if "actor" not in agent:  # the networks of a student have other names
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -308,10 +314,10 @@ _TEACHER_KEY = "agent.teacher_checkpoint"
 
 
 def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
-    """Return the file of the teacher's checkpoint by its name beside the robot; nothing where none is named.
+    """Return the teacher's checkpoint file by its name beside the robot; empty if the config names no teacher.
 
     Raises:
-        ConfigError: there is no such run or checkpoint, or it is damaged.
+        ConfigError: the run or checkpoint is missing or damaged.
     """
     named = config["agent"].get("teacher_checkpoint")
     if named is None:
@@ -328,6 +334,6 @@ def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
 
 
 def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
-    """Return the teacher's checkpoint that lies beside a robot; None where none does."""
+    """Return the teacher's checkpoint that is saved beside a robot, or None."""
     path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

@@ -33,15 +33,15 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
 from wheelleg_exp.verify.run_differences import decides
 
-# What the saved state was made with, and why it must stay.
+# Settings on which the saved state depends, and why they must stay.
 _FIXED: dict[Keys, str] = {
-    ("seed",): "the random streams go on where they stood",
-    ("task",): "the run is a run of its task",
-    ("init_from",): "the run has begun from where it has begun",
-    ("init_from_what",): "the run has begun from where it has begun",
-    ("run",): "the run directory stands where it stands",
+    ("seed",): "the random streams continue from their saved state",
+    ("task",): "the run belongs to its task",
+    ("init_from",): "the run started with these networks",
+    ("init_from_what",): "the run started with these networks",
+    ("run",): "the run directory exists already",
     ("env", "num_envs"): "the saved state has a row for each environment",
-    ("env", "decimation"): "it is the clock of all that is saved",
+    ("env", "decimation"): "all saved times count in its steps",
     ("env", "sim"): "it is part of the simulated model",
     ("env", "scene"): "it is part of the simulated model",
     ("env", "robot"): "the saved state is that of the run's robot",
@@ -50,45 +50,44 @@ _FIXED: dict[Keys, str] = {
     ("agent", "critic"): "the checkpoint holds networks of this shape",
     ("agent", "student"): "the checkpoint holds networks of this shape",
     ("agent", "teacher"): "the checkpoint holds networks of this shape",
-    ("agent", "teacher_checkpoint"): "the run's teacher stays who it is",
+    ("agent", "teacher_checkpoint"): "the run learns from one teacher",
     ("agent", "obs_groups"): "the checkpoint holds networks of this shape",
     ("agent", "algorithm", "class_name"): "the checkpoint holds this algorithm's state",
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
-_CHANGEABLE = (("env", "sim", "graph_step"),)  # below what is fixed, and yet no part of it
-_NEW_KEYS = ("init_from", "init_from_what")  # keys that the configs of earlier runs lack
-# Of an observation term or group, what may change without changing the width or the meaning of the vector.
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # exceptions from the fixed settings
+_NEW_KEYS = ("init_from", "init_from_what")  # keys that are missing in the configs of earlier runs
+# Keys of an observation term or group that change neither the width nor the meaning of the vector.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 
 def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return a run's composed tree from its snapshot alone.
+    """Return a run's composed tree from its snapshot.
 
     Args:
         run: the run.
-        variables: environment variables that its config named, as they were.
+        variables: the environment variables that its config named, with their recorded values.
 
     Raises:
-        RunDirectoryError: a part of the snapshot is missing or damaged, or asks for another variable.
+        RunDirectoryError: a part of the snapshot is missing or damaged, or names another variable.
     """
     env, agent = load_params(run)
     tree = recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
         if not isinstance(tree[key], kind):
             raise RunDirectoryError(
-                f"its '{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
+                f"'{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
             )
     earlier = {key: value for key, value in tree.items() if value is not None or key not in _NEW_KEYS}
     return {**earlier, "env": upgrade_env_params(env), "agent": agent}
 
 
 def change_settings(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Return the tree with overrides applied, and what they change in it.
+    """Return the tree with overrides applied, and the changes.
 
     Raises:
-        ConfigError: an override cannot be read, is wrong, or changes what must stay while a run goes on; or the run's
-            own settings are wrong.
+        ConfigError: an override is wrong or changes a setting that must stay; or the run's own settings are wrong.
     """
     tree = apply_overrides(kept, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
@@ -111,7 +110,7 @@ def _begins(keys: Keys, prefix: Keys) -> bool:
 
 
 def change_entry(change: Change) -> dict[str, Any]:
-    """Return what the manifest records of a change: None where the key was or is absent."""
+    """Return the manifest's entry of a change; None stands for an absent key."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "was": was, "now": now}
 
@@ -138,9 +137,9 @@ def _require_same_terms(change: Change, kept: Mapping[str, Any], now: Any) -> No
 
 def _refusal(change: Change, why: str) -> ConfigError:
     return ConfigError(
-        f"cannot change while a run goes on: {why}",
+        f"cannot change in a resume: {why}",
         key=change.key,
-        expected="the run's own value; a new run may have another",
+        expected="the run's own value; a new run can have another",
     )
 
 
@@ -150,7 +149,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the files of the snapshot that the changes rewrite, by relative name: what is in force stands there."""
+    """Return the files of the snapshot with the changed settings, by relative name."""
     if not found:
         return {}
     config = load_config(run)
@@ -165,7 +164,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write a change into the config as it was written; what was one interpolation is written out."""
+    """Write a change into the config as it was written; an interpolation above the key is replaced by its value."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -181,7 +180,7 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of the run and of the resume; of two for one key the later stands, in the first's place."""
+    """Return the overrides of the run and of the resume; of two for one key, the later takes the first's place."""
     joined = {_key(word): word for word in words}
     return list({**joined, **{_key(word): word for word in overrides}}.values())
 
@@ -189,6 +188,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # what was recorded may be anything
+    except (HydraException, RecursionError):  # a recorded word can be anything
         return word
     return f"{override.key_or_group}@{override.package or ''}"

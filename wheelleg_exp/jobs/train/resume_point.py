@@ -29,13 +29,13 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The end of the last iteration that is known entirely.
+    """The end of the last iteration whose state is saved completely.
 
     Attributes:
-        iteration: the first iteration that is to be computed.
-        checkpoint: the checkpoint of the one before; None at the beginning of the run.
-        state: its content.
-        lines: the whole lines of the log, those past the checkpoint included.
+        iteration: the first iteration to compute.
+        checkpoint: the checkpoint of the iteration before; None at the start of the run.
+        state: the content of the checkpoint.
+        lines: all whole lines of the log, including those past the checkpoint.
         damaged: newer checkpoints that cannot be used, each with the reason.
     """
 
@@ -52,13 +52,13 @@ class ResumePoint:
 
     @property
     def dropped(self) -> dict[int, Mapping[str, str]]:
-        """Digests of the iterations past the checkpoint, which are computed again."""
+        """Digests of the iterations past the checkpoint, which are computed a second time."""
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
     @property
     def log_size(self) -> int:
-        """Bytes of the log that stay."""
+        """The size of the log up to the checkpoint, bytes."""
         return self.lines[self.iteration - 1].end if self.iteration else 0
 
 
@@ -66,8 +66,8 @@ def find_point(run: RunDirectory) -> ResumePoint:
     """Find the last whole checkpoint of a run.
 
     Raises:
-        RunDirectoryError: the log does not reach that far, or tells of another state; or the checkpoint is of a
-            version that cannot be resumed.
+        RunDirectoryError: the log ends before the checkpoint or has other digests; or the checkpoint has a version that
+            cannot be resumed.
     """
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
@@ -84,25 +84,25 @@ def find_point(run: RunDirectory) -> ResumePoint:
         wrong = _wrong_digests(point)
         if not wrong:
             return point
-        damaged[path] = f"{_differ_phrase(wrong)} from the digests that iteration {point.iteration - 1} left"
+        damaged[path] = f"{_differ_phrase(wrong)} from the logged digests of iteration {point.iteration - 1}"
         foreign = foreign or RunDirectoryError(
-            f"no checkpoint is of the training that {run.iterations.name} tells of: {damaged[path]}",
+            f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}",
             key=str(path),
             expected="the run's own checkpoints and log",
         )
-    if foreign is not None:  # beginning anew would throw away what may be right
+    if foreign is not None:  # a start from scratch would discard a possibly good training
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return what is wrong with the files that a resume goes on with; what it makes anew does not count."""
+    """Return the damage of files that a resume continues; files that it rewrites do not count."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a file is as it was behind a resume from the iteration ``start``, at least where it begins."""
+    """Return whether a resume from the iteration ``start`` leaves a file, or at least its beginning, unchanged."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
@@ -110,7 +110,7 @@ def _lasts(name: str, start: int) -> bool:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    state = checkpoint.load(path, finite=False)  # training itself stops at numbers that are not finite
+    state = checkpoint.load(path, finite=False)  # training itself checks that numbers are finite
     if state["iter"] != checkpoint_iteration(path):
         raise RunDirectoryError(f"holds iteration {state['iter']}", key=str(path))
     return state
@@ -120,8 +120,8 @@ def _require_line(run: RunDirectory, point: ResumePoint) -> None:
     if len(point.lines) < point.iteration:
         assert point.checkpoint is not None
         raise RunDirectoryError(
-            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} is "
-            "there, so the log would have a gap",
+            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
+            "exists, so the log would have a gap",
             key=str(run.iterations),
             expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
             f"model_{len(point.lines)}.pt on, to go on from before",
@@ -129,7 +129,7 @@ def _require_line(run: RunDirectory, point: ResumePoint) -> None:
 
 
 def _wrong_digests(point: ResumePoint) -> list[str]:
-    """Return which digests of the checkpoint are not those in the log; a flipped byte does not show in the file."""
+    """Return the digests of the checkpoint that differ from the log; loading does not notice a flipped byte."""
     line = point.lines[point.iteration - 1].content
     if line.get("digest_format") != digests.FORMAT or point.state is None:
         return []
@@ -146,9 +146,9 @@ _DAMAGED = ".damaged"
 
 
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
-    """Drop from the run's files what stands past the checkpoint, and what a kill left unfinished.
+    """Drop what the run's files hold past the checkpoint, and what a kill left unfinished.
 
-    Without ``events`` the run writes none, and those of earlier days stay as they are.
+    Without ``events`` the run writes no event files, and older ones stay unchanged.
     """
     for path in point.damaged:
         with for_people(path):
@@ -160,7 +160,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
         _remove_exported(run.exported)
-        (run.path / FAILURE).unlink(missing_ok=True)  # what it says stands in the manifest
+        (run.path / FAILURE).unlink(missing_ok=True)  # the manifest holds the same facts
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.log_size)
@@ -169,11 +169,11 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
 
 
 def _remove_exported(folder: Path) -> None:
-    """Remove the policy's files, which would tell of one that is trained further; bundles say whose they are."""
+    """Remove the exported policy, which training changes; bundles stay, because they name their checkpoint."""
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.is_file():
             path.unlink()
-        elif path in temporaries(folder):  # of an export that was killed
+        elif path in temporaries(folder):  # left by a killed export
             shutil.rmtree(path)
 
 

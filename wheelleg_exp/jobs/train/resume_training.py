@@ -37,12 +37,12 @@ from wheelleg_exp.verify.run_differences import decides
 
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
-    """Return what a training that goes on is made from.
+    """Return the inputs of a training that is resumed.
 
     Args:
         run: the run.
-        tree: its config, with the changes of the resume.
-        text: the same as it is kept.
+        tree: its config with the changes of the resume.
+        text: the same config as the text of ``config.yaml``.
         folders: the user's config folders.
     """
     return Recipe(
@@ -56,12 +56,12 @@ def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: S
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
-    """Give a training the state of a checkpoint; return what of it is not what was saved, in words.
+    """Load the state of a checkpoint into a training; return in words what differs from the saved state.
 
     Args:
-        trainer: of the same networks and environment; of several processes it takes its own part.
-        state: the checkpoint's tree.
-        learning_rate: what the resume has changed it to, which acts in place of the checkpoint's.
+        trainer: with the same networks and environment; each rank loads its own part.
+        state: the content of the checkpoint.
+        learning_rate: the changed learning rate, which replaces the checkpoint's; None keeps it.
     """
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
@@ -70,20 +70,20 @@ def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float 
     wanted = digests.of_state(own if trainer.average.is_on else policy_average.without_average(own))
     found = digests.of_state(trainer.state_dict())
     lost = [name for name in wanted if wanted[name] != found.get(name)]
-    return [f"the {', '.join(lost)} after loading are not what was saved"] if lost else []
+    return [f"after loading, {', '.join(lost)} differ from the saved state"] if lost else []
 
 
 def learning_rate_of(changes: Sequence[Change]) -> float | None:
-    """Return the learning rate that a resume sets; None where it changes none."""
+    """Return the learning rate that a resume sets, or None."""
     found = [change.b for change in changes if change.keys == ("agent", "algorithm", "learning_rate")]
     return float(found[-1]) if found else None
 
 
 def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
-    """Refuse to go on with another number of processes: environments and random streams belong to each of them.
+    """Refuse a resume with another number of ranks, because each rank has its own environments and random streams.
 
     Raises:
-        RunDirectoryError: the run was trained by more processes, or by fewer.
+        RunDirectoryError: the run was trained by more ranks, or by fewer.
     """
     trained = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if trained == ranks.size:
@@ -105,7 +105,7 @@ def broadcast_resume(
     point: ResumePoint,
     learning_rate: float | None,
 ) -> None:
-    """Tell the other processes what they go on with (``follow``)."""
+    """Send the other ranks what they need for ``prepare_other_rank``."""
     ranks.said_by_first(
         {
             "run": str(run.path),
@@ -118,10 +118,10 @@ def broadcast_resume(
 
 
 def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
-    """Do what ``resume.prepare`` does in the first process, and return the training and its ``agent`` section.
+    """Prepare a resume in a rank above 0, as ``prepare_resume`` does in rank 0; return the trainer and ``agent``.
 
     Raises:
-        WheellegError: the first process says why it cannot go on.
+        WheellegError: rank 0 reports why it cannot resume.
     """
     with ranks.agreed():
         pass  # the first one reads the run
@@ -150,21 +150,19 @@ def prepare_resume(
     config_dirs: Sequence[Path] = (),
     ranks: Ranks = ALONE,
 ) -> Training:
-    """Bring a run back to its last whole checkpoint, ready for ``training.run``.
-
-    The run's lock is taken here, and given back by ``training.run``.
+    """Restore a run to its last whole checkpoint, ready for ``run_training.run``, which releases the run's lock.
 
     Args:
         run: the run.
         overrides: changes to its settings from here on.
         command: the command line, for the manifest.
         display: receives progress.
-        config_dirs: the user's config folders; those that the run was made with where none are given.
-        ranks: the processes that go on with it; the others do what ``follow`` says.
+        config_dirs: the user's config folders; if empty, the recorded ones.
+        ranks: all ranks of the training; those above 0 call ``prepare_other_rank``.
 
     Raises:
-        WheellegError: the run is being written, is damaged or finished, or an override is wrong. Nothing of the run
-            has changed then.
+        WheellegError: another process writes the run, the run is damaged or finished, or an override is wrong. Nothing
+            of the run has changed in this case.
     """
     lock = RunLock(run)
     try:
@@ -204,7 +202,7 @@ def _prepare(
         broadcast_resume(ranks, run, tree, recorded, point, learning_rate_of(changes))
     with _naming_unused_folders(others), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    if not manifest.data["source"]:  # killed before the first step, while its source was being kept
+    if not manifest.data["source"]:  # killed before the first step, while its source was recorded
         roots = [configs_dir().parent, *folders]
         complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
     with ranks.agreed():
@@ -237,11 +235,11 @@ def _prepare(
     return Training(recipe, trainer, run, manifest, lock, point.kept, proof)
 
 
-# --- what must be so ---
+# --- requirements ---
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Refuse a run whose process lives; the lock tells that already where the file system knows locks."""
+    """Refuse a run whose process is alive; on file systems with locks, the lock refuses it before."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
@@ -255,31 +253,31 @@ def _require_ended(manifest: Manifest, display: Display) -> None:
     if alive is None:
         display.note(
             f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
-            "it is taken for dead"
+            "it is treated as dead"
         )
 
 
 def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Refuse a snapshot that is not whole, or not what the run was started with."""
+    """Refuse a snapshot that is incomplete or changed."""
     recorded = manifest.data["files"]
     for name in NEEDED:
         path = run.path / name
         if not path.is_file():
             raise RunDirectoryError(
-                "is missing: the run ended before its snapshot was whole, or the file was removed",
+                "is missing: the run ended before its snapshot was complete, or somebody removed the file",
                 key=str(path),
-                expected="the snapshot that every run begins with; without it, train again",
+                expected="the snapshot of the run; without it, train again",
             )
         if name in recorded and sha256(path) != recorded[name]["sha256"]:
             raise RunDirectoryError(
-                "was changed since the run began",
+                "was changed after the run started",
                 key=str(path),
-                expected="the file as it was; settings change by overrides, 'wheelleg resume RUN key=value'",
+                expected="the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'",
             )
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:
-    """Return the config folders that the command line names, for a run that was killed before they were recorded."""
+    """Return the config folders of the command line, for a run that was killed before it recorded them."""
     words = [str(word) for word in manifest.data.get("command") or ()]
     named = [after for word, after in pairwise(words) if word == "--config-dir"]
     named += [word.partition("=")[2] for word in words if word.startswith("--config-dir=")]
@@ -300,7 +298,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Let errors about targets that are not found name the recorded config folders that are not used, and why."""
+    """Add the recorded config folders that are not used, and the reason, to errors about unknown targets."""
     try:
         yield
     except ConfigError as error:
@@ -318,11 +316,11 @@ def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
 
 
 def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
-    """Load the checkpoint; return why what follows is not exactly what would have followed."""
+    """Load the checkpoint; return why the continuation may differ from a run that never stopped."""
     deciding = [change_entry(change) for change in changes if decides(change.keys)]
     if trainer.env.env.scene.model_digest() != saved_model_digest(run):
         raise RunDirectoryError(
-            "the robot compiles to another model than the run's, so that its state means something else",
+            "the robot compiles to another model than the run's, which does not fit its state",
             key=str(run.asset),
             expected="the MuJoCo version that the run was made with (environment.txt)",
         )
@@ -333,13 +331,13 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
     return why if deciding else [*why, *lost]
 
 
-# --- telling ---
+# --- reporting ---
 
 
 def _recomputed_check(manifest: Manifest, point: ResumePoint, display: Display) -> RecomputedCheck:
     def differs(iteration: int, names: list[str]) -> None:
-        reason = f"iteration {iteration} is not what it was before the stop: {', '.join(names)} differ"
-        display.note(f"warning: {reason}; some state of the run is in no checkpoint")
+        reason = f"iteration {iteration} differs from the iteration before the stop: {', '.join(names)} differ"
+        display.note(f"warning: {reason}; the checkpoint lacks some state of the run")
         manifest.amend_resume(exact=False, why=[reason])
 
     def holds(first: int, last: int) -> None:
@@ -351,11 +349,11 @@ def _recomputed_check(manifest: Manifest, point: ResumePoint, display: Display) 
 def _report(display: Display, point: ResumePoint, why: Sequence[str], notes: Sequence[str]) -> None:
     for note in notes:
         display.note(note if note.startswith("warning") else f"note: {note}")
-    where = "the beginning" if point.checkpoint is None else point.checkpoint.name
+    where = "the start" if point.checkpoint is None else point.checkpoint.name
     display.note(f"resuming from {where}, iteration {point.iteration}")
     if point.dropped:
-        display.note(f"{len(point.dropped)} later iterations are computed again and held against the log")
+        display.note(f"{len(point.dropped)} later iterations are computed again and compared with the log")
     if why:
-        display.note("not exact: what follows may differ from a run that was never stopped")
+        display.note("not exact: the numbers may differ from a run that never stopped")
         for reason in why:
             display.note(f"  {reason}")

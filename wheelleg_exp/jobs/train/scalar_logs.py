@@ -40,10 +40,10 @@ def event_files(folder: Path) -> list[Path]:
 
 
 def open_events(folder: Path) -> SummaryWriter:
-    """Return the writer of a new event file, which TensorBoard reads after those that are there.
+    """Return the writer of a new event file that TensorBoard reads after the existing ones.
 
-    It reads them by name: the second in which one was begun, then process and number as text. So two never begin in
-    one second.
+    TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
+    text. So two files must not start in the same second.
     """
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
@@ -52,13 +52,13 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Let the event files hold the scalars of ``lines`` and nothing else.
+    """Cut the event files so that they hold the scalars of ``lines`` and nothing else.
 
-    What stands past them is dropped. Files that lack some of them, as after a loss of data, are written anew.
+    Files that lack scalars, for example after a loss of data, are written from scratch.
 
     Args:
         folder: the run directory.
-        lines: the iterations that stay, as the log of iterations has them.
+        lines: the remaining iterations, as the log of iterations has them.
 
     Raises:
         SimulationFailure: the disk is full.
@@ -138,7 +138,7 @@ def require_wandb(logger: str | None) -> None:
     """Refuse a logger whose package is not installed.
 
     Raises:
-        ConfigError: with how to install it.
+        ConfigError: with the command that installs the package.
     """
     if logger == _WANDB and find_spec(_WANDB) is None:
         raise ConfigError(

@@ -32,11 +32,11 @@ _CALLS = ("_target_", "class_name")
 
 
 def source_roots(composed: Composed) -> list[Path]:
-    """Return the folders whose source a config's training depends on, this package's own first.
+    """Return the folders whose source a training depends on, this package's own first.
 
-    Beside it: each project of the user's as a whole (packages and assets, not its configs alone), every other folder of
-    Hydra's search path, and the packages that the config calls. The folder of the robot's file is none of them: a run
-    keeps the robot itself, and the digests of the files that it was made of.
+    The others are the user's projects (packages, assets, and configs), the other folders of Hydra's search path, and
+    the packages that the config calls. The folder of the robot's file is not included, because a run saves the robot
+    itself and the digests of its source files.
     """
     roots = [configs_dir().parent, *(_project_or_folder(folder) for folder in _config_folders(composed))]
     roots += [root for name in _packages_called(composed.config) if (root := _package_root(name)) is not None]
@@ -49,9 +49,9 @@ def installed_roots() -> list[Path]:
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the packages and modules imported from anywhere but the roots, the standard library and environments.
+    """Return the imported packages and modules outside the roots, the standard library, and environments.
 
-    They came by ``PYTHONPATH``, the working folder or a path file, and have had their part in what was built.
+    They came from ``PYTHONPATH``, the working folder, or a path file, and may have changed what was built.
     """
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
@@ -151,20 +151,20 @@ def shorten(value: Any) -> str:
 
 
 def require_variables(run: RunDirectory, variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the config that a replay trains with; it runs the run's own code in this environment, and may ask it.
+    """Return the config with which a replay trains.
 
     Args:
         run: the run.
-        variables: those that the run has kept; others are taken from this process.
+        variables: the recorded variables; others come from this process.
 
     Raises:
-        RunDirectoryError: it asks for a variable that was not kept and is not set, or cannot be resolved.
+        RunDirectoryError: the config names a variable that is neither recorded nor set, or cannot be resolved.
     """
     return recorded_config(run, {**os.environ, **variables})
 
 
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
-    """Return in what source, versions, hardware, threads and variables this process differs from a run's.
+    """Return how source, versions, hardware, threads, and variables of this process differ from a run's.
 
     Differences that cannot change a number are left out.
 
@@ -203,7 +203,7 @@ def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what identifies the files of a recorded repository or folder."""
+    """Return the name and value that identify the files of a recorded repository or folder."""
     if not record:
         return "(not kept)", ""
     key = "tree" if record["tree"] else "content_sha256"
@@ -213,7 +213,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders.
 
-    Other recorded folders count only if they are trusted or this process uses them: installed, or imported by now.
+    Other recorded folders count only if they are trusted, installed, or imported by this process.
     """
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     content = load_source(run)

@@ -29,19 +29,19 @@ from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 class Outputs:
     """The growing files of a run; readable at any moment, closed on exit.
 
-    A checkpoint is written after all that tells of its iterations is on the disk: the logs of a run that broke off,
-    by a power cut even, reach at least as far as its last checkpoint.
+    A checkpoint is written after the logs of its iterations are on the disk. So the logs of a run that was killed, even
+    by a power failure, reach at least to its last checkpoint.
 
     Args:
         directory: the run directory.
-        trainer: the training, at the iteration from which it goes on.
+        trainer: the training, at its first iteration.
         options: what is recorded.
-        documents: texts that go into the recording, by name.
-        events: whether TensorBoard's event files are written.
-        wandb: what sends the scalars elsewhere as well, or None.
+        documents: texts for the recording, by name.
+        events: whether to write TensorBoard's event files.
+        wandb: the log of Weights & Biases, or None.
 
     Attributes:
-        parted: the first iteration after which processes that train together had not the same networks, or None.
+        parted: the first iteration after which the networks of the ranks differed, or None.
     """
 
     def __init__(
@@ -105,40 +105,43 @@ class Outputs:
 
     @property
     def note(self) -> str | None:
-        """What became of an earlier recording that could not be gone on with."""
+        """Why an earlier recording could not be continued; None if it was."""
         return None if self._recording is None else self._recording.note
 
     @property
     def unfinished(self) -> str | None:
-        """Why the recording was not put together when it was closed, for want of room or of rerun's program."""
+        """Why the recording was not assembled when it was closed: no room, or no rerun program."""
         return None if self._recording is None else self._recording.unfinished
 
     @property
     def sent_to(self) -> str | None:
-        """Where the scalars go besides; None when they stay in the run directory."""
+        """Where the scalars are sent; None if they stay in the run directory."""
         return None if self._wandb is None else self._wandb.place
 
     @property
     def unfilmed(self) -> str | None:
-        """Why films are missing; None when none are."""
+        """Why films are missing; None if none are."""
         return None if self._films is None else self._films.ended
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
-        """Write one iteration's scalars and digests; return the digests.
-
-        The next recorded episode begins here when it is due.
+        """Write the scalars and digests of one iteration, and start the next recorded episode if it is due.
 
         Args:
-            iteration: what it came to.
-            due: whether its checkpoint follows, were training not stopped.
+            iteration: the iteration.
+            due: whether its checkpoint is due even if training is not stopped.
+
+        Returns:
+            The digests.
 
         Raises:
-            RunDirectoryError: the run directory is not there any more.
+            RunDirectoryError: the run directory was removed.
         """
-        if not self._directory.iterations.exists():  # a checkpoint would make the folder anew, and nothing else in it
+        if (
+            not self._directory.iterations.exists()
+        ):  # a checkpoint would create the folder again, with nothing else in it
             raise RunDirectoryError(
                 f"'{self._directory.path}' was removed while it was written",
-                expected="a folder that stays until the end",
+                expected="a folder that exists until the end",
             )
         if self._tensorboard is not None:
             for key, value in iteration.scalars.items():
@@ -167,7 +170,7 @@ class Outputs:
         return found
 
     def checkpoint(self, iteration: int) -> str:
-        """Write ``model_<iteration>.pt`` of the iteration that was written last, and return its name."""
+        """Write ``model_<iteration>.pt`` of the last written iteration, and return its name."""
         if self._recording is not None:
             self._recording.flush()
         for path in (self._directory.iterations, self._directory.recording, *event_files(self._directory.path)):
@@ -179,7 +182,7 @@ class Outputs:
         return name
 
     def last_checkpoint(self) -> str | None:
-        """Write the checkpoint of the iteration that was written last, unless it is there; None before the first."""
+        """Write the checkpoint of the last written iteration if it is missing; None before the first iteration."""
         if self._last is None:
             return None
         name = f"model_{self._last}.pt"
@@ -187,21 +190,21 @@ class Outputs:
 
 
 def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
-    """Return whether an iteration has a checkpoint whether training is stopped or not: every so many, and the last."""
+    """Return whether an iteration always has a checkpoint: every ``save_interval`` iterations, and the last one."""
     return iteration + 1 == int(agent["max_iterations"]) or iteration % int(agent["save_interval"]) == 0
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return of an iteration's state what is digested.
+    """Return the part of an iteration's state to digest.
 
-    All where a checkpoint is due or the engine repeats to the bit, and else the networks, which all processes share and
-    each checkpoint has: to hash what will not be met again takes longer than a GPU takes to learn from it.
+    All of it if a checkpoint is due or the engine is bitwise reproducible. Else only the networks: hashing the
+    remaining state, which no later run can reproduce, takes longer than a GPU takes for an iteration.
     """
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the scalars that tell how training ended, for the manifest."""
+    """Return the scalars that describe the end of a training, for the manifest."""
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}
@@ -210,7 +213,7 @@ def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
 def save_failure(
     directory: RunDirectory, manifest: Manifest, error: SimulationFailure, iteration: int, env: ManagerBasedRLEnv
 ) -> None:
-    """Write what a training failed with: arrays by name, and ``about``, a text in JSON that says what they are."""
+    """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes them."""
     entry: dict[str, Any] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
     names = {
         "joints": env.scene.robot.joint_names,

@@ -22,25 +22,25 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.state.tensor_trees import host_copy
 
 _FILM_SIZE_PX = (640, 360)
-_MAX_FPS = 30.0  # at most; a picture is of a control step
+_MAX_FPS = 30.0  # upper bound; each picture shows a control step
 _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 
 
 class Films:
-    """Films the first of the recorded environments, from entering to leaving; nothing of the training changes.
+    """Films the first of the recorded environments while entered; the training itself does not change.
 
-    With every ``video_every``-th iteration a film begins. It ends with the iteration in which it has ``steps`` control
-    steps, before the next one, or with the training. Positions are kept in memory meanwhile, and drawn between two
-    iterations. What fails then ends the filming and not the training.
+    A film starts with every ``video_every``-th iteration. It ends with the iteration in which it has ``steps`` control
+    steps, before the next film, or with the training. Positions stay in memory and are drawn between two iterations. An
+    error while drawing stops the filming, not the training.
 
     Args:
-        folder: where ``iteration_<n>.mp4`` appear, by the iteration with which they begin.
+        folder: receives ``iteration_<n>.mp4``, named by the first iteration of the film.
         env: the environment.
         options: ``video_every``, ``steps`` and ``env_ids`` are read.
-        start_iteration: the first iteration that is still to come.
+        start_iteration: the next iteration.
 
     Attributes:
-        ended: why no more films are made; None as long as they are.
+        ended: why filming stopped, or None.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -63,7 +63,7 @@ class Films:
         self._finish()
 
     def write(self, iteration: int) -> None:
-        """Draw the film when ``iteration``, which is over, was its last; begin the next one when it is due."""
+        """Draw the film if ``iteration`` was its last one, and start the next film if it is due."""
         if len(self._positions) >= self._steps or (iteration + 1) % self._every == 0:
             self._finish()
         self._begin(iteration + 1)
@@ -81,7 +81,7 @@ class Films:
         self._positions, self._begun = [], None
         if begun is None or not shown:
             return
-        from av.error import FFmpegError  # the encoder takes its time to import, and few trainings are filmed
+        from av.error import FFmpegError  # importing the encoder is slow, and few trainings are filmed
 
         pictures = _pictures(self._env)
         try:
@@ -94,10 +94,10 @@ class Films:
 
 
 def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
-    """Draw a picture where films are asked for, so that a machine that cannot says so before the training.
+    """Draw one picture if films are requested, so that a machine without graphics fails before the training.
 
     Raises:
-        NoGraphics: nothing can be drawn here; the message says what to install.
+        NoGraphics: this machine cannot draw; the message says what to install.
     """
     if not options.video_every:
         return
@@ -112,7 +112,7 @@ def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
 
 
 def films_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the films that begin with ``iteration`` or later."""
+    """Return the films that start with ``iteration`` or later."""
     found = ((path, _FILM_NAME.fullmatch(path.name)) for path in folder.glob("*.mp4"))
     return [path for path, match in found if match and int(match[1]) >= iteration]
 
