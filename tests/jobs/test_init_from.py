@@ -128,7 +128,7 @@ def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
     said = wheelleg("replay", begun.path, "--root", tmp_path / "runs")
     assert said.status == 0, said.err
     assert "identical" in said.out
-    assert "kept MJCF" not in said.err  # the robot is converted again
+    assert "saved MJCF" not in said.err  # the robot is converted again
 
 
 def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory, tmp_path):
@@ -152,7 +152,7 @@ def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, 
     assert digest(run.checkpoint(3)) == digest(begun.checkpoint(3))
     said = wheelleg("resume", run.path, "init_from=latest", "agent.max_iterations=5")
     assert said.status == 2
-    assert "the run has begun from where it has begun" in said.err
+    assert "the run started with these networks" in said.err
 
 
 TERMS = "observation@env.observations.policy.terms"

@@ -170,7 +170,7 @@ def test_the_record_says_why_it_went_on(whole: PipelineIndex):
     assert first["why"] == "the gate was passed once, after training"
     assert second["why"] == "the gate was passed once, after training"
     assert [(gate["iteration"], gate["passed"]) for gate in second["gates"]] == [(1, True), (2, False), (3, True)]
-    assert second["gates"][1]["why"] == ["stand/survival is 0.2, and at least 0.5 is asked for"]
+    assert second["gates"][1]["why"] == ["stand/survival is 0.2, but must be at least 0.5"]
 
 
 def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(tmp_path):
@@ -251,10 +251,10 @@ def test_one_that_is_finished_or_under_way_is_not_gone_on_with(whole: PipelineIn
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("seed=3", "goes on with the settings that it began with"),
+        ("seed=3", "keeps the settings with which it started"),
         ("pipeline.phases.first.max_iterations=9", "has passed already"),
-        ("pipeline.phases.second.task=walk", "has begun"),
-        ("pipeline.name=other", "the phases of a pipeline stay"),
+        ("pipeline.phases.second.task=walk", "has started"),
+        ("pipeline.name=other", "the phases of a pipeline cannot change"),
     ],
 )
 def test_what_may_not_change_is_refused(whole: PipelineIndex, override, said):
@@ -281,7 +281,7 @@ def test_mistakes_of_all_phases_are_told_at_once():
         compose_phases(phases, [])
     assert "phase 'first'" in str(told.value)
     assert "phase 'second'" in str(told.value)
-    with pytest.raises(ConfigError, match="say this themselves"):
+    with pytest.raises(ConfigError, match="set this themselves"):
         compose_phases(phases, ["task=walk"])
 
 
@@ -310,13 +310,13 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
         said = wheelleg("check", *declared_two, f"++pipeline.phases.second.{key}=['{word}']")
         assert said.status == 2
         whose = "gate" if key.startswith("gate") else "phase"
-        assert f"pipeline.phases.second.{key}: '{word}': the {whose} says this itself" in said.err
+        assert f"pipeline.phases.second.{key}: '{word}': the {whose} sets this itself" in said.err
     said = wheelleg("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']")
     assert (said.status, "pipeline.phases.first.overrides: phase 'first': init_from: " in said.err) == (2, True)
     for word in ("seed=abc", "protocol.seed=abc"):
         said = wheelleg("check", *declared_two, f"++pipeline.phases.second.gate.overrides=['{word}']")
         assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
-    with pytest.raises(ConfigError, match=r"'a\.b' names no phase"):
+    with pytest.raises(ConfigError, match=r"'a\.b' is not a phase name"):
         read_pipeline({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
 
 
@@ -386,7 +386,7 @@ def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_chang
     with pytest.raises(ConfigError, match="no such metric") as told:
         resume_pipeline(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
     assert told.value.nearest == "stand/drift"
-    for word, why in (("protocol=walk", "the gate says this itself"), ("seed=abc", "in 'seed=abc'")):
+    for word, why in (("protocol=walk", "the gate sets this itself"), ("seed=abc", "in 'seed=abc'")):
         with pytest.raises(ConfigError, match=why) as told:
             resume_pipeline(index, [f"++pipeline.phases.second.gate.overrides=['{word}']"], [])
         assert told.value.key == "pipeline.phases.second.gate.overrides"
@@ -413,14 +413,14 @@ def test_one_gate_that_is_not_passed_is_told_once(tmp_path):
         assert runner.PipelineRunner(index, read_pipeline(index.data["config"]), display, stop).run() == "stopped"
     assert [note for note in display.notes if "passed" in note] == ["first: gate after 2 iterations not passed"]
     assert index.phases[0]["why"] == (
-        "the gate is not passed after 2 iterations: stand/survival is 0.2, and at least 0.5 is asked for"
+        "the gate is not passed after 2 iterations: stand/survival is 0.2, but must be at least 0.5"
     )
 
 
 def test_a_gate_on_the_way_tells_what_is_missing(watched: tuple[PipelineIndex, list[str]]):
     assert [note for note in watched[1] if "second: gate" in note] == [
         "second: gate after 1 iterations passed",
-        "second: gate after 2 iterations not passed: stand/survival is 0.2, and at least 0.5 is asked for",
+        "second: gate after 2 iterations not passed: stand/survival is 0.2, but must be at least 0.5",
         "second: gate after 3 iterations passed",
     ]
 
@@ -470,7 +470,7 @@ def test_what_a_phase_names_and_is_not_there_is_told_by_its_own_key(declared_two
 def test_a_key_of_a_user_s_own_pipeline_is_explained(declared_two):
     said = wheelleg("explain", "pipeline.phases.second.gate.every", *declared_two)
     assert said.status == 0
-    assert "null evaluates behind the last one alone" in " ".join(said.out.split())
+    assert "null evaluates only after the last iteration" in " ".join(said.out.split())
     said = wheelleg("explain", "pipeline.phases.secnd.gate.every", *declared_two)
     assert (said.status, "did you mean 'pipeline.phases.second" in said.err) == (2, True)
 

@@ -142,7 +142,7 @@ def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
     recording = Recording(done.recording)
     assert not recording.has_rows("base/height")
     (text,) = recording.table("log/recording").column("text").to_pylist()
-    assert text == ["the bound of 0 MB is reached; what follows is not recorded"]
+    assert text == ["the limit of 0 MB is reached; later steps are not recorded"]
     assert done.figures.episodes == 1
 
 

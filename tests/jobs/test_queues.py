@@ -138,7 +138,7 @@ def test_a_job_that_its_queue_loses_has_failed(stop):
 
 def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     def refuse(jobs):
-        raise ConfigError("the jobs were not taken", key="hydra.launcher")
+        raise ConfigError("the queue did not take the jobs", key="hydra.launcher")
 
     runner, queue = swept(["finish1", "finish2"], stop)
     monkeypatch.setattr(queue, "submit", refuse)

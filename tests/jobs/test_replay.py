@@ -143,7 +143,7 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
     assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("different", 2, False)
     assert found["comparison"]["first_divergence"]["iteration"] == 0
     assert found["asset"]["converted"] is False
-    assert "is not the recorded one: the run's kept MJCF is simulated" in said.err
+    assert "is not the recorded one: the replay simulates the saved MJCF" in said.err
     assert manifest_of(found["replay"])["status"] == "interrupted"
     kept = Path(found["kept"])
     assert kept.parent.parent == scratch

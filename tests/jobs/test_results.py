@@ -145,7 +145,7 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
     status, told = again(written, capsys)
     assert status == 2
-    assert "small.md: is not the page of its record" in told
+    assert "small.md: does not show its record" in told
     assert "wheelleg train" not in told
 
 
@@ -169,11 +169,11 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda record: record.pop("runs"), "small.json: lacks what a record has: 'runs'"),
+        (lambda record: record.pop("runs"), "small.json: lacks a key of a record: 'runs'"),
         (lambda record: record.update(runs=[]), "small.json: names no runs"),
         (
             lambda record: record["runs"][0]["train"].pop("overrides"),
-            "small.json: lacks what a record has: 'overrides'",
+            "small.json: lacks a key of a record: 'overrides'",
         ),
         (lambda record: record.update(name="other"), "small.json: is of 'other'; expected a record of its own name"),
     ],
@@ -225,7 +225,7 @@ def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, on
     rewritten(written, record)
     status, told = again(written, capsys)
     assert status == 1
-    assert "where hardware were otherwise (cpu was AMD Other, is " in told
+    assert "where hardware differed (cpu was AMD Other, is " in told
     assert told.endswith("on the same kind of machine with the same versions and source alone\n")
 
 
@@ -308,7 +308,7 @@ def test_runs_of_one_result_differ_by_their_seed_alone(run):
     with tempfile.TemporaryDirectory() as folder:
         other = RunDirectory(shutil.copytree(run.path, Path(folder) / "small" / "other"))
         write_json(other.path / "manifest.json", {**data, "resumes": [longer]})
-        said = f"was trained otherwise than {run.id}: with agent.max_iterations=9, without agent.max_iterations="
+        said = f"was trained differently from {run.id}: with agent.max_iterations=9, without agent.max_iterations="
         with pytest.raises(RunDirectoryError, match=re.escape(said)):
             require_one_method([run, other])
 
@@ -316,8 +316,8 @@ def test_runs_of_one_result_differ_by_their_seed_alone(run):
 @pytest.mark.parametrize(
     ("words", "iteration", "said"),
     [
-        (["env.num_envs=8"], 9, "what it began with was trained with env.num_envs=8"),
-        ([], 19, "it began with another checkpoint"),
+        (["env.num_envs=8"], 9, "the run it starts with was trained with env.num_envs=8"),
+        ([], 19, "it starts with another checkpoint"),
     ],
 )
 def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iteration, said):
@@ -327,7 +327,7 @@ def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iter
 
     recipes = iter([begun(9), begun(iteration, *words)])
     monkeypatch.setattr(records, "recipe", lambda _: next(recipes))
-    with pytest.raises(RunDirectoryError, match=f"was trained otherwise than {run.id}: {said};"):
+    with pytest.raises(RunDirectoryError, match=f"was trained differently from {run.id}: {said};"):
         require_one_method([run, run])
 
 
@@ -358,7 +358,7 @@ def test_the_verdict_says_where_equal_bits_are_promised():
     same = again_of.Reproduction(["a is 1, and was 2"], [], False).verdict
     assert same == "not reproduced to the bit, with the same source, on the same kind of machine"
     other = again_of.Reproduction(["a is 1, and was 2"], [cpu], True).verdict
-    assert "it was made with other source files; where hardware were otherwise (cpu was AMD, is Intel)" in other
+    assert "it was made with other source files; where hardware differed (cpu was AMD, is Intel)" in other
     assert "on the same kind of machine" in other
 
 

@@ -222,7 +222,7 @@ def test_without_a_checkpoint_a_run_begins_anew(run, straight):
     for path in run.glob("model_*.pt"):
         path.unlink()
     said = resume(run)
-    assert "resuming from the beginning" in said.err
+    assert "resuming from the start" in said.err
     require_equal(run, straight)
     assert manifest(run)["resumes"][0]["proved"] == [0, 3]
 
@@ -461,7 +461,7 @@ def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
     said = resume(run)
     entry = manifest(run)["resumes"][0]
     assert entry["exact"] is False
-    assert "iteration 3 is not what it was before the stop" in said.err
+    assert "iteration 3 differs from the iteration before the stop" in said.err
     assert "proved" not in entry
 
 
@@ -485,8 +485,8 @@ def refuse(run: Path, *words: str) -> str:
         (["agent.max_iterations=3"], "is 3, and the run has done 4 iterations"),
         (["agent.max_iterations=x"], "agent.max_iterations"),
         (["agent.max_iteration=9"], "did you mean 'agent.max_iterations'?"),
-        (["agent.max_iterations=9", "env.num_envs=8"], "env.num_envs: cannot change while a run goes on"),
-        (["agent.max_iterations=9", "seed=1"], "seed: cannot change while a run goes on"),
+        (["agent.max_iterations=9", "env.num_envs=8"], "env.num_envs: cannot change in a resume"),
+        (["agent.max_iterations=9", "seed=1"], "seed: cannot change in a resume"),
         (["agent.max_iterations=9", "agent.actor.hidden_dims=[4]"], "agent.actor.hidden_dims: cannot change"),
         (["agent.max_iterations=9", "env.robot.base=fixed"], "env.robot.base: cannot change"),
         (["agent.max_iterations=9", "env.sim.dt=0.001"], "env.sim.dt: cannot change"),
@@ -507,10 +507,10 @@ def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
     ("name", "content", "said"),
     [
         ("params/env.yaml", None, "is missing"),
-        ("params/agent.yaml", b"max_iterations: 9\n", "was changed since the run began"),
+        ("params/agent.yaml", b"max_iterations: 9\n", "was changed after the run started"),
         (".hydra/config.yaml", None, "is missing"),
         ("asset/robot.xml", None, "is missing"),
-        ("asset/robot.xml", b"<mujoco/>", "was changed since the run began"),
+        ("asset/robot.xml", b"<mujoco/>", "was changed after the run started"),
         ("iterations.jsonl", b"", "the log would have a gap"),
         ("manifest.json", b"{", "broken JSON"),
     ],

@@ -88,7 +88,7 @@ def test_another_ground_takes_the_place_of_the_runs_own(run, script):
 def test_what_cannot_be_driven_is_told(run, script):
     said = wheelleg("play", "latest", "--script", script)  # whoever only stands has nothing to be told
     assert said.status == 2
-    assert "lin_vel_x: a script has no such key" in said.err
+    assert "lin_vel_x: unknown key in a script" in said.err
     assert f"{script}:1" in said.err
     for words in (["--scene", "flat"], ["--port", "8080"]):
         said = wheelleg("play", "latest", *words)
