@@ -226,12 +226,7 @@ def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell
 
 
 def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
-    """Return a maker of the checkpoint's policy for an environment: its mean action, clipped as in training.
-
-    Args:
-        checkpoint: the checkpoint.
-        agent: the run's ``agent`` section.
-    """
+    """Return a maker of the checkpoint's policy for an environment: its mean action, clipped as in training."""
 
     def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
         set_threads(agent, env.scene.sim.nthread)

@@ -71,12 +71,7 @@ class RunPolicy:
     about: dict[str, str]
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
-        """Return the recording of a play or a drive.
-
-        Args:
-            folder: the folder of ``recording.rrd``, below the run.
-            command: the command line.
-        """
+        """Return the recording of a play or a drive."""
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
         task = self.run.manifest().data.get("task")
         return EpisodeRecording(

@@ -31,12 +31,7 @@ _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
 def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> str:
-    """Return a result as Markdown.
-
-    Args:
-        record: the record that ``write_results`` writes.
-        manifests: the manifests of its runs.
-    """
+    """Return a result as Markdown."""
     parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
         parts += [f"## {group}\n", *_table(record, list(names)), ""]

@@ -90,11 +90,6 @@ def _command(manifest: str) -> list[str]:
 class ObservingRecording:
     """Captures every control step while entered, and can show the recording in a viewer meanwhile.
 
-    Args:
-        env: the environment.
-        recorder: writes the file, and is closed on exit.
-        live: whether to open a viewer.
-
     Attributes:
         notes: warnings about the recording.
     """

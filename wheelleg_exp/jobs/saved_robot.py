@@ -31,14 +31,7 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
-    """Copy the converted robot into ``asset/``, and write the identity of its source.
-
-    Args:
-        directory: the run directory.
-        asset: the conversion.
-        source: the robot's file as the config names it.
-        model_sha256: digest of the compiled scene, which identifies all that the physics reads.
-    """
+    """Copy the converted robot into ``asset/``, and write the identity of its source."""
     directory.asset.mkdir(parents=True, exist_ok=True)
     for part in (*asset.meshes, *asset.beside):
         target = directory.asset / part.relative_to(asset.output.parent)

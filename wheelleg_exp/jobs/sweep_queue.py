@@ -47,11 +47,7 @@ class QueueWorker:
     _relayed: Future[str] | None = None
 
     def __call__(self, folder: str) -> str:
-        """Run the job of a folder, and return its status.
-
-        Args:
-            folder: absolute path, the same on both machines.
-        """
+        """Run the job of a folder, and return its status."""
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
@@ -128,10 +124,6 @@ class Ticket(Protocol):
 class QueuedJob:
     """A job in a queue. Its events come from the file that its ``QueueWorker`` writes.
 
-    Args:
-        folder: the folder of the job, which is created here.
-        request: what the job trains.
-
     Attributes:
         folder: absolute path of the folder.
         ticket: the queue's handle once the job is submitted.
@@ -204,11 +196,7 @@ class QueuedJob:
 
 
 class Queue:
-    """Base class of launchers that submit jobs to a queue.
-
-    Args:
-        folder: the folder of the sweep.
-    """
+    """Base class of launchers that submit jobs to a queue."""
 
     queued = True
 

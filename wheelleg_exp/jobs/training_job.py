@@ -65,17 +65,9 @@ def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
-def run_request(
-    request: JobRequest, stop: StopRequest, program: Sequence[str] | None = None
-) -> AbstractContextManager[Iterator[Event]]:
-    """Return a context that runs a job and yields its events.
-
-    Args:
-        request: what the job does.
-        stop: asks to stop; a training stops at its next whole iteration, with a checkpoint.
-        program: the command that serves the job, by default ``job_program()``.
-    """
-    return job_events(Child(program or job_program(), request.line(), own_environ()), stop)
+def run_request(request: JobRequest, stop: StopRequest) -> AbstractContextManager[Iterator[Event]]:
+    """Return a context that runs a job in a child process and yields its events (see ``job_events``)."""
+    return job_events(Child(job_program(), request.line(), own_environ()), stop)
 
 
 def main() -> int:

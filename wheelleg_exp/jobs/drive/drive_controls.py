@@ -72,10 +72,6 @@ class CommandHold:
     """Holds an environment's commands at given values, through resets and redraws.
 
     It sets ranges to a single value, so that every draw gives this value and the command terms work unchanged.
-
-    Args:
-        env: the environment.
-        axes: the axes that can be commanded.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -135,9 +131,6 @@ Request = Push | Reset | Choose | Finish
 
 class Controls:
     """The requested commands, and the requests that wait for the next step. All methods are safe in any thread.
-
-    Args:
-        axes: the axes that can be commanded.
 
     Attributes:
         paused: whether time stands still.

@@ -294,13 +294,7 @@ class DrivePage:
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a new drive with its robot, its ground, and its controls; return the page's address.
-
-        Args:
-            session: the drive.
-            choice: the checkpoint and the ground.
-            push: the push of a key or a button, m/s.
-        """
+        """Show a new drive with its robot, its ground, and its controls; return the page's address."""
         self._session, self._hands.push = session, push
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)

@@ -58,13 +58,7 @@ class Script:
 
 
 class ScriptPlayer:
-    """Sets the commands and requests of a script at the right control steps.
-
-    Args:
-        script: the script.
-        controls: receives them.
-        step_dt: control step, s.
-    """
+    """Sets the commands and requests of a script at the right control steps."""
 
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
@@ -88,10 +82,6 @@ class ScriptPlayer:
 
 def read_script(path: Path, axes: Sequence[Axis]) -> Script:
     """Read a script.
-
-    Args:
-        path: the file.
-        axes: the axes that can be commanded.
 
     Raises:
         ConfigError: the file is not a list of entries, or an entry has an unknown key or a value out of range; the
@@ -207,11 +197,7 @@ def _example(axes: Sequence[Axis]) -> str:
 
 
 class DriveLog:
-    """Records changes of commands and requests, by control step.
-
-    Args:
-        step_dt: control step, s.
-    """
+    """Records changes of commands and requests, by control step."""
 
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt

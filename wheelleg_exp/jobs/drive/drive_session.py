@@ -31,10 +31,6 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 class DriveMeter:
     """Sums the figures of a drive, step by step; see ``definitions.drive``.
 
-    Args:
-        env: the environment, with one robot.
-        axes: the axes that can be commanded.
-
     Attributes:
         height_m: height of the root link's origin above the ground below it, in the last step.
         measured: the measured value of each axis that can be measured, in the last step: m/s, rad/s, m and rad.
@@ -133,10 +129,6 @@ class Status:
 
 class DriveSession:
     """A drive. Nothing is reset automatically: an episode that has ended waits for a reset.
-
-    Args:
-        adapter: the environment, with one robot.
-        policy: returns actions (1, A) for observations.
 
     Attributes:
         env: the environment.

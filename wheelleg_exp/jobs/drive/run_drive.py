@@ -114,11 +114,7 @@ class RealTimePacer:
         self._due = self._next_frame = clock()
 
     def wait(self, speed: float) -> None:
-        """Wait until the next step is due.
-
-        Args:
-            speed: simulated seconds per second.
-        """
+        """Wait until the next step is due."""
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
         if left > 0.0:

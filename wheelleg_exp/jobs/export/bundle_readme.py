@@ -32,13 +32,7 @@ changes nothing, and the caller must decide what the drives do."""
 
 
 def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
-    """Return the text.
-
-    Args:
-        spec: ``policy.json``.
-        files: the files of the bundle.
-        notes: what is missing in it and why.
-    """
+    """Return the README of a bundle, from its ``policy.json``, its files, and notes."""
     about, joints = spec["run"], spec["joint_names"]
     parts = [
         f"# The policy `{about['task']}` of run `{about['id']}`, iteration {about['iteration']}",

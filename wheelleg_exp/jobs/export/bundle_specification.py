@@ -181,12 +181,7 @@ _GAUSSIAN = GaussianDistribution.__name__
 
 
 def require_perceptron(section: Mapping[str, Any], key: str) -> None:
-    """Raise ConfigError for a network that is not a perceptron with the mean action as its output.
-
-    Args:
-        section: the network's section of the agent.
-        key: its config key.
-    """
+    """Raise ConfigError for a network that is not a perceptron with the mean action as its output."""
     if section["class_name"] != MLPModel.__name__:
         raise ConfigError(
             f"a runner does not know networks of class '{section['class_name']}'",

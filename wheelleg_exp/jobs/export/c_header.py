@@ -185,12 +185,7 @@ _ACTIVATIONS = {
 
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the header.
-
-    Args:
-        spec: ``policy.json``.
-        arrays: the network's arrays by name, as ``policy.npz`` has them.
-    """
+    """Return ``policy.h``, from ``policy.json`` and the network's arrays."""
     terms = [
         (f"{g}_{t}", term) for g, group in enumerate(spec["observations"]) for t, term in enumerate(group["terms"])
     ]

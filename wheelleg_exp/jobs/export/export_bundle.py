@@ -63,11 +63,7 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` section for one simulation without events and curriculum, so that nothing changes its numbers.
-
-    Args:
-        env: the run's section, plain; it is not changed.
-    """
+    """Return the ``env`` section for one simulation without events and curriculum, which would change its numbers."""
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
     return found
@@ -120,10 +116,6 @@ def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
 
     Lists are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset`` exist if every action has
     them, in the order of ``action_joint_names``.
-
-    Args:
-        model: the model.
-        spec: ``policy.json``.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]

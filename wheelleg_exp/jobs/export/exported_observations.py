@@ -87,10 +87,6 @@ _IMU = "imu"  # the default sensor of terms
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
     """Return the observation groups of a policy, in order, each with its terms.
 
-    Args:
-        env: an environment with the policy's observations.
-        groups: names of the groups.
-
     Raises:
         ConfigError: a term needs a reading or a computation that a runner does not have.
     """

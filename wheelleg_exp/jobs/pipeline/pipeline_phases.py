@@ -79,10 +79,6 @@ class Verdict:
 def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
     """Compare metrics with the bounds of a gate; a value that is not finite never passes.
 
-    Args:
-        gate: the bounds.
-        metrics: values by ``group/metric``; None or NaN if no episode had a value.
-
     Raises:
         ConfigError: the protocol has no such metric.
     """

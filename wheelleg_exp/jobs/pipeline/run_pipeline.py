@@ -56,11 +56,6 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
 
     An evaluation with NaN as actions gives the names: every episode ends after its first step.
 
-    Args:
-        phases: the phases by name.
-        composed: the config of each.
-        folders: the user's config folders.
-
     Raises:
         ConfigError: a gate asks for a metric that its protocol does not have, or the protocol is wrong.
     """

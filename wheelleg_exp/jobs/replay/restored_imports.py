@@ -21,11 +21,7 @@ ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
 class RestoredFinder:
-    """Finds the modules of restored packages in their restored folders.
-
-    Args:
-        places: folder by top-level name.
-    """
+    """Finds the modules of restored packages in their restored folders."""
 
     def __init__(self, places: dict[str, str]) -> None:
         self._places = places

@@ -78,12 +78,7 @@ class Request:
 
 
 class ReplayDisplay(PipeDisplay):
-    """Sends events, and stops the training after the last requested iteration.
-
-    Args:
-        pipe: where events go.
-        stop: set when enough iterations are done.
-    """
+    """Sends events, and stops the training after the last requested iteration."""
 
     def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
         super().__init__(pipe)

@@ -34,11 +34,6 @@ def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
 def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
     """Train as ``run_training.run`` does in rank 0, and send rank 0 what a checkpoint needs.
 
-    Args:
-        trainer: environment and networks, at the iteration at which training starts.
-        agent: the composed ``agent`` section.
-        stop: requests a stop; all ranks stop after the same iteration.
-
     Raises:
         KeyboardInterrupt: training was stopped.
         WheellegError: rank 0 reports why, or has died.

@@ -65,10 +65,6 @@ _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return a run's composed tree from its snapshot.
 
-    Args:
-        run: the run.
-        variables: the environment variables that its config named, with their recorded values.
-
     Raises:
         RunDirectoryError: a part of the snapshot is missing or damaged, or names another variable.
     """

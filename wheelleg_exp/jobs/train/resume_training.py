@@ -37,14 +37,7 @@ from wheelleg_exp.verify.run_differences import decides
 
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
-    """Return the inputs of a training that is resumed.
-
-    Args:
-        run: the run.
-        tree: its config with the changes of the resume.
-        text: the same config as the text of ``config.yaml``.
-        folders: the user's config folders.
-    """
+    """Return the inputs of a training that is resumed."""
     return Recipe(
         config=tree,
         hydra_files={"config.yaml": text},

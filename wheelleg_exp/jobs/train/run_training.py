@@ -39,12 +39,7 @@ class StuckCurricula:
         self.now: list[str] = []
 
     def take(self, index: int, scalars: Mapping[str, float]) -> Iterator[str]:
-        """Yield a line for each curriculum that has been stuck since this iteration.
-
-        Args:
-            index: the iteration.
-            scalars: its logged scalars.
-        """
+        """Yield a line for each curriculum that has been stuck since this iteration."""
         marks = {key: value for key, value in scalars.items() if key.startswith(_CURRICULUM) and key.endswith(_STUCK)}
         if not marks:  # no episode has ended
             return

@@ -56,10 +56,6 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
     Files that lack scalars, for example after a loss of data, are written from scratch.
 
-    Args:
-        folder: the run directory.
-        lines: the remaining iterations, as the log of iterations has them.
-
     Raises:
         SimulationFailure: the disk is full.
     """
@@ -152,10 +148,6 @@ class WandbLog:
     """Sends an iteration's scalars, from entering to leaving, where wandb's variables say (``WANDB_MODE``, ...).
 
     A run that is gone on with goes on there as well, under the same id.
-
-    Args:
-        directory: the run directory; its name is the run's.
-        config: the composed config.
     """
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
