@@ -103,7 +103,6 @@ def prepare_policy(
         run: the run.
         checkpoint: one of its checkpoints; None means the last.
         overrides: changes to the run's parameters.
-        command: the command line.
         display: receives a note if the compiled model differs from the training's.
         change: changes the tree after the overrides.
 
