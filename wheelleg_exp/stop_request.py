@@ -8,20 +8,20 @@ from types import FrameType, TracebackType
 
 from wheelleg_exp.errors import Interrupted
 
-# Ctrl-C, and what is treated as it: a polite kill, a terminal that was closed.
+# Ctrl-C, a polite kill, and a closed terminal.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def stop_signals() -> list[signal.Signals]:
-    """Return the signals that ask a program to stop; what ``nohup``, or a shell's ``&``, lets it ignore does not."""
+    """Return the signals that ask a program to stop, except those that it ignores (``nohup``, a shell's ``&``)."""
     numbers = [signal.Signals[name] for name in _NAMES if hasattr(signal, name)]
     return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 class StopRequest:
-    """While entered, such a signal sets ``requested``; a second one raises ``Interrupted``.
+    """While entered, a stop signal sets ``requested``, and a second one raises ``Interrupted``.
 
-    But for a second hang-up: a terminal that is closed may send it twice, by the system and by the shell.
+    A second hang-up does not: system and shell can each send one for the same closed terminal.
     """
 
     def __init__(self) -> None:
@@ -29,12 +29,12 @@ class StopRequest:
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
     def check(self, agreed: bool | None = None) -> None:
-        """Raise ``Interrupted`` when a stop was asked for.
+        """Raise ``Interrupted`` if a stop was requested.
 
         Args:
-            agreed: whether processes that stop together have been asked, where there are several.
+            agreed: whether any rank was asked to stop, if there are several ranks.
         """
-        self._listen()  # imported code may have put handlers of its own in place
+        self._listen()  # imported code may have replaced the handlers
         if self.requested if agreed is None else agreed:
             raise Interrupted
 

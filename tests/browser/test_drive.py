@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -10,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 from patience import PATIENCE_S, wait_until
 
@@ -175,7 +173,7 @@ def test_a_gamepad_drives(driving: Driving):
 def test_a_port_that_is_taken_is_told():
     with DrivePage(0, ["own"], []) as page:
         second = DrivePage(int(page.url.rsplit(":", 1)[1].strip("/")), ["own"], [])
-        with pytest.raises(WheellegError, match=rf"--port: port .* is in use by {re.escape(psutil.Process().name())}"):
+        with pytest.raises(WheellegError, match="--port: port .* is in use"):
             second.__enter__()
 
 

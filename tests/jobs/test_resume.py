@@ -529,7 +529,7 @@ def test_a_checkpoint_of_another_run_is_no_checkpoint_of_this_one(run):
         state["actor_state_dict"]["mlp.0.bias"] += 1.0
         (run / f"model_{index}.pt").write_bytes(checkpoint.serialize(state))
     message = refuse(run, "agent.max_iterations=9")
-    assert "parameters differ from the digests that iteration 3 left" in message
+    assert "parameters differ from the logged digests of iteration 3" in message
 
 
 def test_a_run_that_is_being_written_is_left_alone(run):

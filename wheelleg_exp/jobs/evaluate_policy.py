@@ -247,8 +247,8 @@ def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the manifest's entry of an evaluation."""
     kept = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
     values = {name: figure["value"] for name, figure in content["metrics"].items()}
-    told = {key: content[key] for key in kept if key in content}
-    return {"protocol": content["protocol"]["name"], **told, "metrics": values}
+    facts = {key: content[key] for key in kept if key in content}
+    return {"protocol": content["protocol"]["name"], **facts, "metrics": values}
 
 
 def episodes_text(episodes: Mapping[str, Any]) -> str:

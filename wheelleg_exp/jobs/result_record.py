@@ -364,13 +364,13 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return how the commands of two trainings differ, or the commands of the runs with which they start."""
     words = set(one["overrides"]), set(other["overrides"])
-    told = [
+    parts = [
         f"{side} {word}"
         for side, mine, its in (("with", *words), ("without", *words[::-1]))
         for word in sorted(mine - its)
     ]
-    if told:
-        return ", ".join(told)
+    if parts:
+        return ", ".join(parts)
     if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:
         return f"the run it starts with was trained {_describe_difference(one['begins_with'], other['begins_with'])}"
     return "it starts with another checkpoint"

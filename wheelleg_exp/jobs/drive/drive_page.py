@@ -13,7 +13,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -28,12 +28,9 @@ from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
-_PROC = Path("/proc")
-_LISTENS = "0A"  # state of a socket in /proc/net/tcp
-
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a port is free; name the process that uses it, if the system shows it.
+    """Raise WheellegError unless a port is free.
 
     Args:
         port: the port; 0 means any free port.
@@ -54,8 +51,7 @@ def require_free(port: int, use: str) -> None:
 
 def port_in_use(port: int, use: str) -> WheellegError:
     """Return the error for a port that another process uses."""
-    who = port_holder(port)
-    return _port_error(f"port {port}, for {use}, is in use" + (f" by {who}" if who else ""), _OTHER_PORT)
+    return _port_error(f"port {port}, for {use}, is in use", _OTHER_PORT)
 
 
 _OTHER_PORT = "another port, such as --port 8123, or --port 0 for any that is free"
@@ -63,32 +59,6 @@ _OTHER_PORT = "another port, such as --port 8123, or --port 0 for any that is fr
 
 def _port_error(message: str, expected: str) -> WheellegError:
     return WheellegError(message, key="--port", expected=expected)
-
-
-def port_holder(port: int) -> str:
-    """Return name and number of the process that listens on a port; empty if the system does not show it."""
-    sockets = {f"socket:[{inode}]" for inode in _listening(port)}
-    for folder in _PROC.glob("[0-9]*/fd") if sockets else ():
-        with suppress(OSError):  # the process belongs to another user, or has ended
-            if any(_points_to(entry) in sockets for entry in folder.iterdir()):
-                return f"{(folder.parent / 'comm').read_text().strip()}, process {folder.parent.name}"
-    return ""
-
-
-def _points_to(entry: Path) -> str:
-    with suppress(OSError):  # closed since the folder was listed
-        return str(entry.readlink())
-    return ""
-
-
-def _listening(port: int) -> Iterator[str]:
-    """Yield the inodes of the sockets that listen on a port, proc_net(5)."""
-    for name in ("tcp", "tcp6"):
-        with suppress(OSError):
-            for line in (_PROC / "self" / "net" / name).read_text().splitlines()[1:]:
-                fields = line.split()
-                if fields[3] == _LISTENS and int(fields[1].rpartition(":")[2], 16) == port:
-                    yield fields[9]
 
 
 _GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
@@ -187,7 +157,7 @@ class InputServer:
         """Return the script that the page runs."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
-        told = {
+        settings = {
             "url": f"ws://{LOOPBACK}:{port}/",
             "keys": {code: pair for code, pair in KEYS.items() if pair[0] in axes},
             "presses": KEY_ACTIONS,
@@ -195,7 +165,7 @@ class InputServer:
             "buttons": _BUTTONS,
             "deadzone": _DEADZONE,
         }
-        return f"const DRIVE = {json.dumps(told)};\n{files(__package__).joinpath('keys.js').read_text('utf-8')}"
+        return f"const DRIVE = {json.dumps(settings)};\n{files(__package__).joinpath('keys.js').read_text('utf-8')}"
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -1,12 +1,12 @@
-// Keys and gamepads of the page that drives a robot, told to the program over a socket of their own.
-// DRIVE is put in front of this: {url, keys: {code: [axis, share]}, presses: {code: name}, sticks, buttons}.
+// Send keys and gamepads of the drive page to the program, over a websocket of their own.
+// The program prepends DRIVE: {url, keys: {code: [axis, share]}, presses: {code: name}, sticks, buttons}.
 (() => {
   if (window.wheellegDrive) window.wheellegDrive.close();
   const socket = new WebSocket(DRIVE.url);
   const held = new Set();    // codes of the keys that are down
-  let sticks = {}, pressed = new Set(), told = {}, timer = 0;
+  let sticks = {}, pressed = new Set(), sent = {}, timer = 0;
 
-  const tell = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+  const send = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
 
   function steer() {
     const shares = {};
@@ -15,7 +15,7 @@
     for (const [axis, share] of Object.entries(sticks)) if (share) shares[axis] = share;
     for (const [axis, share] of Object.entries(shares)) {
       const value = Math.max(-1, Math.min(1, share));
-      if ((told[axis] || 0) !== value) { told[axis] = value; tell({steer: axis, share: value}); }
+      if ((sent[axis] || 0) !== value) { sent[axis] = value; send({steer: axis, share: value}); }
     }
   }
 
@@ -27,10 +27,10 @@
       if (down) held.add(event.code); else held.delete(event.code);
       steer();
     } else if (event.code in DRIVE.presses) {
-      if (down && !event.repeat) tell({press: DRIVE.presses[event.code]});
+      if (down && !event.repeat) send({press: DRIVE.presses[event.code]});
     } else return;
     event.preventDefault();
-    event.stopImmediatePropagation();  // the camera has the same keys
+    event.stopImmediatePropagation();  // the camera of the page uses the same keys
   }
 
   function onBlur() { held.clear(); steer(); }
@@ -43,7 +43,7 @@
       if (Math.abs(value) > DRIVE.deadzone) sticks[axis] = sign * value;
     }
     const down = new Set(Object.keys(DRIVE.buttons).filter((i) => pad && pad.buttons[i] && pad.buttons[i].pressed));
-    for (const index of down) if (!pressed.has(index)) tell({press: DRIVE.buttons[index]});
+    for (const index of down) if (!pressed.has(index)) send({press: DRIVE.buttons[index]});
     pressed = down;
     steer();
   }
@@ -52,7 +52,7 @@
   window.addEventListener('keydown', onKey, options);
   window.addEventListener('keyup', onKey, options);
   window.addEventListener('blur', onBlur);
-  socket.onopen = () => { told = {}; timer = setInterval(poll, 33); };
+  socket.onopen = () => { sent = {}; timer = setInterval(poll, 33); };
   window.wheellegDrive = {
     socket,
     close() {

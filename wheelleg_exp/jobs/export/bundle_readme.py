@@ -58,7 +58,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
             [(i, f"`{joints[i]}`", *(_number(spec[key][i]) for key in _PER_JOINT)) for i in range(len(joints))],
         ),
         "Position targets are clipped to the limits of the joints (`joint_pos_limits`), velocity targets to the speed. "
-        "The positions of these joints count from `reset`, whatever their encoders read then: "
+        "The positions of these joints count from `reset`, independent of their encoder values then: "
         f"{', '.join(f'`{name}`' for name in spec['rolling_joints']) or 'none'}.",
         "## What the robot must have\n\nThe policy was trained with these joints. A robot that differs can fall.",
         _table(
@@ -67,7 +67,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         ),
         "Armature is the rotor's inertia times the gear ratio squared; it adds to the inertia of the parts. The drive "
         "must compute its torque from new encoder values at the drive rate or faster: in each physics step of the "
-        "training, and ten times as often as stability needs. With less armature it must do so more often.",
+        "training, and at ten times the rate for stability. With less armature it must do so more often.",
         "## Observation",
         f"{spec['observation_width']} numbers. Each term: its value, its modifiers, `clip`, then `scale`; then the "
         "history. The first readings of an episode fill every slot of it.",
@@ -78,7 +78,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         else "",
         "## Actions",
         _clipped(spec["clip_actions"]),
-        _table(("action", "joint", "drives", "what becomes of it"), [*_actions(spec["actions"])]),
+        _table(("action", "joint", "drives", "target"), [*_actions(spec["actions"])]),
         "A joint that no action drives keeps its default position, velocity 0 and effort 0 as targets. Drives hold a "
         "target for the whole control step: torque = stiffness (position - q) + damping (velocity - q̇) + effort, "
         "within the effort limit.",
@@ -114,25 +114,25 @@ def _checked(check: Mapping[str, Any]) -> str:
 
 
 def _commands(commands: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    told = [
+    lines = [
         f"`commands.{name}`: " + ", ".join(f"{axis} [{low:.4g}, {high:.4g}]" for axis, (low, high) in ranges.items())
         for name, ranges in commands.items()
         if ranges and all(len(pair) == 2 for pair in ranges.values())
     ]
-    return ["Trained with these commands (m/s, rad/s): " + "; ".join(told) + "."] if told else []
+    return ["Trained with these commands (m/s, rad/s): " + "; ".join(lines) + "."] if lines else []
 
 
 def _accelerations(accelerations: Mapping[str, Sequence[float | None]]) -> list[str]:
     return [
-        f"`commands.{name}` begins at rest and goes towards what is asked for by at most "
+        f"`commands.{name}` starts at rest and changes towards the requested command by at most "
         + ", ".join("any amount" if most is None else f"{most:.4g}" for most in limits)
-        + " a second (m/s, m/s, rad/s), as `simulate.py` does it: a robot that is told to be fast at once falls."
+        + " a second (m/s, m/s, rad/s), as in `simulate.py`: a robot falls if its command jumps to a high speed."
         for name, limits in accelerations.items()
     ]
 
 
 def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:
-    told, start = [], 0
+    lines, start = [], 0
     for group in groups:
         rows = []
         for term in group["terms"]:
@@ -148,13 +148,13 @@ def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:
             else "term by term, each with its history, oldest first"
         )
         head = ("term", "value", "of", "width", "samples", "clip", "scale")
-        told += [f"Group `{group['name']}`: {order}.", _table(head, rows)]
-    return told
+        lines += [f"Group `{group['name']}`: {order}.", _table(head, rows)]
+    return lines
 
 
 def _clipped(bound: float | None) -> str:
     if bound is None:
-        return "The network's output is not clipped; as `last_action` the policy sees it as it is."
+        return "The network's output is not clipped; as `last_action` the policy sees it unchanged."
     return f"The network's output is clipped to ±{bound:g} first; as `last_action` the policy sees it clipped."
 
 
@@ -171,24 +171,24 @@ def _law(term: Mapping[str, Any], index: int) -> str:
     if term["function"] == "binary":
         return f"{_number(term['open'][index])} or {_number(term['close'][index])}, by a threshold"
     scaled = f"{term['scale'][index]:.6g} a {term['offset'][index]:+.6g}"
-    told = {"relative": f"{scaled} + the joint's position", "affine": scaled}.get(term["function"], scaled)
+    lines = {"relative": f"{scaled} + the joint's position", "affine": scaled}.get(term["function"], scaled)
     if term.get("rescale"):
-        told += f", [-1, 1] spread over [{_number(term['low'][index])}, {_number(term['high'][index])}]"
-    return told + (f", moving average with weight {term['alpha'][index]:.6g}" if "alpha" in term else "")
+        lines += f", [-1, 1] spread over [{_number(term['low'][index])}, {_number(term['high'][index])}]"
+    return lines + (f", moving average with weight {term['alpha'][index]:.6g}" if "alpha" in term else "")
 
 
 def _trained_with(spec: Mapping[str, Any]) -> list[str]:
-    """Tell noise and delays of the training, which a runner does not add."""
+    """Return the noise and delays of the training, which a runner does not add."""
     terms = [(f"observation `{term['name']}`", term) for group in spec["observations"] for term in group["terms"]]
     terms += [(f"action `{term['name']}`", term) for term in spec["actions"]]
     terms += [(f"drive `{drive['name']}`", drive) for drive in spec["actuators"]]
-    told = []
+    lines = []
     for name, term in terms:
         if term["trained_with"].get("delay_steps"):
             low, high = term["trained_with"]["delay_steps"]
-            told.append(f"- {name}: {low} to {high} physics steps of {1000 * spec['physics_dt']:.4g} ms late")
+            lines.append(f"- {name}: {low} to {high} physics steps of {1000 * spec['physics_dt']:.4g} ms late")
         if term["trained_with"].get("noise"):
-            told.append(f"- {name}: with noise")
-    if not told:
+            lines.append(f"- {name}: with noise")
+    if not lines:
         return []
-    return ["## What training added\n\nThe runner does not: a robot has its own.", "\n".join(told)]
+    return ["## What training added\n\nThe runner does not: a robot has its own.", "\n".join(lines)]

@@ -90,7 +90,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
 
 
 def finite(value: float) -> float | None:
-    """Return a number, or None in place of what JSON does not have."""
+    """Return a number, or None if it is not finite, because JSON has no such numbers."""
     return value if abs(value) < float("inf") else None
 
 
@@ -324,7 +324,7 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
 
 
 def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
-    """Return by how much the commands that are read change at most, m/s² and rad/s², where they may not jump."""
+    """Return the largest change of each command per second, m/s² and rad/s², for limited commands."""
     found = {}
     for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
         most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
@@ -334,7 +334,7 @@ def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
 
 
 def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
-    """Return where the IMUs sit that are read."""
+    """Return the positions of the IMUs that are read."""
     found = {}
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):

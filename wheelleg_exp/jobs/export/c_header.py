@@ -17,7 +17,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield what an observation term remembers."""
+    """Yield the struct members of an observation term's memory."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
@@ -30,7 +30,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
 
 
 def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
-    """Yield how an observation term is sampled into its history."""
+    """Yield the lines that sample an observation term into its history."""
     yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
     width = term["width"]
@@ -45,15 +45,15 @@ def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
 
 
 def action_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield what an action term remembers."""
+    """Yield the struct members of an action term's memory."""
     yield f"float processed_{name}[{len(term['joint_ids'])}];"
 
 
 def action_lines(name: str, term: Spec) -> Iterator[str]:
-    """Yield what an action term makes of its part of the action, ``s->processed_<name>``."""
+    """Yield the lines that compute ``s->processed_<name>`` from an action term's part of the action."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
-        if "alpha" in term:  # the average begins where the joints are
+        if "alpha" in term:  # the average starts at the joint positions
             yield "{"
             yield f"    float last = first ? joint_pos[{joint}] - s->zero[{joint}] : {out};"
         yield from (f"    {line}" if "alpha" in term else line for line in _processed(out, term, i))
@@ -64,7 +64,7 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
 
 
 def number(value: float | None, missing: str = "FLT_MAX") -> str:
-    """Return a float of C; null is ``missing``, and inf the largest float: -ffast-math has no inf."""
+    """Return a C float. Null becomes ``missing``, and inf the largest float, because -ffast-math has no inf."""
     return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 
@@ -142,7 +142,7 @@ def _travelled(name: str, term: Spec, dt: float) -> Iterator[str]:
 
 
 def _modified(name: str, modifier: Spec) -> str:
-    """Return how a modifier changes ``v[i]``."""
+    """Return the line that applies a modifier to ``v[i]``."""
     kind = modifier["kind"]
     if kind == "scale":
         return f"v[i] *= {number(modifier['multiplier'])};"
@@ -162,12 +162,12 @@ def _modified(name: str, modifier: Spec) -> str:
 
 
 def identifier(name: str) -> str:
-    """Return a name that C takes."""
+    """Return a valid C name."""
     return re.sub(r"\W", "_", name)
 
 
 def in_comment(text: str) -> str:
-    """Return text that cannot end a C comment: export compiles the header, and names come from foreign files."""
+    """Return text that cannot end a C comment: the export compiles the header, and names can come from any file."""
     return text.replace("*", "_")
 
 
@@ -247,7 +247,7 @@ def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Ite
 
 
 def _literal(word: str, kind: str) -> str:
-    """Return a C literal: ``1f`` is none."""
+    """Return a C literal; ``1f`` would be invalid."""
     point = "" if any(mark in word for mark in ".en") else ".0"
     return word + point + ("f" if kind == "float" else "")
 

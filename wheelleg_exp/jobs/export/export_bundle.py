@@ -152,13 +152,13 @@ _SKIPPED_FILES = (REPORT, "asset.json")
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export made.
+    """The result of an export.
 
     Attributes:
-        run: the run whose policy it is.
+        run: the run of the policy.
         checkpoint: the checkpoint.
         folder: the bundle.
-        differences: the largest differences of its policies from the simulation that trained it, step by step.
+        differences: the largest differences of the exported policies from the training's simulation, step by step.
         notes: what the bundle lacks, and why.
     """
 
@@ -170,18 +170,18 @@ class Exported:
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
-    """Write a run's policy as a folder that a deployer can use without this program.
+    """Write a run's policy as a bundle.
 
     Args:
         run: the run.
-        checkpoint: which of its checkpoints; None is the last.
-        output: the folder to make; None is ``exported/bundle`` of the run, with a number when that is taken.
+        checkpoint: one of its checkpoints; None means the last.
+        output: the new folder; None means ``exported/bundle`` of the run, with a number if it exists.
         command: the command line, for the manifest.
 
     Raises:
-        ConfigError: a part of the policy cannot work without the simulation: which, and what can.
+        ConfigError: a part of the policy needs the simulation; the message names it, and what would work.
         RunDirectoryError: the run or the checkpoint is wrong, or the folder exists.
-        SimulationFailure: a policy of the bundle differs from what the simulation recorded; nothing is written.
+        SimulationFailure: an exported policy differs from the simulation's records; nothing is written.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
@@ -195,7 +195,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
         try:
             _record(run, folder, results, command)
-        except BaseException:  # what the manifest does not name is not of the run
+        except BaseException:  # a folder that the manifest does not name must not stay in the run
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)
@@ -209,7 +209,7 @@ def _record(run: RunDirectory, folder: Path, results: Mapping[str, Any], command
 
 
 def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
-    """Give a finished folder its name; a taken one gets a number, or is refused."""
+    """Rename a finished folder; an existing name gets a number, or is refused."""
     number, place = 1, target
     while place.exists() or place.is_symlink():
         if not numbered:
@@ -222,7 +222,7 @@ def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write the bundle's files and return how far its runner is from the simulation, and what it lacks."""
+    """Write the bundle's files; return the differences of its policies and the notes on what it lacks."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
@@ -273,7 +273,7 @@ def _provenance(run: RunDirectory, checkpoint: Path, state: Mapping[str, Any]) -
 
 
 def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ranges of each command as the training has left them: a curriculum may have widened them."""
+    """Return the ranges of each command at the end of training, because a curriculum can widen them."""
     found = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
@@ -284,7 +284,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_unchanged(state: Mapping[str, Any]) -> None:
-    """Refuse a training that has changed settings of actions or observations since its config was written."""
+    """Refuse a training that changed settings of actions or observations after its config was written."""
     managers = state.get("env", {}).get("managers", {})
     terms = {f"env.actions.{name}": term for name, term in managers.get("actions", {}).get("terms", {}).items()}
     for group, found in managers.get("observations", {}).get("groups", {}).items():
@@ -292,9 +292,9 @@ def _require_unchanged(state: Mapping[str, Any]) -> None:
     for key, term in terms.items():
         if term.get("settings"):
             raise ConfigError(
-                "its settings were changed while training (" + ", ".join(term["settings"]) + ")",
+                "the training changed its settings (" + ", ".join(term["settings"]) + ")",
                 key=key,
-                expected="the settings of the config: what is exported is read from there",
+                expected="the settings of the config, from which the export is made",
             )
 
 
@@ -307,7 +307,7 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
 def _write_robot(
     folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
 ) -> list[str]:
-    """Write the robot's files and its scene; return what is missing."""
+    """Write the robot's files and its scene; return notes on what is missing."""
     with for_people(folder):
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain

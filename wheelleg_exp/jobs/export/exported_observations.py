@@ -164,7 +164,7 @@ def _joints(env: ManagerBasedRLEnv, term: Term) -> list[int]:
 def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     if term.params.get("measured") is False and name == "joint_pos":
         raise ConfigError(
-            "shows where the joints are, which encoders do not tell", key=term.path, expected="measured: true"
+            "shows joint positions that encoders do not measure", key=term.path, expected="measured: true"
         )
     ids = _joints(env, term)
     return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}

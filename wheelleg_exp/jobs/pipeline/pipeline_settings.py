@@ -197,14 +197,14 @@ def _mistakes_by_phase(
         for errors in wrong.values()
     ]
     shared = set.intersection(*of_all) if len(wrong) == phases else set()
-    told = set()
+    reported = set()
     for name, errors in wrong.items():
         for error in errors:
             mistake = (error.key, override_of(error))
             if mistake not in shared:
                 yield name_phase(error, name)
-            elif mistake not in told:
-                told.add(mistake)
+            elif mistake not in reported:
+                reported.add(mistake)
                 yield error
 
 

@@ -198,8 +198,8 @@ def replay(
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
         folder = _working_folder(manifest, source, workplace)
-        told = _train(request, source, environ, folder, display, stop)
-    new = RunDirectory.open(told["run"]["path"], root)
+        events = _train(request, source, environ, folder, display, stop)
+    new = RunDirectory.open(events["run"]["path"], root)
     comparison = compare_runs(run, new, iterations=total)
     results = {"of": _id(run, manifest), "verdict": comparison.verdict, "iterations": total}
     new.manifest().add(KIND, results=results, command=command)
@@ -210,8 +210,8 @@ def replay(
         whole=total == len(read_log(run.iterations).lines),
         source=source,
         machine=machine,
-        composed=_facts(told.get("composed", {})),
-        asset=_facts(told.get("asset", {})),
+        composed=_facts(events.get("composed", {})),
+        asset=_facts(events.get("asset", {})),
         notes=notes,
         kept=workplace / "source" if keep else None,
         comparison=comparison,

@@ -91,7 +91,7 @@ def fit(
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in _changes(was or {}, now or {}):
-        if change.keys != ("distribution_cfg", "init_std"):  # what has been learned stands in its place
+        if change.keys != ("distribution_cfg", "init_std"):  # the learned deviation replaces it
             _refuse(
                 found, f"{key}.{'.'.join(change.keys)}", f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
             )

@@ -124,7 +124,7 @@ def _require_line(run: RunDirectory, point: ResumePoint) -> None:
             "exists, so the log would have a gap",
             key=str(run.iterations),
             expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
-            f"model_{len(point.lines)}.pt on, to go on from before",
+            f"model_{len(point.lines)}.pt on, to resume from an earlier one",
         )
 
 

@@ -83,7 +83,7 @@ def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
         return
     command = f"wheelleg resume {manifest.directory.name}"
     raise RunDirectoryError(
-        f"was trained by {_processes(trained)} and cannot go on with {_processes(ranks.size)}: each has environments "
+        f"was trained by {_processes(trained)} and cannot resume with {_processes(ranks.size)}: each has environments "
         "and random numbers of its own",
         key=str(manifest.directory),
         expected=f"torchrun --nproc-per-node {trained} --no-python {command}" if trained > 1 else f"'{command}' alone",

@@ -145,9 +145,9 @@ def require_wandb(logger: str | None) -> None:
 
 
 class WandbLog:
-    """Sends an iteration's scalars, from entering to leaving, where wandb's variables say (``WANDB_MODE``, ...).
+    """Sends scalars to Weights & Biases while entered; wandb's variables (``WANDB_MODE``, ...) choose the destination.
 
-    A run that is gone on with goes on there as well, under the same id.
+    A resumed run continues there under the same id.
     """
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
@@ -161,11 +161,11 @@ class WandbLog:
             self._run = wandb.init(
                 project=os.environ.get("WANDB_PROJECT", _WANDB_PROJECT),
                 name=f"{task}/{self._directory.id}",
-                id=f"{task}-{self._directory.id}-{moment:%f}",  # seeds may start in one second on many machines
+                id=f"{task}-{self._directory.id}-{moment:%f}",  # several seeds can start in the same second
                 resume="allow",
                 dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
                 config=dict(self._config),
-                force=True,  # a question for a key would wait for an answer
+                force=True,  # without this, wandb waits for somebody to enter a key
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:
@@ -183,9 +183,9 @@ class WandbLog:
 
     @property
     def place(self) -> str:
-        """Where it goes: the run's page, or the folder that ``wandb sync`` sends later."""
+        """The run's page, or the folder that ``wandb sync`` sends later."""
         return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Send one iteration's scalars; an iteration that was sent before stays as it is."""
+        """Send the scalars of one iteration; wandb ignores an iteration that it already has."""
         self._run.log(dict(scalars), step=iteration)

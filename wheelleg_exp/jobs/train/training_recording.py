@@ -48,7 +48,7 @@ class Films:
         self._every, self._steps, self._row = options.video_every, options.steps, options.env_ids[0]
         self._stride = max(1, round(1 / (_MAX_FPS * env.step_dt)))
         self._positions: list[Array] = []
-        self._begun: int | None = None
+        self._start: int | None = None
         self.ended: str | None = None
         self._begin(start_iteration)
 
@@ -70,25 +70,25 @@ class Films:
 
     def _begin(self, iteration: int) -> None:
         if iteration % self._every == 0 and self.ended is None:
-            self._begun = iteration
+            self._start = iteration
 
     def _observe(self) -> None:
-        if self._begun is not None and len(self._positions) < self._steps:
+        if self._start is not None and len(self._positions) < self._steps:
             self._positions.append(host_copy(self._env.scene.sim.view("qpos")[self._row]).astype(float))
 
     def _finish(self) -> None:
-        shown, begun = self._positions[:: self._stride], self._begun
-        self._positions, self._begun = [], None
-        if begun is None or not shown:
+        shown, start = self._positions[:: self._stride], self._start
+        self._positions, self._start = [], None
+        if start is None or not shown:
             return
         from av.error import FFmpegError  # importing the encoder is slow, and few trainings are filmed
 
         pictures = _pictures(self._env)
         try:
-            path, fps = self._folder / f"iteration_{begun}.mp4", 1 / (self._env.step_dt * self._stride)
+            path, fps = self._folder / f"iteration_{start}.mp4", 1 / (self._env.step_dt * self._stride)
             video_file.write(path, map(pictures.draw, shown), fps, _FILM_SIZE_PX)
         except (WheellegError, FFmpegError) as error:
-            self.ended = f"no film from iteration {begun} on: {error}"
+            self.ended = f"no film from iteration {start} on: {error}"
         finally:
             pictures.close()
 
@@ -122,26 +122,25 @@ def _pictures(env: ManagerBasedRLEnv) -> LivePictures:
 
 
 class TrainingRecording(ObservingRecording):
-    """Records a training, from entering to leaving.
+    """Records a training while entered.
 
-    Every iteration is in the file when ``write`` returns; of rollouts of less than 16 steps, the last few frames may
-    wait for the next. With every ``interval``-th iteration a sample of motion is due, as long as the bound on the size
-    leaves room for the longest that it can become: of each environment it begins with the first episode that begins
-    from then on, and ends with the episode in which it has ``steps`` frames. What is due and how far it is follows
-    from the options and the frames in the file, so that a recording that was gone on with holds what an uninterrupted
-    one holds.
+    Every iteration is in the file when ``write`` returns; the last few frames of rollouts of less than 16 steps can
+    wait
+    for the next one. A sample of motion is due with every ``interval``-th iteration, as long as the size limit has room
+    for the longest possible sample. In each environment, a sample starts with the next new episode, and ends with the
+    episode in which it reaches ``steps`` frames. Options and recorded frames decide what is due, so that a resumed
+    recording equals an uninterrupted one.
 
     Args:
         directory: the run directory.
         env: the environment.
-        options: what is recorded.
-        documents: texts that go into the recording, by name, besides those that the run directory tells.
-        start_iteration: the first iteration that is still to come; above 0 the run's recording is gone on with: what
-            lies past the environment's present control step is dropped, and a sample under way continues.
+        options: of the recording.
+        documents: texts for the recording, by name, in addition to those of the run directory.
+        start_iteration: the next iteration. Above 0, the run's recording is continued: frames past the environment's
+            present control step are dropped, and an unfinished sample continues.
 
     Attributes:
-        note: what people should know of it: what became of an earlier recording that could not be gone on with, and
-            whether the bound on the size leaves room for a sample; None when there is nothing to tell.
+        note: why an earlier recording could not be continued, and whether a sample exceeds the size limit; or None.
     """
 
     def __init__(
@@ -167,11 +166,13 @@ class TrainingRecording(ObservingRecording):
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
         for name, text in {**run_documents(directory), **documents}.items():
-            if name != "manifest" or not self._recorder.has_document(name):  # that of the start stays
+            if name != "manifest" or not self._recorder.has_document(name):  # a resume keeps the first manifest
                 self._recorder.document(name, text)
         if aside:
-            self._recorder.say(f"{aside}; this one begins with iteration {start_iteration}")
-        self._longest = options.steps - 1 + env.max_episode_length  # a sample whose last episode begins at its end
+            self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
+        self._longest = (
+            options.steps - 1 + env.max_episode_length
+        )  # a sample whose last episode starts at its last frame
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
         self.note = "; ".join(self.notes) or None
@@ -182,22 +183,22 @@ class TrainingRecording(ObservingRecording):
             self._tell_bound(0)
 
     def _warning(self) -> str | None:
-        """Return that not even one sample fits, and what would do; None when one does."""
+        """Return a warning if not even one sample fits, with a limit that would do."""
         if self._longest <= self._room:
             return None
         return (
             f"recording.max_mb={self._options.max_mb:g} leaves no room for a sample, which has up to {self._longest} "
-            "steps, beside shapes and texts, so no motion is recorded; "
+            "steps, in addition to shapes and texts, so no motion is recorded; "
             f"{self._recorder.megabytes(self._longest):.1f} are enough for one"
         )
 
     @property
     def unfinished(self) -> str | None:
-        """Why the file was not put together when it was closed; None when it was, or is open."""
+        """Why the file was not assembled when it was closed; None if it was, or is open."""
         return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Write one iteration's scalars, and begin the next sample when it is due."""
+        """Write the scalars of one iteration, and start the next sample if it is due."""
         self._recorder.scalars(scalars, iteration)
         following = iteration + 1
         if following % self._options.interval == 0:
@@ -211,17 +212,17 @@ class TrainingRecording(ObservingRecording):
             self._live.show()
 
     def flush(self) -> None:
-        """Bring everything so far into the file."""
+        """Write all pending data to the file."""
         self._recorder.flush()
 
     def _begin(self, iteration: int) -> None:
-        """Begin the sample that ``iteration`` belongs to, or go on with it."""
+        """Start or continue the sample of ``iteration``."""
         self._recorder.iteration = iteration
         due = self._due(iteration)
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step after which the sample of ``iteration``, the present one, may begin."""
+        """Return the control step after which the sample of ``iteration``, the present one, can start."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 
@@ -229,7 +230,7 @@ class TrainingRecording(ObservingRecording):
         return self._recorder.frames_until(due) + self._longest <= self._room
 
     def _tell_bound(self, iteration: int) -> None:
-        """Mark the iteration from which on no sample fits any more."""
+        """Mark the iteration from which on no sample fits."""
         due, interval = self._env.common_step_counter, self._options.interval
         if self._has_room(due):
             return
@@ -237,7 +238,7 @@ class TrainingRecording(ObservingRecording):
             self._recorder.say(str(self._warning()))
             return
         before = due - interval * (due // iteration)
-        if self._recorder.frames_until(due) > self._recorder.frames_until(before):  # there was room the last time
+        if self._recorder.frames_until(due) > self._recorder.frames_until(before):  # the previous sample still fitted
             bound, count = self._options.max_mb, iteration // interval
             self._recorder.say(
                 f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "

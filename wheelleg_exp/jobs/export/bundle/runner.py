@@ -59,7 +59,7 @@ class Term:
         self.memory: dict[int, list[np.ndarray]] = {}
 
     def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return what the term's function gives, before anything is done to it.
+        """Return the value of the term's function, before modifiers.
 
         Args:
             readings: what was measured and commanded, by name, SI.
@@ -92,10 +92,10 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Sum up by how much the wheels and the gyroscope have gone beyond the command, m and rad, within bounds."""
+        """Sum the bounded travel of wheels and gyroscope past the command, m and rad."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # nothing is missed before the first step
+        if -1 in self.memory:  # before the first step, nothing is missing
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             rolled = np.mean(forwards) * F(self.spec["wheel_radius"])
             missed = array([rolled, readings["base_ang_vel"][2]]) - before
@@ -105,7 +105,7 @@ class Term:
         return total
 
     def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
-        """Return a value after the modifier of this number; what it remembers is kept for the next step."""
+        """Return a value after the modifier of this number; its memory stays for the next step."""
         kind = spec["kind"]
         if kind == "scale":
             return x * F(spec["multiplier"])
@@ -127,7 +127,7 @@ class Term:
         return y
 
     def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the term's part of the observation, its history included, flat; takes what ``value`` takes."""
+        """Return the term's part of the observation, with its history, flat; arguments as for ``value``."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
             x = self.modified(number, spec, x)
@@ -140,7 +140,7 @@ class Term:
 
 
 class Policy:
-    """The policy with all that it remembers: histories, its last action, filters, moving averages.
+    """The policy with its memory: histories, last action, filters, moving averages.
 
     Args:
         folder: the bundle.
@@ -231,7 +231,7 @@ class Policy:
         return self.clipped(x.astype(F))
 
     def clipped(self, actions: np.ndarray) -> np.ndarray:
-        """Return outputs of the network within the bounds of the training's actions."""
+        """Return the network's output, clipped as in training."""
         bound = self.spec["clip_actions"]
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
@@ -246,7 +246,7 @@ class Policy:
         return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
     def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
-        """Return what one action term makes of its part of the action."""
+        """Return the targets of one action term."""
         raw = self.action[term["start"] : term["stop"]]
         kind = term["function"]
         if kind == "binary":
@@ -260,7 +260,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # a moving average, which begins where the joints are
+            if "alpha" in term:  # a moving average, which starts at the joint positions
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x

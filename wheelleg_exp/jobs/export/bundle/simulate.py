@@ -55,7 +55,7 @@ class Robot:
         self.reset()
 
     def reset(self) -> None:
-        """Stand the robot at its default pose."""
+        """Place the robot in its default pose."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:7] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]]
         self.data.qpos[self.qpos] = self.spec["default_joint_pos"]
@@ -63,7 +63,7 @@ class Robot:
         mujoco.mj_forward(self.model, self.data)
 
     def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the policy asks for."""
+        """Return the readings that the policy needs."""
         data, effort = self.data, np.zeros(len(self.qpos))
         for drive, actuators in self.drives:
             effort[drive["joint_ids"]] = data.actuator_force[actuators]
@@ -84,7 +84,7 @@ class Robot:
         }
 
     def imu_readings(self) -> dict[str, np.ndarray]:
-        """Return what the IMUs measure, without errors."""
+        """Return the readings of the IMUs, without errors."""
         found: dict[str, np.ndarray] = {}
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -118,7 +118,7 @@ class Robot:
             self.data.ctrl[actuators] = torque
 
     def approached(self, name: str, asked: Any) -> np.ndarray:
-        """Return a command a step nearer to what is asked for, no faster than in training."""
+        """Return the next command on the way to the requested one, no faster than in training."""
         now = self.commands.setdefault(name, np.zeros(len(asked)))
         most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
         now += np.clip(np.asarray(asked) - now, -most, most)
@@ -139,7 +139,7 @@ class Robot:
 
 
 def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
-    """Return which parts of a command lie outside of what the policy was trained for, in words."""
+    """Return in words which parts of a command are outside the ranges of the training."""
     if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
         return []
     parts = zip(ranges.items(), command, strict=True)
@@ -148,7 +148,7 @@ def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
 
 
 def main() -> int:
-    """Let the robot act for a while, and print how it stood."""
+    """Simulate for a while, and print how well the robot stood."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="how long")
     parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")
