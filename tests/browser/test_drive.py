@@ -173,7 +173,7 @@ def test_a_gamepad_drives(driving: Driving):
 def test_a_port_that_is_taken_is_told():
     with DrivePage(0, ["own"], []) as page:
         second = DrivePage(int(page.url.rsplit(":", 1)[1].strip("/")), ["own"], [])
-        with pytest.raises(WheellegError, match="--port: port .* is in use"):
+        with pytest.raises(WheellegError, match=r"--port: port .* is in use"):
             second.__enter__()
 
 
