@@ -9,10 +9,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.evaluation.evaluation_env import evaluation_cfg, rewarded_height
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.method_comparison import (
@@ -40,14 +38,15 @@ from wheelleg_exp.evaluation.method_comparison import (
 from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
-from wheelleg_exp.files import for_people, sha256, while_running, write_json, write_text
-from wheelleg_exp.jobs.saved_robot import saved_mjcf
+from wheelleg_exp.files import for_people, write_json, write_text
+from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
+from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
-from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.terms.config_sections import read_section
 from wheelleg_exp.user_exceptions import ending_as
 
@@ -84,13 +83,7 @@ def evaluation_settings(
     with composed.placing(), placing(others):
         if errors := check_tree(tree, schema.EvaluateRoot):
             raise_all(errors)
-        for key in ("asset", "base"):
-            if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
-                raise ConfigError(
-                    "a policy is evaluated on the robot that it was trained on",
-                    key=f"env.robot.{key}",
-                    expected="the run's own value; another robot needs a new run",
-                )
+        require_same_robot(kept, tree, "a policy is evaluated on the robot that it was trained on")
         protocol = read_section(Protocol, tree["protocol"], "protocol")
         require_read(kept, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
     return tree
@@ -164,9 +157,7 @@ def evaluate_run(
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
     found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
-    own = checkpoint.resolve().is_relative_to(run.path)
-    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
-    about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "overrides": list(overrides)}
+    about = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides)}
     content = {**about, **found.as_dict()}
     return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
 
@@ -207,16 +198,11 @@ def _save(
     draw: Draw | None,
 ) -> Path:
     """Write the result below the run, whole or not at all, and return the folder."""
-    folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    try:
-        with while_running():
-            write_text(folder / EPISODES, episodes_text(found.episodes))
-            write_json(folder / RESULT, content)
-            drawn = [] if draw is None else draw(found, folder)
-            run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
-    except BaseException:  # an interrupted evaluation must not look like a finished one
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+    with dated_folder(run.evaluation) as folder:
+        write_text(folder / EPISODES, episodes_text(found.episodes))
+        write_json(folder / RESULT, content)
+        drawn = [] if draw is None else draw(found, folder)
+        run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
     return folder
 
 
@@ -412,15 +398,10 @@ def compare(
         "push_verdict": pushed,
     }
     run = runs[0].run
-    folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + "_comparison")
-    try:
-        with while_running():
-            write_json(folder / COMPARISON, content)
-            results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
-            run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+    with dated_folder(run.evaluation, "_comparison") as folder:
+        write_json(folder / COMPARISON, content)
+        results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
+        run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
     return Compared(folder, seeds, found, said, pushed, content)
 
 

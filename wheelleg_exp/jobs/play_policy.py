@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,26 +18,28 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, SimulationFailure
-from wheelleg_exp.files import sha256, while_running, write_json
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter, StandFigures, StandMeter
 from wheelleg_exp.jobs.rollout_files import (
     EpisodeRecording,
+    checkpoint_facts,
     close_dataset,
     command_document,
     config_document,
+    dated_folder,
     json_document,
     run_documents,
 )
-from wheelleg_exp.jobs.saved_robot import saved_mjcf, saved_model_digest
+from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_model_digest
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.rollout_log import FailureCount
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
-from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.user_exceptions import ending_as
 
 Tree = dict[str, Any]
@@ -123,10 +123,7 @@ def prepare_policy(
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
-    own = checkpoint.resolve().is_relative_to(run.path)
-    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
-    about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
-    return RunPolicy(run, checkpoint, tree, adapter, policy, about)
+    return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
 def _play_settings() -> Tree:
@@ -145,13 +142,7 @@ def _require_playable(kept: Tree, tree: Tree) -> None:
     errors = check_tree(tree, schema.PlayRoot)
     if errors:
         raise_all(errors)
-    for key in ("asset", "base"):
-        if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
-            raise ConfigError(
-                "a play simulates the robot that the run was trained on",
-                key=f"env.robot.{key}",
-                expected="the run's own value; another robot needs a new run",
-            )
+    require_same_robot(kept, tree, "a play simulates the robot that the run was trained on")
 
 
 @dataclass(frozen=True)
@@ -203,24 +194,19 @@ def play(
     env.observers += [meter.observe, motion.observe]
     failures = FailureCount(env.num_envs, tree["agent"])
     content = {**prepared.about, "seed": tree["seed"], "overrides": list(overrides)}
-    folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    try:
-        with while_running():
-            recording = prepared.recording(folder, command) if tree["recording"]["enabled"] else None
+    with dated_folder(run.play) as folder:
+        recording = prepared.recording(folder, command) if tree["recording"]["enabled"] else None
+        if recording is not None:
+            recording.warn(display.note)
+        with recording or nullcontext():
+            _roll(adapter, prepared.policy, meter, failures, display)
+            content |= meter.figures().as_dict() | motion.figures().as_dict()
             if recording is not None:
-                recording.warn(display.note)
-            with recording or nullcontext():
-                _roll(adapter, prepared.policy, meter, failures, display)
-                content |= meter.figures().as_dict() | motion.figures().as_dict()
-                if recording is not None:
-                    recording.figures(content)
-            dataset = close_dataset(folder / "dataset", env)
-            write_json(folder / "figures.json", content)
-            files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
-            run.manifest().add("play", files, content, command=command)
-    except BaseException:  # an interrupted play must not look like a finished one
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+                recording.figures(content)
+        dataset = close_dataset(folder / "dataset", env)
+        write_json(folder / "figures.json", content)
+        files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
+        run.manifest().add("play", files, content, command=command)
     path = recording.path if recording else None
     return Played(run, prepared.checkpoint, folder, path, meter.figures(), motion.figures(), failures)
 

@@ -1,4 +1,4 @@
-"""Files that a job writes about its rollouts: the recording, the texts inside the recording, and the dataset.
+"""Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
 ``EpisodeRecording`` records a play or an agent as one segment. A dataset holds the episodes that recorder terms
 noted, as ``.npz`` archives (`docs/datasets.md`).
@@ -9,8 +9,11 @@ from __future__ import annotations
 import io
 import re
 import shlex
+import shutil
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,7 +22,7 @@ import numpy as np
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import dump_json, read_text, write_bytes
+from wheelleg_exp.files import dump_json, read_text, sha256, while_running, write_bytes
 from wheelleg_exp.managers.recorder_manager import Arrays
 from wheelleg_exp.plain_data import dump_yaml, json_value
 from wheelleg_exp.recording.blueprint import FIGURES, Purpose
@@ -27,7 +30,7 @@ from wheelleg_exp.recording.writing.live_view import LiveView
 from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
-from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
 _MAX_CHARACTERS = 400_000  # more would be too long for a viewer
 
@@ -196,6 +199,25 @@ class EpisodeRecording(ObservingRecording):
 
 
 _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
+
+
+@contextmanager
+def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
+    """Yield a new folder named by the time; an error or interrupt removes it, so that it never looks finished."""
+    folder = create_exclusively(parent, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + suffix)
+    try:
+        with while_running():
+            yield folder
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
+    """Return a checkpoint's name, relative to its run where possible, and its sha256."""
+    path = checkpoint.resolve()
+    name = path.relative_to(run.path) if path.is_relative_to(run.path) else path
+    return {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
 
 
 def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:

@@ -7,6 +7,7 @@ names the source files and the digest of the compiled model.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,7 +15,7 @@ from xml.etree import ElementTree
 from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.asset.conversion_cache import MODEL
 from wheelleg_exp.asset.conversion_report import Report
-from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text
 from wheelleg_exp.paths import INITIAL, TEACHER
 from wheelleg_exp.run.file_inventory import is_inside
@@ -117,3 +118,18 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
         (folder / mjcf.name).rename(output)
     report = _report(output.with_name(REPORT))
     return CachedConversion(output, report, saved_sources(directory), key="", fresh=False)
+
+
+def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
+    """Raise ConfigError if overrides changed the robot of a run.
+
+    Args:
+        recorded: the run's own tree.
+        tree: the tree with overrides.
+        rule: the violated rule, for the message.
+    """
+    for key in ("asset", "base"):
+        if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
+            raise ConfigError(
+                rule, key=f"env.robot.{key}", expected="the run's own value; another robot needs a new run"
+            )

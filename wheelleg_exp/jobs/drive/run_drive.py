@@ -7,12 +7,10 @@ Each drive is recorded like a play and saved under the run.
 from __future__ import annotations
 
 import copy
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,15 +19,15 @@ import torch
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
-from wheelleg_exp.files import while_running, write_json, write_yaml
+from wheelleg_exp.files import write_json, write_yaml
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
 from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import RunPolicy, Tree, prepare_policy
-from wheelleg_exp.jobs.rollout_files import close_dataset
+from wheelleg_exp.jobs.rollout_files import close_dataset, dated_folder
 from wheelleg_exp.packages import with_current
-from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as
 
@@ -221,13 +219,8 @@ def _drive_one(
     )
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
-    folder = create_exclusively(request.run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    try:
-        with while_running():
-            return _drive_recorded(request, choice, prepared, session, script, folder, display, view, stop)
-    except BaseException:  # an interrupted drive must not look like a finished one
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+    with dated_folder(request.run.play) as folder:
+        return _drive_recorded(request, choice, prepared, session, script, folder, display, view, stop)
 
 
 def _drive_recorded(
