@@ -121,8 +121,8 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
 
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     env, agent = load_params(run)
-    kept = _kept(run)
-    tree = apply_overrides({**kept, "env": env, "agent": agent}, overrides)
+    sections = _recorded_sections(run)
+    tree = apply_overrides({**sections, "env": env, "agent": agent}, overrides)
     typed = [*recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:
@@ -133,19 +133,19 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     return Side(" ".join([label, *overrides]), {key: tree[key] for key in SECTIONS if key in tree}, where, _facts(run))
 
 
-def _kept(run: RunDirectory) -> dict[str, Any]:
+def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     """Return what ``params`` lacks, from Hydra's own file if the run has it."""
     manifest = run.manifest()
-    kept: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
+    sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):
-        kept["seed"] = manifest.data["seeds"][0]
+        sections["seed"] = manifest.data["seeds"][0]
     if not (run.path / CONFIG).is_file():
-        return kept
+        return sections
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return kept  # a config that does not resolve is not compared
-    return {**kept, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
+        return sections  # a config that does not resolve is not compared
+    return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 
 def _sets(override: str, path: str) -> bool:

@@ -78,14 +78,14 @@ def evaluation_settings(
     others = run_overrides(overrides)
     composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
     env, agent = load_params(run)
-    kept = {"env": on_reference_engine(upgrade_env_params(env)), "agent": agent}
-    tree = {**apply_overrides(kept, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
+    recorded = {"env": on_reference_engine(upgrade_env_params(env)), "agent": agent}
+    tree = {**apply_overrides(recorded, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
     with composed.placing(), placing(others):
         if errors := check_tree(tree, schema.EvaluateRoot):
             raise_all(errors)
-        require_same_robot(kept, tree, "a policy is evaluated on the robot that it was trained on")
+        require_same_robot(recorded, tree, "a policy is evaluated on the robot that it was trained on")
         protocol = read_section(Protocol, tree["protocol"], "protocol")
-        require_read(kept, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
+        require_read(recorded, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
     return tree
 
 
@@ -231,9 +231,9 @@ def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
 
 def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the manifest's entry of an evaluation."""
-    kept = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
+    keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
     values = {name: figure["value"] for name, figure in content["metrics"].items()}
-    facts = {key: content[key] for key in kept if key in content}
+    facts = {key: content[key] for key in keys if key in content}
     return {"protocol": content["protocol"]["name"], **facts, "metrics": values}
 
 
@@ -282,8 +282,8 @@ def read_evaluation(folder: Path) -> Evaluation:
     content = read_content(folder)
     try:
         metrics = {name: _figure(value) for name, value in content["metrics"].items()}
-        kept = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
-        return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **kept)
+        facts = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
+        return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **facts)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunDirectoryError(f"is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
 

@@ -111,15 +111,15 @@ def prepare_policy(
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    kept = {**_play_settings(), "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
-    tree = apply_overrides(kept, overrides)
+    recorded = {**_play_settings(), "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
+    tree = apply_overrides(recorded, overrides)
     with placing(overrides):
         tree = tree if change is None else change(tree)
-        _require_playable(kept, tree)
-        require_read(kept, overrides, _settings_read, _ALTERNATIVES)
+        _require_playable(recorded, tree)
+        require_read(recorded, overrides, _settings_read, _ALTERNATIVES)
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
-    if tree["env"] == kept["env"] and env.scene.model_digest() != saved_model_digest(run):
+    if tree["env"] == recorded["env"] and env.scene.model_digest() != saved_model_digest(run):
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
@@ -137,12 +137,12 @@ def _settings_read(tree: Mapping[str, Any]) -> Any:
     return {**tree, "agent": agent}
 
 
-def _require_playable(kept: Tree, tree: Tree) -> None:
+def _require_playable(recorded: Tree, tree: Tree) -> None:
     """Check the amended tree before anything is built."""
     errors = check_tree(tree, schema.PlayRoot)
     if errors:
         raise_all(errors)
-    require_same_robot(kept, tree, "a play simulates the robot that the run was trained on")
+    require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
 
 
 @dataclass(frozen=True)

@@ -85,8 +85,8 @@ def reproduce(
         say("equal bits are promised only on the same kind of machine: other numbers here do not refute the page")
     trained = {} if trained is None else trained
     runs: list[Evaluated] = []
-    for number, kept in enumerate(record["runs"], start=1):
-        run = _trained_run(kept["train"], root, trained, say, config_dirs)
+    for number, recorded in enumerate(record["runs"], start=1):
+        run = _trained_run(recorded["train"], root, trained, say, config_dirs)
         say(f"run {number}: evaluating")
         runs.append(evaluate_run(run, None, record["words"], _COMMAND, None, config_dirs))
     reference = None
@@ -99,14 +99,14 @@ def reproduce(
     return Reproduction(found, _machine_differences(manifests, made), trees[0] != trees[1])
 
 
-def evaluation_differences(kept: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
+def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
     """Yield in words the differences of an evaluation."""
     now = evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
-        if now[key] != kept[key]:
-            yield f"{key} is {now[key]}, and was {kept[key]}"
-    for name in dict.fromkeys([*kept["metrics"], *now["metrics"]]):
-        was, is_now = kept["metrics"].get(name), now["metrics"].get(name)
+        if now[key] != recorded[key]:
+            yield f"{key} is {now[key]}, and was {recorded[key]}"
+    for name in dict.fromkeys([*recorded["metrics"], *now["metrics"]]):
+        was, is_now = recorded["metrics"].get(name), now["metrics"].get(name)
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
@@ -116,10 +116,10 @@ def evaluation_differences(kept: Mapping[str, Any], made: Evaluated) -> Iterator
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
     """Yield differences of networks and evaluations; if there are none, differences of computed values."""
     equal = True
-    for number, (kept, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
+    for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)
-        lines = [f"the networks are {now}, and were {kept['parameters']}"] if now != kept["parameters"] else []
-        for line in (*lines, *evaluation_differences(kept["evaluation"], made)):
+        lines = [f"the networks are {now}, and were {recorded['parameters']}"] if now != recorded["parameters"] else []
+        for line in (*lines, *evaluation_differences(recorded["evaluation"], made)):
             equal = False
             yield f"run {number}: {line}"
     if reference is not None:

@@ -393,13 +393,13 @@ def result_manifest(run: RunDirectory) -> dict[str, Any]:
     """Return the part of a run's manifest that a result keeps."""
     data = run.manifest().data
     source = data.get("source") or {}
-    kept = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}
-    kept["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
-    kept["resumes"] = [
+    result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}
+    result["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
+    result["resumes"] = [
         {
             **{key: entry.get(key) for key in ("when", "iteration", "exact", "why")},
             "before": {key: entry["before"].get(key) for key in _MACHINE_KEYS} if entry.get("before") else None,
         }
         for entry in data["resumes"]
     ]
-    return kept
+    return result

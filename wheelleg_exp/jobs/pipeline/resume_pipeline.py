@@ -49,9 +49,9 @@ def resume_pipeline(
                 where=f"override {text}",
                 expected=f"settings of {PIPELINE}.phases.<phase>",
             )
-    kept = index.data["config"]
-    tree = apply_overrides({PIPELINE: kept}, overrides)[PIPELINE]
-    found = list(changes(kept, tree, same, (PIPELINE,)))
+    recorded = index.data["config"]
+    tree = apply_overrides({PIPELINE: recorded}, overrides)[PIPELINE]
+    found = list(changes(recorded, tree, same, (PIPELINE,)))
     with placing(overrides):
         for change in found:
             _require_changeable(change, index)
@@ -63,7 +63,7 @@ def resume_pipeline(
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
         raise ConfigError(
-            "the phases of a pipeline cannot change", key=f"{PIPELINE}.phases", expected=str(list(kept["phases"]))
+            "the phases of a pipeline cannot change", key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"]))
         )
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
@@ -127,5 +127,5 @@ def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[
             expected=f"more than {config['max_iterations']}, or another gate",
         )
     regated = any(change.keys[2:4] == (phase["name"], "gate") for change in found)
-    kept = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
-    return {"status": "training", "why": None, "ended": None, "gates": kept}
+    gates = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
+    return {"status": "training", "why": None, "ended": None, "gates": gates}

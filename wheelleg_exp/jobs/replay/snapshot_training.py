@@ -177,8 +177,8 @@ def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, displ
 
     workplace = Path(request.workplace)
     made, why = _converted_again(run, config["env"], request, workplace / "assets")
-    kept = saved_mjcf(run).read_text(encoding="utf-8")
-    if made is not None and made.output.read_text(encoding="utf-8") == kept:
+    recorded = saved_mjcf(run).read_text(encoding="utf-8")
+    if made is not None and made.output.read_text(encoding="utf-8") == recorded:
         display.record("asset", converted=True, note=None)
         return made
     why = why or "the conversion gives another MJCF than the run's; the libraries differ"
@@ -231,8 +231,8 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     except ConfigError as error:
         return {"equal": False, "difference": str(error)}
     env, agent = load_params(run)
-    for key, kept in (("env", env), ("agent", agent)):
-        difference = _first_difference(kept, composed.config.get(key), key)
+    for key, recorded in (("env", env), ("agent", agent)):
+        difference = _first_difference(recorded, composed.config.get(key), key)
         if difference is not None:
             return {"equal": False, "difference": difference}
     if composed.hydra_files()["config.yaml"] != (run.hydra / "config.yaml").read_text(encoding="utf-8"):
@@ -243,18 +243,20 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     return {"equal": True, "difference": None}
 
 
-def _first_difference(kept: Any, now: Any, path: str) -> str | None:
+def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
     """Return the first difference between two trees, including the order of keys."""
-    if isinstance(kept, Mapping) and isinstance(now, Mapping):
-        for key in [*kept, *(k for k in now if k not in kept)]:
+    if isinstance(recorded, Mapping) and isinstance(now, Mapping):
+        for key in [*recorded, *(k for k in now if k not in recorded)]:
             below = f"{path}.{key}" if path else str(key)
-            if (key in kept) != (key in now):
-                return f"{below} is only in the {'snapshot' if key in kept else 'composed config'}"
-            difference = _first_difference(kept[key], now[key], below)
+            if (key in recorded) != (key in now):
+                return f"{below} is only in the {'snapshot' if key in recorded else 'composed config'}"
+            difference = _first_difference(recorded[key], now[key], below)
             if difference is not None:
                 return difference
-        return None if list(kept) == list(now) else f"{path or 'the config'} has its keys in another order"
-    return None if kept == now and type(kept) is type(now) else f"{path} was {kept!r} and composes to {now!r}"
+        return None if list(recorded) == list(now) else f"{path or 'the config'} has its keys in another order"
+    return (
+        None if recorded == now and type(recorded) is type(now) else f"{path} was {recorded!r} and composes to {now!r}"
+    )
 
 
 if __name__ == "__main__":

@@ -197,11 +197,11 @@ def initial_file(
     with _name_init_from():
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        kept = _selected_part(source, state, config)
+        part = _selected_part(source, state, config)
     _require_fit(source, config, list(PARTS[_parts_name(config)])[:2], note)
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
-        path.write_bytes(checkpoint.serialize(kept))
+        path.write_bytes(checkpoint.serialize(part))
         yield {INITIAL: path}, _source_run(source)
 
 

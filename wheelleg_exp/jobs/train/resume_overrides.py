@@ -79,18 +79,18 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
     return {**earlier, "env": upgrade_env_params(env), "agent": agent}
 
 
-def change_settings(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
+def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
     """Return the tree with overrides applied, and the changes.
 
     Raises:
         ConfigError: an override is wrong or changes a setting that must stay; or the run's own settings are wrong.
     """
-    tree = apply_overrides(kept, overrides)
+    tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
-    found = list(changes(kept, tree, _same_value))
+    found = list(changes(recorded, tree, _same_value))
     with placing(overrides):
         for change in found:
-            _require_changeable(change, kept, tree)
+            _require_changeable(change, recorded, tree)
         errors = check_tree(tree, schema.Root)
         if errors:
             raise_all(errors)
@@ -111,7 +111,7 @@ def change_entry(change: Change) -> dict[str, Any]:
     return {"key": change.key, "was": was, "now": now}
 
 
-def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
+def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
     if not decides(change.keys) or change.keys in _CHANGEABLE:
         return
     for prefix, why in _FIXED.items():
@@ -121,11 +121,11 @@ def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[s
         raise _refusal(change, "the networks were trained with this observation")
     section = change.keys[1] if change.keys[0] == "env" and len(change.keys) > 1 else ""
     if section in RESERVED and section != "observations":
-        _require_same_terms(change, kept["env"][section], tree["env"].get(section))
+        _require_same_terms(change, recorded["env"][section], tree["env"].get(section))
 
 
-def _require_same_terms(change: Change, kept: Mapping[str, Any], now: Any) -> None:
-    if not isinstance(now, Mapping) or list(now) != list(kept):
+def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -> None:
+    if not isinstance(now, Mapping) or list(now) != list(recorded):
         raise _refusal(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
     if change.keys[3:] in ((), ("_target_",), ("mode",)):
         raise _refusal(change, "the saved state is that of the run's own terms")

@@ -184,9 +184,9 @@ def _prepare(
         recorded = manifest.data.get("config_dirs") or _config_dirs_of_command(manifest)
         folders = join_recorded(config_dirs, recorded)
         others = left_out(recorded, folders)
-        kept = recorded_tree(run, manifest.data.get("config_variables") or {})
+        recorded_config = recorded_tree(run, manifest.data.get("config_variables") or {})
         with _naming_unused_folders(others):
-            tree, changes = change_settings(kept, overrides)
+            tree, changes = change_settings(recorded_config, overrides)
         point = find_point(run)
         _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)
