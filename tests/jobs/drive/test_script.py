@@ -85,7 +85,7 @@ def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for
         ("[]", ["--script", "not a list"]),
         ("- 3", ["[0]", ":1", "not a command"]),
         ("- {at: 1", ["--script", "not YAML"]),
-        ("- {for: 1, for: 2}", ["'for'", "twice"]),
+        ("- {for: 1, for: 2}", ["'for'", "repeated"]),
     ],
 )
 def test_a_mistake_is_told_with_its_line(script, text, words):
