@@ -360,7 +360,7 @@ def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
     env = ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0)
     job._require_unchanged({"env": env.state_dict()})
     env.observation_manager.terms("policy")["base_ang_vel"].term.fields["scale"] = 3.0
-    with pytest.raises(ConfigError, match="changed while training") as told:
+    with pytest.raises(ConfigError, match="the training changed its settings") as told:
         job._require_unchanged({"env": env.state_dict()})
     assert told.value.key == "env.observations.policy.terms.base_ang_vel"
 

@@ -156,7 +156,7 @@ def test_what_one_process_says_and_writes_is_all(folder):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("resume",), "was trained by 2 processes and cannot go on with one process"),
+        (("resume",), "was trained by 2 processes and cannot resume with one process"),
         (("replay",), "was trained by 2 processes, and a replay trains with one"),
     ],
 )

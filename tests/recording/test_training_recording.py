@@ -294,7 +294,7 @@ def test_damage_in_the_middle_is_kept_beside(env, stopped, directory, offset):
 def test_a_missing_file_is_told(env, stopped, directory):
     go_on(env, directory, stopped[1], 4, 5)
     (text,) = Recording(directory.recording).table("log/recording").column("text").to_pylist()
-    assert text == ["the earlier part of this recording is missing; this one begins with iteration 4"]
+    assert text == ["the earlier part of this recording is missing; this one starts with iteration 4"]
 
 
 def test_an_interrupted_rewriting_leaves_the_old_file_and_its_rest_is_removed(env, straight, stopped, directory):
