@@ -117,18 +117,20 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
         WheellegError: rank 0 reports why it cannot resume.
     """
     with ranks.agreed():
-        pass  # the first one reads the run
-    told = ranks.said_by_first(None)
-    run = RunDirectory(Path(told["run"]))
+        pass  # rank 0 reads the run meanwhile
+    message = ranks.said_by_first(None)
+    run = RunDirectory(Path(message["run"]))
     with ranks.agreed():
-        recipe = resume_recipe(run, told["tree"], "", join_recorded(config_dirs, told["recorded"]))
+        recipe = resume_recipe(run, message["tree"], "", join_recorded(config_dirs, message["recorded"]))
         trainer, _ = build_trainer(recipe, ranks)
     why: list[str] = []
     with ranks.agreed():
-        if told["checkpoint"] is not None:
-            why = load_state(trainer, checkpoint.load(Path(told["checkpoint"]), finite=False), told["learning_rate"])
+        if message["checkpoint"] is not None:
+            why = load_state(
+                trainer, checkpoint.load(Path(message["checkpoint"]), finite=False), message["learning_rate"]
+            )
     ranks.tell_all([f"in process {ranks.rank}, {reason}" for reason in why])
-    return trainer, told["tree"]["agent"]
+    return trainer, message["tree"]["agent"]
 
 
 def _processes(count: int) -> str:
@@ -174,6 +176,7 @@ def _prepare(
     lock: RunLock,
     ranks: Ranks,
 ) -> Training:
+    # 1. Check the run and apply the overrides.
     with ranks.agreed():
         lock.acquire()
         manifest = run.manifest()
@@ -183,21 +186,23 @@ def _prepare(
         require_same_world_size(manifest, ranks)
         recorded = manifest.data.get("config_dirs") or _config_dirs_of_command(manifest)
         folders = join_recorded(config_dirs, recorded)
-        others = left_out(recorded, folders)
+        unused = left_out(recorded, folders)
         recorded_config = recorded_tree(run, manifest.data.get("config_variables") or {})
-        with _naming_unused_folders(others):
+        with _naming_unused_folders(unused):
             tree, changes = change_settings(recorded_config, overrides)
         point = find_point(run)
         _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
+    # 2. Build environment and networks in every rank.
     if ranks.together:
         broadcast_resume(ranks, run, tree, recorded, point, learning_rate_of(changes))
-    with _naming_unused_folders(others), ranks.agreed():
+    with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # killed before the first step, while its source was recorded
         roots = [configs_dir().parent, *folders]
         complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
+    # 3. Load the checkpoint, and collect the reasons why the resume is not exact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
     why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
@@ -206,6 +211,7 @@ def _prepare(
     why += [d.note or f"{d.section} {d.name} was {shorten(d.a)} and is {shorten(d.b)}" for d in differences]
     if not (engine := trainer.env.env.scene.sim.promise())["exact"]:
         why.append(f"the engine {engine['name']} on {engine['device']} does not repeat to the bit: {engine['because']}")
+    # 4. Record the resume, and drop what the files hold past the checkpoint.
     exact = not why
     notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
     manifest.restart(
@@ -224,8 +230,8 @@ def _prepare(
     with manifest.failing():
         drop_past_checkpoint(run, point, events=tree["agent"].get("logger") is not None)
     _report(display, point, why, [*notes, *thread_notes(threads)])
-    proof = _recomputed_check(manifest, point, display) if exact else RecomputedCheck()
-    return Training(recipe, trainer, run, manifest, lock, point.kept, proof)
+    recomputed = _recomputed_check(manifest, point, display) if exact else RecomputedCheck()
+    return Training(recipe, trainer, run, manifest, lock, point.kept, recomputed)
 
 
 # --- requirements ---
