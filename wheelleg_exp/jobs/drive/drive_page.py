@@ -377,7 +377,7 @@ def _viewer() -> tuple[Any, Any]:
 
     class LocalServer(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:
-            """Return None: nothing is shown to others, whoever in the page asks for it."""
+            """Return None: the page is never shared with another machine."""
             del verbose
             return None
 

@@ -253,7 +253,7 @@ def _literal(word: str, kind: str) -> str:
 
 
 def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
-    """Copy histories into the observation, as their groups stand in it."""
+    """Yield the lines that copy histories into the observation, group by group."""
     yield "next = s->observation;"
     for g, group in enumerate(spec["observations"]):
         lengths = [max(1, term["history_length"]) for term in group["terms"]]

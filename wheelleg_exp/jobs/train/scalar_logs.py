@@ -67,7 +67,7 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
-    """Drop everything from the first record past ``steps`` on; note the tags that stay, by step."""
+    """Cut a file before its first record past ``steps``; add the remaining tags to ``found``, by step."""
     end, kept = 0, 0
     for event, stop in _events(path):
         tags = [value.tag for value in event.summary.value]
@@ -85,7 +85,7 @@ def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
 
 
 def _events(path: Path) -> Iterator[tuple[Event, int]]:
-    """Yield the whole records of a file with the positions at which they end."""
+    """Yield the whole records of a file, each with its end position."""
     data = read_bytes(path)
     start = 0
     while start + _HEADER <= len(data):

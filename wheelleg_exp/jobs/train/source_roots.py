@@ -79,7 +79,7 @@ def _project_or_folder(folder: Path) -> Path:
 
 
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
-    """Return the packages of users' own that the config's targets and classes lie in, by name."""
+    """Return the names of the user's packages that hold targets and classes of the config."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
@@ -97,7 +97,7 @@ def _called_names(node: Any) -> Iterator[str]:
 
 
 def _package_root(name: str) -> Path | None:
-    """Return the folder or file of a package's top, without importing it; that of its project when it has one."""
+    """Return the folder or file of a top-level package, or of its project, without importing it."""
     top = name.replace("/", ".").partition(".")[0]
     if top in (_PACKAGE, "hydra"):
         return None
@@ -115,7 +115,7 @@ def _package_root(name: str) -> Path | None:
 
 
 def _places(module: Any) -> list[Path]:
-    """Return where a top-level module stands: its folders, or its file."""
+    """Return the folders or the file of a top-level module."""
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
