@@ -185,7 +185,7 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
 
 
 def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(clone, tmp_path):
-    """A project in a repository of its own, with a change, and a module without any that was on Python's path."""
+    """A project with a change, and a module on Python's path, each in its own repository."""
     lab, helpers = tmp_path / "lab", tmp_path / "helpers"
     for folder in (lab / "configs" / "task", lab / "lab_terms", helpers):
         folder.mkdir(parents=True)
@@ -197,17 +197,20 @@ def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(
         "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
     )
     (helpers / "replay_helper.py").write_text("FACTOR = 1.25\n")
+    commit(helpers)
     words = ("task=lab_stand", "agent.max_iterations=1")
     made = train(clone, *words, root=tmp_path / "made", options=("--config-dir", str(lab)), path=helpers)
-    git(tmp_path, "clone", "-q", str(lab), str(tmp_path / "lab_clone"))
-    shutil.rmtree(lab)
-    shutil.rmtree(helpers)
-    said, found = replay(made, "--repository", tmp_path / "lab_clone", "--repository", clone)
+    clones = [clone]
+    for folder in (lab, helpers):
+        clones.append(tmp_path / f"{folder.name}_clone")
+        git(tmp_path, "clone", "-q", str(folder), str(clones[-1]))
+        shutil.rmtree(folder)
+    said, found = replay(made, *(word for path in clones for word in ("--repository", path)))
     assert said.status == 0, said.err
     assert found["verdict"] == "identical"
     assert found["composed"]["equal"] is True
     assert [tree["how"] for tree in found["source"]] == ["restored"] * 3
-    assert [tree["origin"] for tree in found["source"]] == [str(clone), str(tmp_path / "lab_clone"), None]
+    assert [tree["origin"] for tree in found["source"]] == [str(path) for path in clones]
 
 
 def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone, tmp_path, scratch):
@@ -270,7 +273,7 @@ def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
     elsewhere.mkdir()
     git(elsewhere, "init", "-q")
     said = refused(run, "--repository", elsewhere)
-    assert "no repository here holds commit" in said
+    assert "no repository here contains commit" in said
     assert "--repository" in said
     assert "git fetch" in said
 

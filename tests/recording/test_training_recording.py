@@ -275,7 +275,7 @@ def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, direc
     assert (directory.path / "recording.rrd.damaged").read_bytes() == b"an earlier one"
     (text,) = Recording(directory.recording).table("log/recording").column("text").to_pylist()
     assert "recording.rrd.damaged-2" in text[0]
-    assert "begins with iteration 4" in text[0]
+    assert "starts with iteration 4" in text[0]
 
 
 @pytest.mark.parametrize("offset", [0, 8, 16, 40], ids=["kind", "length", "payload", "rows"])
