@@ -1,93 +1,78 @@
-"""What a parameter may be, beside its type: written into its annotation, read by ``check`` and by what builds it.
+"""Constraints on parameters, in their annotations: ``check`` and the code that builds an object enforce them.
 
     def track(env: Env, std: Positive, share: Share = 1.0, span: Interval = (0.0, 1.0)) -> torch.Tensor: ...
     def count(env: Env, steps: Annotated[int, AtLeast(2), AtMost(8)]) -> torch.Tensor: ...
 
-Terms, noise, actuators and sensors of a user's own are held against their annotations like the stock ones. A number is
-finite unless its annotation says ``MayBeInfinite``. A rule between several parameters is attached by ``relation``.
+User-defined terms, noise, actuators and sensors are checked against their annotations like stock ones. A number must be
+finite unless its annotation contains ``MayBeInfinite``. ``relation`` attaches a rule between several parameters.
 """
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 
 class Constraint:
-    """What a value of the right type must be.
+    """A requirement for a value of the right type.
 
-    ``form`` is told in place of the type, such as ``[low, high]``, and ``broken`` in place of a value that is wrong.
+    Attributes:
+        form: replaces the type in messages, such as ``[low, high]``.
+        broken: replaces the value in messages.
+        text: follows the type in messages: ``a number, <text>``.
     """
 
     form: str = ""
     broken: str = ""
+    text: str = ""
 
     def words(self) -> str:
-        """Return what is expected beside the type: ``a number, <words>``."""
-        return ""
+        """Return the text that follows the type in messages."""
+        return self.text
 
     def holds(self, value: Any) -> bool:
         """Return whether a value of the annotated type fits."""
         raise NotImplementedError
 
 
-def _plain(number: float) -> str:
-    """Return a number as people write it: whole ones in full."""
-    return str(number) if isinstance(number, int) else f"{number:g}"
-
-
 @dataclass(frozen=True)
-class AtLeast(Constraint):
+class _Compared(Constraint):
+    bound: float
+    compare: ClassVar[Callable[[Any, Any], Any]]
+
+    def words(self) -> str:
+        bound = self.bound
+        return f"{self.text} {bound if isinstance(bound, int) else format(bound, 'g')}"
+
+    def holds(self, value: Any) -> bool:
+        return bool(type(self).compare(value, self.bound))
+
+
+class AtLeast(_Compared):
     """Not below ``bound``."""
 
-    bound: float
-
-    def words(self) -> str:
-        """Return the bound."""
-        return f"at least {_plain(self.bound)}"
-
-    def holds(self, value: Any) -> bool:
-        """Return whether it is not below."""
-        return bool(value >= self.bound)
+    text, compare = "at least", operator.ge
 
 
-@dataclass(frozen=True)
-class Above(Constraint):
+class Above(_Compared):
     """Greater than ``bound``."""
 
-    bound: float
-
-    def words(self) -> str:
-        """Return the bound."""
-        return f"more than {_plain(self.bound)}"
-
-    def holds(self, value: Any) -> bool:
-        """Return whether it is greater."""
-        return bool(value > self.bound)
+    text, compare = "more than", operator.gt
 
 
-@dataclass(frozen=True)
-class AtMost(Constraint):
+class AtMost(_Compared):
     """Not above ``bound``."""
 
-    bound: float
-
-    def words(self) -> str:
-        """Return the bound."""
-        return f"at most {_plain(self.bound)}"
-
-    def holds(self, value: Any) -> bool:
-        """Return whether it is not above."""
-        return bool(value <= self.bound)
+    text, compare = "at most", operator.le
 
 
 class MayBeInfinite(Constraint):
-    """Says that a number may be infinite."""
+    """Allows infinite numbers."""
 
     def holds(self, value: Any) -> bool:  # noqa: ARG002
-        """Return True: it only widens."""
         return True
 
 
@@ -99,31 +84,24 @@ class Length(Constraint):
         self.form = f"{count} finite numbers"
 
     def holds(self, value: Any) -> bool:
-        """Return whether it has as many."""
         return len(value) == self.count
 
 
 class NotEmpty(Constraint):
-    """A list, a mapping or a text with something in it."""
+    """A list, mapping or text that is not empty."""
 
-    def words(self) -> str:
-        """Say so."""
-        return "not empty"
+    text = "not empty"
 
     def holds(self, value: Any) -> bool:
-        """Return whether there is something."""
         return len(value) > 0
 
 
 class NotAllZero(Constraint):
-    """A list of numbers of which some are not 0."""
+    """A list of numbers that are not all 0."""
 
-    def words(self) -> str:
-        """Say so."""
-        return "not all zero"
+    text = "not all zero"
 
     def holds(self, value: Any) -> bool:
-        """Return whether one is not 0."""
         return any(value)
 
 
@@ -133,62 +111,56 @@ class Ordered(Constraint):
     form = "[low, high]"
 
     def holds(self, value: Any) -> bool:
-        """Return whether there are two, in order."""
         return len(value) == 2 and bool(value[0] <= value[1])
 
 
 class Rising(Ordered):
-    """A range with room in it: two numbers, the second above the first."""
+    """A range that is not empty: two numbers, the second above the first."""
 
-    def words(self) -> str:
-        """Say so."""
-        return "low below high"
+    text = "low below high"
 
     def holds(self, value: Any) -> bool:
-        """Return whether there are two, and the second is greater."""
         return len(value) == 2 and bool(value[0] < value[1])
 
 
 class Targeted(Constraint):
-    """A mapping that says by ``_target_`` what is built."""
+    """A mapping with a ``_target_``."""
 
     form = "a mapping with a _target_"
-    broken = "there is no _target_, which says what is built"
+    broken = "there is no _target_, which names the class to build"
 
     def holds(self, value: Any) -> bool:
-        """Return whether it says so."""
         return isinstance(value, Mapping) and "_target_" in value
 
 
 @dataclass(frozen=True)
 class Pattern(Constraint):
-    """A text that a regular expression matches as a whole; ``form`` says it in words."""
+    """A text that a regular expression matches completely; ``form`` describes the text."""
 
     expression: str
     form: str
 
     def holds(self, value: Any) -> bool:
-        """Return whether it matches."""
         return re.fullmatch(self.expression, value) is not None
 
 
 Positive = Annotated[float, Above(0)]
 NonNegative = Annotated[float, AtLeast(0)]
-Share = Annotated[float, AtLeast(0), AtMost(1)]  # a probability, or a part of all
+Share = Annotated[float, AtLeast(0), AtMost(1)]  # a probability or a fraction
 Count = Annotated[int, AtLeast(1)]
 Natural = Annotated[int, AtLeast(0)]
-Seed = Annotated[int, AtLeast(0), AtMost(2**63 - 1)]  # as wide as recordings and torch take it
+Seed = Annotated[int, AtLeast(0), AtMost(2**63 - 1)]  # the largest seed of torch and of recordings
 Interval = Annotated[Sequence[float], Ordered()]
 PositiveInterval = Annotated[Sequence[Positive], Ordered()]
 NonNegativeInterval = Annotated[Sequence[NonNegative], Ordered()]
-Bounds = Annotated[Sequence[Annotated[float, MayBeInfinite()]], Ordered()]  # may be open to one side
+Bounds = Annotated[Sequence[Annotated[float, MayBeInfinite()]], Ordered()]  # may be infinite
 Node = Annotated[Mapping[str, Any], Targeted()]
 PathBelow = Annotated[str, Pattern(r"(?!(.*/)?\.{0,2}(/|$))[^/\\\0][^\\\0]*", "a file's path below a folder")]
 Names = str | Annotated[Sequence[str], NotEmpty()]  # one regular expression, or several
 
 
 class Broken(NamedTuple):
-    """A rule between parameters that does not hold: at which key below the node, what is wrong, what was expected."""
+    """A violated rule between parameters: the key below the node, what is wrong, and what is expected."""
 
     key: str
     message: str
@@ -203,7 +175,8 @@ _RULES = "_relations"
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
     """Attach a rule between several parameters to a target.
 
-    The rule gets the parameters as the config writes them, defaults included, once each of them is right by itself.
+    The rule receives the parameters as written in the config, including defaults, after each of them has passed its own
+    check.
     """
 
     def attach(target: _Target) -> _Target:
@@ -214,5 +187,5 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
 
 
 def rules_of(target: Callable[..., Any]) -> Sequence[Rule]:
-    """Return the rules of a target; of a class, those of the classes above it as well."""
+    """Return the rules of a target; a class inherits the rules of its base classes."""
     return getattr(target, _RULES, ())

@@ -145,11 +145,9 @@ class CommandTerm(_OfEnv, managers.CommandTerm):
         """Update the metrics in every step."""
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw new commands for ``env_ids``."""
         self._resample_command(env_ids)
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update the metrics, resample expired commands, and update the command."""
         self._update_metrics()
         self.time_left -= dt
         expired = ids_where(self.time_left <= 0.0)
@@ -159,7 +157,6 @@ class CommandTerm(_OfEnv, managers.CommandTerm):
         return self.error_sums
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the means of the metrics over ``env_ids``, zero them, and draw new commands."""
         log = {name: value[env_ids].mean() for name, value in self.metrics.items()}
         for value in self.metrics.values():
             fill_rows(value, env_ids, 0.0)

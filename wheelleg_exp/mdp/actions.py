@@ -97,7 +97,6 @@ class JointAction(JointTerm):
         self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, offset and clip raw actions (N, action_dim)."""
         self.raw_actions.copy_(actions)
         torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
         self._clip()
@@ -152,7 +151,6 @@ class JointPositionAction(_DefaultOffsetAction):
         return self._robot.data.default_joint_pos
 
     def apply_actions(self) -> None:
-        """Set the position targets."""
         self._robot.set_joint_position_target(self.processed_actions, self._ids)
 
 
@@ -183,7 +181,6 @@ class RelativeJointPositionAction(JointAction):
         super().__init__(env, joint_names, scale, given, clip, preserve_order, asset_name)
 
     def apply_actions(self) -> None:
-        """Set the position targets from the present positions."""
         self._robot.set_joint_position_target(
             self._robot.data.joint_pos_measured[:, self._ids] + self.processed_actions, self._ids
         )
@@ -206,7 +203,6 @@ class JointVelocityAction(_DefaultOffsetAction):
         return self._robot.data.default_joint_vel
 
     def apply_actions(self) -> None:
-        """Set the velocity targets."""
         self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
 
 
@@ -222,7 +218,6 @@ class JointEffortAction(JointAction):
     drives = "effort"
 
     def apply_actions(self) -> None:
-        """Set the effort targets."""
         self._robot.set_joint_effort_target(self.processed_actions, self._ids)
 
 
@@ -276,7 +271,6 @@ class JointPositionToLimitsAction(JointTerm):
             torch.addcmul((low + high) / 2, share, (high - low) / 2, out=self.processed_actions)
 
     def apply_actions(self) -> None:
-        """Set the position targets."""
         self._robot.set_joint_position_target(self.processed_actions, self._ids)
 
     def _limits(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -319,7 +313,6 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
         self._last.copy_(self.processed_actions)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start the average of ``env_ids`` from their joints' positions."""
         super().reset(env_ids)
         self._last[env_ids] = self._robot.data.joint_pos_measured[env_ids][:, self._ids]
 
@@ -353,7 +346,6 @@ class BinaryJointAction(JointTerm):
         self._close = self._command(close_command_expr, "close_command_expr")
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Select the targets by raw actions (N, 1)."""
         self.raw_actions.copy_(actions)
         torch.where(self.opens(actions), self._open, self._close, out=self.processed_actions)
         self._clip()
@@ -374,7 +366,6 @@ class BinaryJointPositionAction(BinaryJointAction):
     drives = "position"
 
     def apply_actions(self) -> None:
-        """Set the position targets."""
         self._robot.set_joint_position_target(self.processed_actions, self._ids)
 
 
@@ -384,7 +375,6 @@ class BinaryJointVelocityAction(BinaryJointAction):
     drives = "velocity"
 
     def apply_actions(self) -> None:
-        """Set the velocity targets."""
         self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
 
 

@@ -76,7 +76,6 @@ class modify_env_param(TermBase):
         return parse(address)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
-        """Call the function, and write its result."""
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
@@ -93,7 +92,6 @@ class modify_env_param(TermBase):
         return super().state_dict()
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         if not self._is_saved:
             write(self._env, self._parts, copy.deepcopy(self._value if self._has_written else self._first))
@@ -107,7 +105,6 @@ class modify_term_cfg(modify_env_param):
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
-        """Return the parts of an address below the environment."""
         section, *rest = parse(address)
         if section not in _MANAGERS:
             raise ConfigError(
@@ -192,7 +189,6 @@ class command_range_levels(TermBase):
             raise error
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
-        """Add the episodes that end, and widen the ranges if the evaluation is due and passes."""
         self._sum += env.reward_manager.episode_sums(self._reward)[env_ids].sum()
         self._count += len(env_ids)
         ranges = self._ranges(env)
@@ -306,7 +302,6 @@ class command_levels_by_skill(TermBase):
             self._sums[2, row] += moves
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
-        """Add the episodes that end, and evaluate once there are enough."""
         length = env.episode_length_buf[env_ids]
         failed = env.termination_manager.terminated[env_ids] & (length > 0)
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)

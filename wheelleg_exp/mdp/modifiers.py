@@ -19,7 +19,6 @@ class Modifier(Stateful):
         """Allocate the memory for observations of the sample's shape."""
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the modified observation (N, width)."""
         raise NotImplementedError
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -33,7 +32,6 @@ class Scale(Modifier):
         self._multiplier = multiplier
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the scaled observation."""
         return value * self._multiplier
 
 
@@ -44,7 +42,6 @@ class Bias(Modifier):
         self._value = value
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the shifted observation."""
         return value + self._value
 
 
@@ -55,7 +52,6 @@ class Clip(Modifier):
         self._bounds = (float(bounds[0]), float(bounds[1]))
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the clipped observation."""
         return value.clip(*self._bounds)
 
 
@@ -75,7 +71,6 @@ class DigitalFilter(Modifier):
         self._given = (list(A), list(B))
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate past inputs and outputs, newest first."""
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
         self._coefficients = (feedback, forward)  # in a tuple, because tensor attributes are saved as memory
@@ -83,7 +78,6 @@ class DigitalFilter(Modifier):
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the filtered observation."""
         self._inputs[..., 1:] = self._inputs[..., :-1].clone()
         self._inputs[..., 0] = value
         feedback, forward = self._coefficients
@@ -94,7 +88,6 @@ class DigitalFilter(Modifier):
         return filtered
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero past inputs and outputs."""
         fill_rows(self._inputs, env_ids, 0.0)
         fill_rows(self._outputs, env_ids, 0.0)
 
@@ -110,17 +103,14 @@ class Integrator(Modifier):
         self._dt = dt
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate the integral and the previous sample."""
         self._integral = torch.zeros_like(sample)
         self._previous = torch.zeros_like(sample)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the integral."""
         self._integral += (value + self._previous) / 2 * self._dt
         self._previous.copy_(value)
         return self._integral.clone()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start from zero."""
         fill_rows(self._integral, env_ids, 0.0)
         fill_rows(self._previous, env_ids, 0.0)

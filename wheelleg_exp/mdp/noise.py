@@ -29,7 +29,6 @@ class ConstantNoise:
     operation: Operation = "add"
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Return the value with the noise."""
         del generator
         return _apply(value, self.bias, self.operation)
 
@@ -49,7 +48,6 @@ class UniformNoise:
     operation: Operation = "add"
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Return the value with the noise."""
         drawn = self.n_min + (self.n_max - self.n_min) * torch.rand(
             value.shape, generator=generator, device=value.device
         )
@@ -65,7 +63,6 @@ class GaussianNoise:
     operation: Operation = "add"
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Return the value with the noise."""
         drawn = self.mean + self.std * torch.randn(value.shape, generator=generator, device=value.device)
         return _apply(value, drawn, self.operation)
 
@@ -97,7 +94,6 @@ class NoiseModelWithAdditiveBias:
         self._bias: torch.Tensor | None = None
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Return the value with noise and bias."""
         if self._bias is None:
             shape = value.shape if self._per_component else (len(value), *[1] * (value.ndim - 1))
             self._bias = self._bias_noise(value.new_zeros(shape), generator)

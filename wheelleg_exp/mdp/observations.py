@@ -107,7 +107,6 @@ class joint_pos_limit_normalized(TermBase):
             )
 
     def __call__(self, env: Env) -> torch.Tensor:
-        """Normalise."""
         del env
         low, high = picked(self._data.soft_joint_pos_limits, self._ids).unbind(dim=2)
         return 2.0 * (picked(self._data.joint_pos_measured, self._ids) - (low + high) / 2) / (high - low)

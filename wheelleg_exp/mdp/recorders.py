@@ -14,7 +14,6 @@ class InitialStateRecorder(RecorderTerm):
     """The state at the start of an episode (``initial_state``), one row; see ``PostStepStatesRecorder``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Noted:
-        """Return the state of ``env_ids`` after the reset events."""
         return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
 
 
@@ -28,7 +27,6 @@ class PostStepStatesRecorder(RecorderTerm):
     reads_observations = False
 
     def record_post_step(self) -> Noted:
-        """Return the state of all environments."""
         return "states", self._env.scene.get_state(is_relative=True)
 
 
@@ -36,7 +34,6 @@ class PreStepActionsRecorder(RecorderTerm):
     """The raw action of each control step (``actions``)."""
 
     def record_pre_step(self) -> Noted:
-        """Return the new action."""
         return "actions", self._env.action_manager.action
 
 
@@ -46,7 +43,6 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
     reads_observations = False
 
     def record_post_step(self) -> Noted:
-        """Return the concatenated processed actions of all terms."""
         manager = self._env.action_manager
         return "processed_actions", torch.cat(
             [manager.get_term(name).processed_actions for name in manager.active_terms], dim=-1
@@ -65,7 +61,6 @@ class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
         self._group = group
 
     def record_pre_step(self) -> Noted:
-        """Return the observation of the group."""
         return "obs", self._env.observation_manager.obs_buf.get(self._group)
 
 

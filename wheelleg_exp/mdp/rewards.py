@@ -35,7 +35,6 @@ class is_terminated_term(TermBase):
         self._names = match_names(term_keys, names, key="term_keys", what="termination")[1]
 
     def __call__(self, env: Env) -> torch.Tensor:
-        """Count."""
         manager = env.termination_manager
         fired = torch.stack([manager.get_term(name) for name in self._names]).sum(dim=0)
         return (fired * ~manager.time_outs).float()
@@ -255,7 +254,6 @@ class joint_vel_rate_l2(TermBase):
         self._has_last = torch.zeros(env.num_envs, 1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:
-        """Compare with the last step."""
         velocity = self._velocity(env)
         change = (velocity - self._last) * self._has_last
         self._last.copy_(velocity)
@@ -263,7 +261,6 @@ class joint_vel_rate_l2(TermBase):
         return change.square().sum(dim=1)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the last velocities of ``env_ids``."""
         fill_rows(self._has_last, env_ids, 0.0)
 
     def _velocity(self, env: Env) -> torch.Tensor:
@@ -345,14 +342,12 @@ class action_acceleration_l2(TermBase):
         self._before_last = torch.zeros_like(env.action_manager.action)
 
     def __call__(self, env: Env) -> torch.Tensor:
-        """Compare with the last two actions."""
         action, last = env.action_manager.action, env.action_manager.prev_action
         second_difference = action - 2.0 * last + self._before_last
         self._before_last.copy_(last)
         return second_difference.square().sum(dim=1)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the stored actions of ``env_ids``."""
         fill_rows(self._before_last, env_ids, 0.0)
 
 

@@ -105,7 +105,6 @@ class stuck(TermBase):
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)  # control steps; -1 before the first
 
     def __call__(self, env: Env) -> torch.Tensor:
-        """Count the steps that each robot has stayed."""
         position = env.scene[self._asset].data.root_pos_w[:, :2]
         speed = torch.linalg.vector_norm(env.command_manager.get_command(self._command)[:, :2], dim=1)
         left = torch.linalg.vector_norm(position - self._from, dim=1) > self._distance
@@ -115,7 +114,6 @@ class stuck(TermBase):
         return self._stayed >= self._steps
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Restart the count of ``env_ids``."""
         fill_rows(self._stayed, env_ids, -1)
 
 

@@ -82,7 +82,6 @@ class ArticulationData(RobotData):
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
     def settings(self) -> dict[str, torch.Tensor]:
-        """Return the tensors that come from the config and the model, and that an event may change."""
         return {**super().settings(), "default_root_state": self.default_root_state}
 
     @property
@@ -303,7 +302,6 @@ class ArticulationData(RobotData):
             fill_rows(self._acc_valid, ids, 0.0)
 
     def before_step(self) -> None:
-        """Store the motion state that the coming physics step starts from."""
         super().before_step()
         if self._vel_before is not None:
             self._vel_before = self.body_com_vel_w
@@ -315,19 +313,16 @@ class ArticulationData(RobotData):
             self._acc_valid.fill_(1.0)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Report zero torque and acceleration for ``ids`` until their next physics step."""
         super().reset(ids)
         self.forget_accelerations(ids)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the stored state of the last physics step."""
         if self._vel_before is None:
             return super().state_dict()
         velocities = {"body_vel_before": self._vel_before.clone(), "acc_valid": self._acc_valid.clone()}
         return {**super().state_dict(), **velocities}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         found = saved.get("body_vel_before")
         self._vel_before = None if found is None else found.clone()

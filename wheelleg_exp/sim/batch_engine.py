@@ -96,7 +96,6 @@ class BatchEngine(Engine):
         return self.expanded[name]
 
     def set_const(self) -> None:
-        """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
         self.batch.set_const()
         self._at_set_const = cloned(self.expanded)
 
@@ -112,7 +111,6 @@ class BatchEngine(Engine):
             raise SimulationFailure(f"physics failed: {error}") from error
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Recompute derived outputs for the present state of ``ids`` (None means all)."""
         if self._current:
             self.batch.forward(_rows(ids), stage=_STAGE_VEL)
 
@@ -132,7 +130,6 @@ class BatchEngine(Engine):
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return the sum over the state rows of the simulations ``rows`` (see ``Engine.total``)."""
         return (self.state.index_select(0, rows) if isinstance(rows, torch.Tensor) else self.state[rows]).sum()
 
     def ray(
@@ -142,7 +139,6 @@ class BatchEngine(Engine):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the distance of each ray's first hit (see ``Engine.ray``)."""
         groups = None
         if geom_groups is not None:
             groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
@@ -154,7 +150,6 @@ class BatchEngine(Engine):
         return torch.from_numpy(distances)
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move (see ``Engine.cast_alone``)."""
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
@@ -199,7 +194,6 @@ class BatchEngine(Engine):
             self.expanded[name].copy_(values)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         self._restore_fields(saved["model_fields"], saved["at_set_const"])
         self.state.copy_(saved["state"])
         self.batch.warning[...] = saved["warning"].numpy()

@@ -205,11 +205,9 @@ class WarpEngine(Engine):
         return view
 
     def may_differ(self, name: str) -> bool:
-        """Return whether a model field can have one value per simulation."""
         return self._fields.may_differ(name)
 
     def promise(self) -> dict[str, Any]:
-        """Return the engine's entry in a run's manifest, with the capacity."""
         found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
         return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
 
@@ -226,7 +224,6 @@ class WarpEngine(Engine):
         return self.expanded[name]
 
     def set_const(self) -> None:
-        """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
         if not self._fields.own.keys() >= {"body_subtreemass"}:
             self._graphs.forget()
             self._fields.expand_constants()
@@ -256,7 +253,6 @@ class WarpEngine(Engine):
         return self._captures
 
     def require_room(self) -> None:
-        """Raise SimulationFailure if contacts or constraint rows exceeded the capacity."""
         self._overflow.require_none(self._d)
 
     def _advance(self) -> None:
@@ -378,7 +374,6 @@ class WarpEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         for name in saved["asked_for"]:
             self.expand(name)
         self._fields.restore(saved["model_fields"])

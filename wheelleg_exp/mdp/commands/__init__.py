@@ -19,14 +19,3 @@ from wheelleg_exp.mdp.commands.velocity_commands import (
     UniformVelocityCommand,
     UniformVelocityTravelCommand,
 )
-
-__all__ = [
-    "NormalVelocityCommand",
-    "NullCommand",
-    "TerrainBasedPose2dCommand",
-    "UniformBasePoseCommand",
-    "UniformPose2dCommand",
-    "UniformPoseCommand",
-    "UniformVelocityCommand",
-    "UniformVelocityTravelCommand",
-]

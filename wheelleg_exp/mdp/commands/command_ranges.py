@@ -96,18 +96,15 @@ class NullCommand(CommandTerm):
         return self._nothing[0]
 
     def errors(self) -> torch.Tensor:
-        """Return no errors, (0, N)."""
         return self.error_sums
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw nothing."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Do nothing, and return no errors, (0, N)."""
         del dt
         return self.errors()
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Do nothing, and log nothing."""
         del env_ids
         return {}

@@ -79,14 +79,12 @@ class UniformPose2dCommand(RangedCommand):
         return torch.stack((distance, rotation.wrap_to_pi(self.heading_command_w - data.heading_w).abs()))
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw positions and headings."""
         drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
         self.pos_command_w[env_ids, 2] += self.robot.data.default_root_state[env_ids, 2]
         self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
 
     def post_process(self) -> None:
-        """Convert the position and the heading to the base's axes."""
         data = self.robot.data
         x, y, z = (self.pos_command_w - data.root_pos_w).unbind(dim=1)
         cos, sin = data.heading_w.cos(), data.heading_w.sin()
@@ -202,7 +200,6 @@ class UniformPoseCommand(RangedCommand):
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw poses."""
         drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         quat = rotation.quat_from_euler_xyz(*drawn[:, 3:].unbind(dim=1))
         if self._unique:
@@ -260,7 +257,6 @@ class UniformBasePoseCommand(RangedCommand):
         return (self._command - self.measured()).abs().T
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw heights and tilts."""
         low, high = self.bounds()
         u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
         self._command[env_ids] = low + (high - low) * u

@@ -92,7 +92,6 @@ class UniformVelocityCommand(RangedCommand):
         return torch.stack((xy, yaw))
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw velocities, headings and standing environments."""
         u = torch.rand(env_ids.shape[0], 6, generator=self._generator, device=self._command.device)
         low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
@@ -103,7 +102,6 @@ class UniformVelocityCommand(RangedCommand):
         self.is_standing_env.index_copy_(0, env_ids, u[:, 5] <= self._rel_standing)
 
     def post_process(self) -> None:
-        """Steer towards headings, then zero the commands of standing environments."""
         if self._has_heading:
             error = wrap_to_pi(self.heading_target - self.robot.data.heading_w)
             low, high = self.bounds()
@@ -152,7 +150,6 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw velocities, zero components and standing environments."""
         device, mean, std, zero = self._command.device, *self._moments
         normal = torch.randn(env_ids.shape[0], 3, generator=self._generator, device=device)
         u = torch.rand(env_ids.shape[0], 7, generator=self._generator, device=device)
@@ -161,7 +158,6 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self.is_standing_env[env_ids] = u[:, 6] <= self._rel_standing
 
     def post_process(self) -> None:
-        """Zero the commands of standing environments, and the zero components."""
         super().post_process()
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
@@ -241,7 +237,6 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Integrate this step's error, then advance the command."""
         (signs,) = self._signs
         rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
         turned = self.robot.data.root_ang_vel_b[:, 2]
@@ -252,17 +247,14 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     @property
     def asked(self) -> torch.Tensor:
-        """The target that the command approaches (N, 3)."""
         return self._asked
 
     def post_process(self) -> None:
-        """Update the target, and approach it with limited acceleration."""
         super().post_process()
         (most,) = self._fastest
         self._command.add_((self._asked - self._command).clamp_(-most, most))
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Zero the integrated error, and start the command from zero."""
         fill_rows(self.travel_error, env_ids, 0.0)
         log = super().finish_episode(env_ids)
         (most,) = self._fastest

@@ -74,7 +74,6 @@ class push_by_adding_velocity(TermBase):
         self._turns = frame == "yaw"
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Push."""
         ids = all_ids(env, env_ids)
         velocity = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
         data = self._robot.data

@@ -139,7 +139,6 @@ class randomize_rigid_body_material(TermBase):
         self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Draw a bucket per environment and shape, and write the effective friction."""
         ids = all_ids(env, env_ids)
         chosen = torch.randint(
             len(self.buckets), (len(ids), len(self._geom_ids)), generator=self._generator, device=ids.device
@@ -333,7 +332,6 @@ class randomize_joint_parameters(TermBase):
         return low, high
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Draw and write."""
         ids, joints, robot = all_ids(env, env_ids), self._joints.joint_ids, self._robot
         data = robot.data
         if self._friction is not None:
@@ -379,7 +377,6 @@ class randomize_encoder_bias(TermBase):
         self._robot.data.has_encoder_bias = True
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Draw the biases of ``env_ids``."""
         ids, joints = all_ids(env, env_ids), self._joints.joint_ids
         shape = self._robot.data.encoder_bias[ids][:, joints].shape
         drawn = draw(self._low, self._high, shape, "uniform", self._generator)

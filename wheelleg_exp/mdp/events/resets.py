@@ -45,7 +45,6 @@ class reset_root_state_uniform(TermBase):
         self._robot = env.scene[asset_cfg.name]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Place the roots of ``env_ids``."""
         ids = all_ids(env, env_ids)
         robot = self._robot
         u = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
@@ -64,7 +63,6 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
     """As ``reset_root_state_uniform``, with an orientation uniform on SO(3)."""
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
-        """Return random orientations (n, 4)."""
         del default
         return rotation.random_quat(len(euler), self._generator)
 
@@ -106,7 +104,6 @@ class reset_root_state_from_terrain(TermBase):
             )
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Place the roots of ``env_ids``."""
         ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot
         places = terrain.flat_patches["init_pos"]
         chosen = torch.randint(places.shape[2], (ids.shape[0],), generator=self._generator, device=ids.device)

@@ -32,20 +32,3 @@ from wheelleg_exp.sim.actuators.pd_actuators import (
     ImplicitActuator,
     RemotizedPDActuator,
 )
-
-__all__ = [
-    "NEEDED",
-    "ONE_GROUP",
-    "ActuatorBase",
-    "ActuatorNetLSTM",
-    "ActuatorNetMLP",
-    "DCMotor",
-    "DelayedPDActuator",
-    "IdealPDActuator",
-    "ImplicitActuator",
-    "Limit",
-    "LimitPerJoint",
-    "PerJoint",
-    "RemotizedPDActuator",
-    "Stream",
-]

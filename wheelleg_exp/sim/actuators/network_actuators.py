@@ -189,7 +189,6 @@ class ActuatorNetMLP(ActuatorNet):
         self._input_idx = list(input_idx)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the history, and run the network once."""
         super().connect(num_envs, dt, stream)
         device, width = self.joint_ids.device, len(self._input_idx)
         self._steps = torch.tensor(self._input_idx, device=device)
@@ -197,7 +196,6 @@ class ActuatorNetMLP(ActuatorNet):
         self.network.tried(torch.zeros(2, 2 * width, device=device), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero the history of ``env_ids``."""
         fill_rows(self._past, env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
@@ -232,7 +230,6 @@ class ActuatorNetLSTM(ActuatorNet):
         self._layers, self._width = len(layers), int(layers[0].shape[1])
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the memory, and run the network once."""
         super().connect(num_envs, dt, stream)
         device, count = self.joint_ids.device, len(self.joint_names)
         self._rows = (self._layers, num_envs, count, self._width)
@@ -242,7 +239,6 @@ class ActuatorNetLSTM(ActuatorNet):
         self.network.tried(torch.zeros(2, 1, 2, device=device), (few[0], few[1]), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero the memory of ``env_ids``."""
         for memory in (self._hidden, self._cell):
             fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
 

@@ -44,7 +44,6 @@ class ImplicitActuator(ActuatorBase):
         return control.add_(targets.effort[:, ids])
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the drive's torque for the targets and the state before the step."""
         return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
 
 
@@ -58,12 +57,10 @@ class IdealPDActuator(ActuatorBase):
         actuator.gainprm[0] = 1.0
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the computed torque."""
         super().connect(num_envs, dt, stream)
         self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the clipped torque."""
         self._computed = self._torque(targets, data)
         return self._clipped(self._computed, data)
 
@@ -77,7 +74,6 @@ class IdealPDActuator(ActuatorBase):
         return torch.clamp(torque, -self.effort_limit, self.effort_limit)
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the torque as it was computed before the step."""
         del targets, data
         return self._computed
 
@@ -195,7 +191,6 @@ class RemotizedPDActuator(DelayedPDActuator):
         self._table = [list(map(float, row)) for row in joint_parameter_lookup]
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the group's joints, and put the table on the device."""
         super().resolve(joint_names, key, device)
         self._angles, _, self._largest = torch.tensor(self._table, device=device).T.contiguous()
 

@@ -18,24 +18,3 @@ from wheelleg_exp.sim.sensors.imu_sensor import Imu, ImuData, ImuNoise
 from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
 from wheelleg_exp.sim.sensors.ray_patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
 from wheelleg_exp.sim.sensors.sensor_base import LazySensor, SensorBase, require_base_called
-
-__all__ = [
-    "BpearlPattern",
-    "Camera",
-    "CameraData",
-    "ContactSensor",
-    "ContactSensorData",
-    "GridPattern",
-    "Imu",
-    "ImuData",
-    "ImuNoise",
-    "LazySensor",
-    "LidarPattern",
-    "PatternBase",
-    "PinholePattern",
-    "RayCaster",
-    "RayCasterCamera",
-    "RayCasterData",
-    "SensorBase",
-    "require_base_called",
-]

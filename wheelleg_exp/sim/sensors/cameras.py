@@ -228,7 +228,6 @@ class Camera(LazySensor):
         return self._pinhole.height, self._pinhole.width
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Find the body, and add the camera to it."""
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
@@ -306,11 +305,9 @@ class Camera(LazySensor):
         return self._numbers[kind][seen["geom"].long()]  # geom -1, the background, selects the last entry
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stored measurement, if there is an update period."""
         return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         if self.update_period > 0.0:
             self._data.load_state_dict(saved)
@@ -391,7 +388,6 @@ class RayCasterCamera(RayCaster):
             self._data.add_output(kind, 1, torch.float32)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Cast the rays of the environments ``ids``."""
         data, pos, quat = self._data, self._mount.pos_w[ids], self._mount.quat_w[ids]
         offset = self._offset_pos.expand(len(pos), 3)
         data.pos_w[ids] = pos + rotation.rotate(self._mount.rot_w[ids], offset)

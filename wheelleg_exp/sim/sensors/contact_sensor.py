@@ -305,7 +305,6 @@ class ContactSensor(SensorBase):
         self._slots = max_contacts
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Find the sensed bodies and add one MuJoCo contact sensor for each."""
         super().add_to(spec, name, robot)
         _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
         numbers = len(self.body_names) * self._slots * _WIDTH
@@ -401,7 +400,6 @@ class ContactSensor(SensorBase):
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Sample the forces of the last physics step."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
@@ -425,7 +423,6 @@ class ContactSensor(SensorBase):
         )
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Zero forces and times of ``ids``."""
         super().reset(ids)
         self.data.reset(ids)
         self._found.index_fill_(0, ids, 0.0)
@@ -441,7 +438,6 @@ class ContactSensor(SensorBase):
         return {"overflow": self.overflowed(env_ids).mean(dtype=torch.float32)}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the force history and the times."""
         return {
             **super().state_dict(),
             "history": self.data.net_forces_w_history.clone(),
@@ -451,7 +447,6 @@ class ContactSensor(SensorBase):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self.data.set_forces(list(saved["history"].clone().unbind(dim=1)))
         self._found.copy_(saved["found"])

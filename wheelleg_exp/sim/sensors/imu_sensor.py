@@ -94,7 +94,6 @@ class Imu(SensorBase):
         self._errors = (accelerometer or ImuNoise(), gyroscope or ImuNoise())
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Find the body."""
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
@@ -130,7 +129,6 @@ class Imu(SensorBase):
         super().update()
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Draw errors and measure."""
         if self._stream is not None:
             white, step = torch.randn(2, *self._bias_b.shape, generator=self._stream, device=self._sim.device).unbind()
             since = torch.as_tensor(elapsed, device=self._sim.device).reshape(-1, 1)
@@ -140,7 +138,6 @@ class Imu(SensorBase):
         self._show(due)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Draw the biases of the new episodes."""
         fill_rows(self._elapsed, env_ids, 0.0)
         fill_rows(self._is_new, env_ids, True)
         if self._stream is not None:
@@ -149,7 +146,6 @@ class Imu(SensorBase):
             self._noise_b[env_ids] = self._std * torch.randn(count, 6, generator=self._stream, device=device)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Start the next acceleration from the velocities that were written."""
         written = torch.zeros_like(self._is_new).index_fill(0, env_ids, True)
         self._before = torch.where(written.unsqueeze(1), self._velocities(), self._before)
         self._acc = torch.where((written & self._is_new).unsqueeze(1), 0.0, self._acc)
@@ -192,13 +188,11 @@ class Imu(SensorBase):
             last.copy_(value if due is None else torch.where(due.unsqueeze(1), value, last))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the measurement, the errors, and the velocities that the next acceleration starts from."""
         kept = {name: value.clone() for name, value in vars(self.data).items()}
         own = {"before": self._before, "acc": self._acc, "bias": self._bias_b, "noise": self._noise_b}
         return {**super().state_dict(), **kept, **{name: value.clone() for name, value in own.items()}}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         for name, value in vars(self.data).items():
             value.copy_(saved[name])

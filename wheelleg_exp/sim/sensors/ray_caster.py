@@ -85,7 +85,6 @@ class RayCaster(LazySensor):
         self._drift_ranges = [drift_range] * 3 + [cast.get(axis, (0.0, 0.0)) for axis in ("x", "y", "z")]
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Find the body."""
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
@@ -119,13 +118,11 @@ class RayCaster(LazySensor):
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Draw the drift of the new episodes."""
         super().reset(env_ids)
         if self._stream is not None:
             self.drift[env_ids] = rotation.uniform(self._low, self._high, len(env_ids), self._stream)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Cast the rays of the environments ``ids``."""
         drift = self.drift[ids]
         pos = self._mount.pos_w[ids] + drift[:, :3]
         self._data.pos_w[ids] = pos
@@ -177,12 +174,10 @@ class RayCaster(LazySensor):
         return turn
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the drift, and with an update period the stored measurement."""
         held = {} if self.update_period == 0.0 else self._data.state_dict()
         return {**super().state_dict(), "drift": self.drift.clone(), **held}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self.drift.copy_(saved["drift"])
         if self.update_period > 0.0:

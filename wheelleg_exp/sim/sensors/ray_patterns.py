@@ -67,7 +67,6 @@ class GridPattern(PatternBase):
         self._resolution, self._size, self._direction, self._ordering = resolution, size, direction, ordering
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the rays, (R, 3) each."""
         x, y = (torch.arange(-length / 2, length / 2 + 1e-9, self._resolution, device=device) for length in self._size)
         grid = torch.meshgrid(x, y, indexing="xy" if self._ordering == "xy" else "ij")
         starts = torch.stack((*(axis.flatten() for axis in grid), torch.zeros(grid[0].numel(), device=device)), dim=1)
@@ -102,7 +101,6 @@ class LidarPattern(PatternBase):
         self._horizontal, self._resolution = horizontal_fov_range, horizontal_res
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the rays beam by beam, from the lowest beam, (R, 3) each."""
         low, high = self._horizontal
         steps = math.ceil((high - low) / self._resolution - 1e-9)
         azimuth = torch.linspace(low, high, steps + 1, device=device)
@@ -176,7 +174,6 @@ class PinholePattern(PatternBase):
         )
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the rays of unit length, (height * width, 3) each."""
         rows, columns = (torch.arange(count, device=device) for count in (self.height, self.width))
         v, u = torch.meshgrid(rows + 0.5, columns + 0.5, indexing="ij")
         (f_x, _, c_x), (_, f_y, c_y), _ = self.intrinsics

@@ -187,11 +187,9 @@ class LazySensor(SensorBase):
             super().update()
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:  # noqa: ARG002
-        """Measure the environments that are due (see ``SensorBase.measure``)."""
         self.sense(slice(None) if due is None else ids_where(due))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Mark ``env_ids`` for a measurement once reset events have written their new state."""
         fill_rows(self._elapsed, env_ids, 0.0)
         fill_rows(self._is_new, env_ids, True)
 

@@ -40,31 +40,3 @@ from wheelleg_exp.sim.terrain.terrain_base import (
     is_ground,
 )
 from wheelleg_exp.sim.terrain.terrain_files import HeightField, Mesh
-
-__all__ = [
-    "GROUND",
-    "GROUND_GROUP",
-    "TERRAIN_KEY",
-    "Box",
-    "DiscreteObstacles",
-    "Flat",
-    "FlatPatches",
-    "Gap",
-    "Grid",
-    "HeightField",
-    "Mesh",
-    "Plane",
-    "PyramidSlope",
-    "PyramidStairs",
-    "Rails",
-    "RandomGrid",
-    "RandomUniform",
-    "SteppingStones",
-    "SubTerrain",
-    "TerrainBase",
-    "TerrainGenerator",
-    "UniformNoise",
-    "Waves",
-    "grid_origins",
-    "is_ground",
-]

@@ -102,7 +102,6 @@ class TerrainGenerator(TerrainBase):
         )
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Make the ground or read it from the cache, and compute the origins of the environments."""
         key = f"{TERRAIN_KEY}.horizontal_scale"
         require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
         seed = stream().initial_seed() if self._seed is None else self._seed
@@ -117,7 +116,6 @@ class TerrainGenerator(TerrainBase):
         super().place(num_envs, spacing, device, stream)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Add the tiles, ``ground/<row>_<column>``, and the border."""
         origins = self.relief.origins.reshape(-1, 3)
         tiles = list(enumerate(zip(self.relief.tiles, origins, strict=True)))
         for number, (tile, origin) in with_progress("laying tiles", tiles):

@@ -180,7 +180,6 @@ class RandomUniform(SubTerrain):
     downsampled_scale: Positive | None = None
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the noise."""
         del difficulty
         low, high = self.noise_range
         steps = int(np.floor((high - low) / self.noise_step + 1e-9))
@@ -206,7 +205,6 @@ class UniformNoise(SubTerrain):
     platform_width: NonNegative = 0.0
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the noise."""
         a = at(difficulty, self.amplitude_range)
         noise = _between(grid, self.downsampled_scale, lambda shape: rng.uniform(-a, a, shape))
         return np.where(grid.is_within(self.platform_width), 0.0, noise) if self.platform_width else noise
@@ -229,7 +227,6 @@ class PyramidSlope(SubTerrain):
     inverted: bool = False
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the faces and the top."""
         del rng
         slope = np.tan(at(difficulty, self.slope_range)) * (-1 if self.inverted else 1)
         return slope * np.minimum(grid.to_edge, max(0.0, min(grid.half) - self.platform_width / 2))
@@ -248,7 +245,6 @@ class Waves(SubTerrain):
     num_waves: Count = 1
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the waves."""
         del rng
         k = np.pi * self.num_waves / grid.half[1]
         wave = np.cos(k * (grid.y + grid.half[1])) + np.sin(k * (grid.x + grid.half[0]))
@@ -292,7 +288,6 @@ class Flat(SubTerrain):
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return zeros."""
         del difficulty, rng
         return 0.0 * grid.to_edge
 
@@ -315,7 +310,6 @@ class PyramidStairs(SubTerrain):
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the stairs."""
         del rng
         count = max(0, np.ceil((2 * min(grid.half) - self.platform_width) / (2 * self.step_width) - 1e-9))
         step = at(difficulty, self.step_height_range) * (-1 if self.inverted else 1)
@@ -368,7 +362,6 @@ class DiscreteObstacles(SubTerrain):
     obstacle_height_mode: Literal["choice", "fixed"] = "choice"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the blocks."""
         height = at(difficulty, self.obstacle_height_range)
         half, (shortest, longest) = np.array(grid.half), self.obstacle_width_range
         found = 0.0 * grid.to_edge
@@ -400,7 +393,6 @@ class SteppingStones(SubTerrain):
     holes_depth: float
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the stones."""
         width = at(1 - difficulty, self.stone_width_range)
         pitch = width + at(difficulty, self.stone_distance_range)
         rows, columns = (int(np.ceil(2 * half / pitch)) + 2 for half in (grid.half[1], grid.half[0]))
@@ -431,7 +423,6 @@ class Gap(SubTerrain):
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the gap."""
         del rng
         outer = grid.is_within(self.platform_width + 2 * at(difficulty, self.gap_width_range))
         return np.where(outer & ~grid.is_within(self.platform_width), -self.gap_depth, 0.0)
@@ -453,7 +444,6 @@ class Rails(SubTerrain):
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the rails."""
         del rng
         second = self.platform_width + _SECOND * (2 * min(grid.half) - self.platform_width)
         is_rail = np.zeros(grid.to_edge.shape, dtype=bool)
@@ -480,7 +470,6 @@ class Box(SubTerrain):
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the box."""
         del rng
         step = at(difficulty, self.box_height_range) * (-1 if self.inverted else 1)
         second = self.platform_width + _SECOND * (2 * min(grid.half) - self.platform_width)

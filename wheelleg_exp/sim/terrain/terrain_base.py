@@ -243,7 +243,6 @@ class Plane(TerrainBase):
     """An infinite plane at height 0. Its friction and restitution are those of ``TerrainBase``."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Add the plane to the scene's spec."""
         spec.worldbody.add_geom(
             name=GROUND,
             type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -253,5 +252,4 @@ class Plane(TerrainBase):
         )
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return zeros (...) for points (..., 2)."""
         return torch.zeros_like(xy[..., 0])

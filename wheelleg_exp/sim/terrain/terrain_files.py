@@ -62,7 +62,6 @@ class _FromFile(TerrainBase):
         raise NotImplementedError
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Compute the origins of the environments, and find the flat patches."""
         self._map = HeightMap([self._tile], 1, self._edges, device)
         self._middle = torch.tensor(self._centre, device=device)
         super().place(num_envs, spacing, device, stream)
@@ -88,7 +87,6 @@ class _FromFile(TerrainBase):
         return torch.cat((xy, self.height_at(xy).unsqueeze(1)), dim=1)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Add the height field."""
         add_tile(spec, GROUND, self.dynamic_friction, self._tile, self._centre, self._edges)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
