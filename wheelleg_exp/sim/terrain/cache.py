@@ -41,7 +41,7 @@ def cached_relief(layout: Layout) -> Relief:
 
 def relief_key(layout: Layout) -> str:
     """Return the sha256 of a layout and of the code that generates a ground."""
-    own = [_digest(Path(__file__).with_name(f"{name}.py")) for name in ("relief", "height_map")]
+    own = [_digest(Path(inspect.getfile(part))) for part in (make_relief, Tile)]
     parts = {"layout": _plain(layout), "code": own, "numpy": np.__version__}
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
