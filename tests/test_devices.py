@@ -42,7 +42,7 @@ HOST = {
 }
 GROUNDS = {
     f"sim/terrain/{name}.py": "makes the ground before it is compiled"
-    for name in ("cache", "geoms", "height_map", "relief", "sub_terrains", "terrain_files")
+    for name in ("relief", "sub_terrains", "terrain_files", "terrain_generator")
 }
 
 

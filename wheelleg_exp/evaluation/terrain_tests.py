@@ -17,7 +17,7 @@ from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
 from wheelleg_exp.evaluation.trajectories import Trajectories, last_exit, mean, rms
-from wheelleg_exp.sim.terrain.generator import ORIGIN_WINDOW
+from wheelleg_exp.sim.terrain.terrain_generator import ORIGIN_WINDOW
 
 _BORDER = 2.0  # m of level ground around all tiles
 

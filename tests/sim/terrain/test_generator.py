@@ -24,7 +24,9 @@ from wheelleg_exp.sim.terrain import (
     TerrainGenerator,
     UniformNoise,
     Waves,
-    cache,
+)
+from wheelleg_exp.sim.terrain import (
+    relief as cache,
 )
 
 pytestmark = pytest.mark.usefixtures("own_cache")

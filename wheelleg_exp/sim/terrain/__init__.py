@@ -12,7 +12,6 @@
 | `FlatPatches` | level patches on which an episode can start, or to which a command can lead |
 """
 
-from wheelleg_exp.sim.terrain.generator import TerrainGenerator
 from wheelleg_exp.sim.terrain.sub_terrains import (
     Box,
     DiscreteObstacles,
@@ -40,3 +39,4 @@ from wheelleg_exp.sim.terrain.terrain_base import (
     is_ground,
 )
 from wheelleg_exp.sim.terrain.terrain_files import HeightField, Mesh
+from wheelleg_exp.sim.terrain.terrain_generator import TerrainGenerator

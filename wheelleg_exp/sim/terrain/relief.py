@@ -1,19 +1,92 @@
-"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile."""
+"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile; height map; cache."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import inspect
+import io
+import json
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.files import write_bytes
+from wheelleg_exp.paths import cache_dir
 from wheelleg_exp.progress import with_progress
-from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
 from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Heights of one tile; the first index is along x, the second along y.
+
+    Attributes:
+        heights: heights of the corners of cells (nx + 1, ny + 1), or of the cells (nx, ny), m.
+        boxes: whether heights belong to cells, with vertical edges.
+    """
+
+    heights: npt.NDArray[np.float32]
+    boxes: bool
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """The number of cells along x and y."""
+        nx, ny = self.heights.shape
+        return (nx, ny) if self.boxes else (nx - 1, ny - 1)
+
+
+class HeightMap:
+    """Tiles in rows along x and columns along y, centred on the world's origin.
+
+    Between corners the surface is that of MuJoCo's height fields: two triangles per cell, which meet on the diagonal
+    from the cell's lowest to its highest x and y.
+
+    Args:
+        tiles: the tiles row by row.
+        rows: number of rows.
+        size: edges of a tile, m.
+        device: device of the tensors.
+    """
+
+    def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
+        flat = np.concatenate([tile.heights.ravel() for tile in tiles])
+        starts = np.cumsum([0, *(tile.heights.size for tile in tiles[:-1])])
+        self._heights = torch.as_tensor(flat, device=device)
+        self._starts = torch.as_tensor(starts, device=device)
+        self._cells = torch.tensor([tile.cells for tile in tiles], device=device)
+        self._slanted = torch.tensor([not tile.boxes for tile in tiles], device=device).long()
+        self._counts = torch.tensor([rows, len(tiles) // rows], device=device)
+        self._size = torch.tensor(list(size), device=device)
+
+    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
+        """Return the heights (...) at points (..., 2), m; 0 outside of the tiles."""
+        place = xy / self._size.to(xy) + self._counts / 2
+        tile = place.floor()
+        inside = ((place >= 0) & (place <= self._counts)).all(dim=-1)
+        tile = tile.clamp(min=0).minimum(self._counts - 1)
+        number = tile[..., 0].long() * self._counts[1] + tile[..., 1].long()
+        cells = self._cells[number]
+        within = (place - tile) * cells
+        cell = within.floor().clamp(min=0).minimum(cells - 1)
+        u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
+        slanted = self._slanted[number]
+        along_x = cells[..., 1] + slanted  # stride between neighbours along x
+        first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
+        a, b = self._heights[first], self._heights[first + slanted * along_x]
+        c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
+        height = a + torch.where(u >= v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
+        return torch.where(inside, height, 0.0).to(xy.dtype)
+
 
 _MARGIN = 0.001  # margin in the assignment of kinds to columns, as in Isaac Lab
 
@@ -152,3 +225,74 @@ def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
 
 def _height_function(height_map: HeightMap) -> Callable[[Array], Array]:
     return lambda points: height_map.height_at(torch.from_numpy(points)).numpy()
+
+
+_PATCHES = "patches/"
+
+
+def cached_relief(layout: Layout) -> Relief:
+    """Return a ground from the cache, or generate it and store it.
+
+    Raises:
+        ConfigError: the ground cannot be generated.
+    """
+    entry = cache_dir() / "terrains" / f"{relief_key(layout)}.npz"
+    with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return _read(entry.read_bytes())
+    relief = make_relief(layout)
+    with suppress(WheellegError):  # without a cache entry the ground is generated again next time
+        write_bytes(entry, _packed(relief))
+    return relief
+
+
+def relief_key(layout: Layout) -> str:
+    """Return the sha256 of a layout and of the code that generates a ground."""
+    own = [_digest(Path(inspect.getfile(part))) for part in (make_relief, Tile)]
+    parts = {"layout": _plain(layout), "code": own, "numpy": np.__version__}
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON; an object becomes its values, its class, and the hashes of its classes' source files."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if not hasattr(value, "__dict__"):
+        return value
+    kinds = [kind for kind in type(value).__mro__ if kind is not object]
+    code = [_digest(Path(inspect.getfile(kind))) for kind in kinds]
+    return {"class": type(value).__qualname__, "code": code, "values": _plain(vars(value))}
+
+
+@functools.cache
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _packed(relief: Relief) -> bytes:
+    buffer = io.BytesIO()
+    patches: dict[str, Any] = {_PATCHES + name: places for name, places in relief.patches.items()}
+    np.savez(
+        buffer,
+        heights=np.concatenate([tile.heights.ravel() for tile in relief.tiles]),
+        shapes=np.array([tile.heights.shape for tile in relief.tiles]),
+        boxes=np.array([tile.boxes for tile in relief.tiles]),
+        kinds=relief.kinds,
+        difficulties=relief.difficulties,
+        origins=relief.origins,
+        **patches,
+    )
+    return buffer.getvalue()
+
+
+def _read(packed: bytes) -> Relief:
+    with np.load(io.BytesIO(packed), allow_pickle=False) as held:
+        shapes = held["shapes"]
+        parts = np.split(held["heights"], np.cumsum(shapes.prod(axis=1))[:-1])
+        tiles = [
+            Tile(part.reshape(shape), bool(boxes))
+            for part, shape, boxes in zip(parts, shapes, held["boxes"], strict=True)
+        ]
+        patches = {name.removeprefix(_PATCHES): held[name] for name in held.files if name.startswith(_PATCHES)}
+        return Relief(tiles, held["kinds"], held["difficulties"], held["origins"], patches)

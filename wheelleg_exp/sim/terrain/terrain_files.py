@@ -15,10 +15,10 @@ from wheelleg_exp.constraints import Interval, Length, NonNegative, NotEmpty, Pa
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.paths import GROUND as FOLDER
-from wheelleg_exp.sim.terrain.geoms import add_tile
-from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
+from wheelleg_exp.sim.terrain.relief import HeightMap, Tile
 from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, Probe, TerrainBase
+from wheelleg_exp.sim.terrain.terrain_generator import add_tile
 
 Array = npt.NDArray[np.float64]
 Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, the middle, the edges, m
