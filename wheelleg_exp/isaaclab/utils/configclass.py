@@ -1,4 +1,4 @@
-"""Configs as classes: dataclasses whose defaults may be lists, dictionaries and other configs."""
+"""Config classes: dataclasses whose defaults can be lists, dictionaries and other configs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _Class = TypeVar("_Class")
 
 @dataclass_transform(kw_only_default=True)
 def configclass(cls: type[_Class]) -> type[_Class]:
-    """Make a dataclass of keywords; each instance gets copies of the defaults, and ``MISSING`` means none."""
+    """Make a keyword-only dataclass; instances get copies of the defaults, and ``MISSING`` marks a required field."""
     annotations = dict(inspect.get_annotations(cls))
     for name, value in list(vars(cls).items()):
         if name.startswith("_") or inspect.isroutine(value) or isinstance(value, (property, dataclasses.Field)):

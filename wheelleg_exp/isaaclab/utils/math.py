@@ -24,7 +24,7 @@ def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def normalize(x: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
-    """Return vectors of length 1; those shorter than ``eps`` are divided by it."""
+    """Divide vectors by their length, or by ``eps`` if they are shorter than ``eps``."""
     return torch.nn.functional.normalize(x, dim=-1, eps=eps)
 
 
@@ -34,12 +34,12 @@ def quat_conjugate(q: torch.Tensor) -> torch.Tensor:
 
 
 def quat_inv(q: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
-    """Return the inverse: the conjugate over the squared norm, which is taken for at least ``eps``."""
+    """Return the inverse: the conjugate divided by the squared norm, or by ``eps`` if the squared norm is smaller."""
     return quat_conjugate(q) / q.square().sum(dim=-1, keepdim=True).clamp(min=eps)
 
 
 def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
-    """Return the Hamilton product; ``q2`` turns first.
+    """Return the Hamilton product: the rotation ``q2`` followed by ``q1``.
 
     Raises:
         ValueError: the shapes differ.
@@ -62,7 +62,7 @@ def quat_apply(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
 
 
 def quat_apply_inverse(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
-    """Rotate vectors back."""
+    """Rotate vectors by the inverse rotations."""
     return quat_apply(quat_conjugate(quat), vec)
 
 
@@ -71,15 +71,15 @@ quat_rotate_inverse = quat_apply_inverse
 
 
 def yaw_quat(quat: torch.Tensor) -> torch.Tensor:
-    """Return the rotations about z by the yaw alone."""
+    """Return the yaw of rotations as rotations about z."""
     w, x, y, z = quat.unbind(dim=-1)
     half = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) / 2.0
-    none = torch.zeros_like(half)
-    return normalize(torch.stack((half.cos(), none, none, half.sin()), dim=-1))
+    zero = torch.zeros_like(half)
+    return normalize(torch.stack((half.cos(), zero, zero, half.sin()), dim=-1))
 
 
 def quat_apply_yaw(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
-    """Rotate vectors by the yaw alone."""
+    """Rotate vectors only by the yaw of rotations."""
     return quat_apply(yaw_quat(quat), vec)
 
 
@@ -100,12 +100,12 @@ def axis_angle_from_quat(quat: torch.Tensor, eps: float = SMALL) -> torch.Tensor
 
 
 def quat_box_minus(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
-    """Return the rotation vector (..., 3) that takes ``q2`` to ``q1``, world axes."""
+    """Return the rotation vector (..., 3), world axes, that rotates ``q2`` to ``q1``."""
     return axis_angle_from_quat(quat_mul(q1, quat_conjugate(q2)))
 
 
 def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
-    """Turn rotations by rotation vectors (..., 3), world axes; w >= 0."""
+    """Apply rotation vectors (..., 3), world axes, to rotations; the result has w >= 0."""
     angle = torch.linalg.vector_norm(delta, dim=-1, keepdim=True).clamp(min=eps)
     half = angle / 2.0
     turn = torch.cat((half.cos(), delta / angle * half.sin()), dim=-1)
@@ -118,20 +118,20 @@ def quat_error_magnitude(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
 
 
 def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
-    """Return the rotation (4,) a share ``tau`` of the shorter way from ``q1`` to ``q2``, (4,) (Shoemake 1985)."""
+    """Interpolate from ``q1`` (tau 0) to ``q2`` (tau 1), (4,) each, along the shorter arc (Shoemake 1985)."""
     cosine = (q1 * q2).sum()
     q2, cosine = torch.where(cosine < 0.0, -q2, q2), cosine.abs().clamp(max=1.0)
     angle = torch.acos(cosine)
-    straight = normalize(torch.lerp(q1, q2, tau))
-    bent = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
-    return torch.where(angle < 1e-4, straight, bent)
+    line = normalize(torch.lerp(q1, q2, tau))  # numerically stable for small angles
+    arc = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
+    return torch.where(angle < 1e-4, line, arc)
 
 
 def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
-    """Return quaternions, tensors or arrays, in the other order of components.
+    """Convert quaternions (tensor or array) between the orders xyzw and wxyz.
 
     Raises:
-        ValueError: no quaternions, or no order.
+        ValueError: the last dimension is not 4, or ``to`` is unknown.
     """
     if quat.shape[-1] != 4 or to not in ("xyzw", "wxyz"):
         raise ValueError(f"expected quaternions (..., 4) and to='xyzw' or 'wxyz', not {tuple(quat.shape)} and {to!r}")
@@ -207,14 +207,14 @@ def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
 def combine_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t12: torch.Tensor | None = None, q12: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return frame 2 in frame 0, of 1 in 0 and 2 in 1."""
+    """Return the pose of frame 2 in frame 0 from the poses of 1 in 0 and 2 in 1."""
     return t01 if t12 is None else t01 + quat_apply(q01, t12), q01 if q12 is None else quat_mul(q01, q12)
 
 
 def subtract_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t02: torch.Tensor | None = None, q02: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return frame 2 in frame 1, of 1 in 0 and 2 in 0."""
+    """Return the pose of frame 2 in frame 1 from the poses of 1 in 0 and 2 in 0."""
     back = quat_inv(q01)
     return quat_apply(back, -t01 if t02 is None else t02 - t01), back if q02 is None else quat_mul(back, q02)
 
@@ -222,7 +222,7 @@ def subtract_frame_transforms(
 def rigid_body_twist_transform(
     v0: torch.Tensor, w0: torch.Tensor, t01: torch.Tensor, q01: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a body's linear and angular velocity at another frame of it, in that frame's axes."""
+    """Return linear and angular velocity of a body at another of its frames, in the axes of that frame."""
     return quat_apply_inverse(q01, v0 + cross(w0, t01)), quat_apply_inverse(q01, w0)
 
 
@@ -233,10 +233,10 @@ def compute_pose_error(
     q02: torch.Tensor,
     rot_error_type: Literal["quat", "axis_angle"] = "axis_angle",
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return position and rotation from frame 1 to frame 2, the rotation as a quaternion or a rotation vector.
+    """Return position and rotation from frame 1 to frame 2; the rotation is a quaternion or a rotation vector.
 
     Raises:
-        ValueError: another type.
+        ValueError: ``rot_error_type`` is unknown.
     """
     if rot_error_type not in ("quat", "axis_angle"):
         raise ValueError(f"rot_error_type is {rot_error_type!r}, expected 'quat' or 'axis_angle'")
@@ -247,7 +247,7 @@ def compute_pose_error(
 def apply_delta_pose(
     source_pos: torch.Tensor, source_rot: torch.Tensor, delta_pose: torch.Tensor, eps: float = SMALL
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Move poses by (..., 6): a position and a rotation vector; one shorter than ``eps`` turns nothing."""
+    """Move poses by (..., 6): a position and a rotation vector, which is ignored if it is shorter than ``eps``."""
     delta = delta_pose[..., 3:6]
     angle = torch.linalg.vector_norm(delta, dim=-1)
     turned = quat_mul(quat_from_angle_axis(angle, delta), source_rot)
@@ -255,15 +255,15 @@ def apply_delta_pose(
 
 
 def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
-    """Return whether poses are all zero and unturned."""
-    none = rot.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(rot)
-    return torch.allclose(pos, torch.zeros_like(pos)) and torch.allclose(rot, none)
+    """Return whether all poses are the identity."""
+    identity = rot.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(rot)
+    return torch.allclose(pos, torch.zeros_like(pos)) and torch.allclose(rot, identity)
 
 
 def transform_points(
     points: torch.Tensor, pos: torch.Tensor | None = None, quat: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Turn, then move points (P, 3) or (N, P, 3) by poses (3,), (4,) or (N, 3), (N, 4)."""
+    """Rotate, then translate points (P, 3) or (N, P, 3) by poses (3,), (4,) or (N, 3), (N, 4)."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     if quat is not None:
         batch = quat_apply(quat.reshape(-1, 1, 4), batch)
@@ -293,7 +293,7 @@ def pose_inv(pose: torch.Tensor) -> torch.Tensor:
 def convert_camera_frame_orientation_convention(
     orientation: torch.Tensor, origin: Convention = "opengl", target: Convention = "ros"
 ) -> torch.Tensor:
-    """Return the same orientations (..., 4) by the axes of another convention: ``opengl``, ``ros`` or ``world``."""
+    """Convert camera orientations (..., 4) between the conventions ``opengl``, ``ros`` and ``world``."""
     flat = orientation.reshape(-1, 4)
     return convert_convention(flat, origin, target).reshape(orientation.shape)
 
@@ -301,9 +301,9 @@ def convert_camera_frame_orientation_convention(
 def create_rotation_matrix_from_view(
     eyes: torch.Tensor, targets: torch.Tensor, up_axis: Literal["Y", "Z"] = "Z", device: str = "cpu"
 ) -> torch.Tensor:
-    """Return the rotations (N, 3, 3) of cameras at (N, 3) that look at targets (N, 3), axes of ``opengl``.
+    """Return the rotations (N, 3, 3) of cameras at (N, 3) that look at targets (N, 3), in the convention ``opengl``.
 
-    Straight up or down the picture's right is the world's x.
+    For a camera that looks straight up or down, the image's right is the world's x axis.
     """
     up = torch.tensor([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0], device=device).expand_as(eyes)
     back = torch.nn.functional.normalize(eyes - targets, dim=1)
@@ -315,9 +315,9 @@ def create_rotation_matrix_from_view(
 
 
 def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
-    """Return distances along the axis, m, for those along pixels' rays: (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1).
+    """Convert distances along pixels' rays to distances along the camera's axis, m.
 
-    ``intrinsics``, px, is (3, 3) or (N, 3, 3).
+    ``depth`` is (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1); ``intrinsics``, px, is (3, 3) or (N, 3, 3).
     """
     pictures = _pictures(depth)
     matrices = intrinsics.reshape(-1, 3, 3)
@@ -328,7 +328,7 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
 
 
 def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
-    """Return the points (P, 3) or (N, P, 3), m, that pixels show, axes x right, y down, z forward; column by column.
+    """Return the points (P, 3) or (N, P, 3) of pixels, m, axes x right, y down, z forward; column by column.
 
     Args:
         depth: distances, m: (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1).
@@ -346,7 +346,7 @@ def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: boo
 
 
 def project_points(points: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
-    """Return where points (P, 3) or (N, P, 3), m, are seen: column and row, px, and distance along the axis, m."""
+    """Return column and row, px, and distance along the axis, m, of points (P, 3) or (N, P, 3), m."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     seen = torch.einsum("nij,npj->npi", intrinsics.reshape(-1, 3, 3), batch)
     found = torch.cat((seen[..., :2] / seen[..., 2:], batch[..., 2:]), dim=-1)
@@ -360,7 +360,7 @@ def _pictures(depth: torch.Tensor) -> torch.Tensor:
 
 
 def _pixels(pictures: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Return the rows' and the columns' numbers, (H, W) each."""
+    """Return the row and the column of each pixel, (H, W) each."""
     counts = (torch.arange(count, device=pictures.device, dtype=pictures.dtype) for count in pictures.shape[1:])
     return torch.meshgrid(*counts, indexing="ij")
 
@@ -385,13 +385,13 @@ def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> t
 
 
 def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return Gaussian draws; with a tensor as mean, of its shape."""
+    """Return Gaussian draws; if the mean is a tensor, the result has its shape."""
     shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
     return torch.randn(shape, device=device) * std + mean
 
 
 def sample_triangle(lower: float, upper: float, size: Size, device: Any) -> torch.Tensor:
-    """Return draws on [lower, upper] that are likeliest at the ends, as Isaac Lab's of that name."""
+    """Return draws on [lower, upper] whose density is highest at the bounds, as Isaac Lab's function does."""
     u = 2.0 * torch.rand(_shape(size), device=device) - 1.0
     return lower + (upper - lower) * (1.0 + u.sign() * u.abs().sqrt()) / 2.0
 
