@@ -220,7 +220,7 @@ def read_yaml(path: Path) -> Any:
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
     """Return a value that was read from ``path``; RunDirectoryError unless it is a mapping."""
     if not isinstance(value, dict):
-        raise RunDirectoryError(f"holds a {type(value).__name__}", key=str(path), expected="a mapping")
+        raise RunDirectoryError(f"contains a {type(value).__name__}", key=str(path), expected="a mapping")
     return value
 
 

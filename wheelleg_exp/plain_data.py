@@ -186,9 +186,9 @@ def dump_yaml(value: Any) -> str:
     """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
 
     Raises:
-        RunDirectoryError: the value holds something else than mappings with text or integer keys, lists,
-            text, numbers, booleans and None. Subclasses (numpy scalars, enumerations, config nodes) do not
-            count as these, because they would not come back as what they were.
+        RunDirectoryError: the value contains anything other than mappings with text or integer keys, lists, text,
+            numbers, booleans and None. Subclasses of these types (numpy scalars, enumerations, config nodes) are
+            refused, because they would be read back as another type.
     """
     require_plain(value)
     return yaml.dump(
@@ -205,7 +205,7 @@ def require_plain(value: Any, path: str = "") -> None:
             require_plain(item, f"{path}[{index}]")
     elif type(value) not in _SCALARS:
         raise RunDirectoryError(
-            f"a {type(value).__name__} cannot be kept as plain YAML",
+            f"a {type(value).__name__} cannot be saved as plain YAML",
             key=path or None,
             expected="a mapping, list, text, number, boolean or null",
         )

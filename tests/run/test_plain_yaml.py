@@ -78,7 +78,7 @@ class Colour(enum.StrEnum):
     "value", [np.float64(1.0), np.arange(2), (1, 2), {1}, object(), Colour.RED, OmegaConf.create({"a": 1})]
 )
 def test_what_is_not_plain_is_refused_with_its_key(value):
-    with pytest.raises(RunDirectoryError, match=r"env\.x\[1\]: .* cannot be kept as plain YAML"):
+    with pytest.raises(RunDirectoryError, match=r"env\.x\[1\]: .* cannot be saved as plain YAML"):
         dump_yaml({"env": {"x": [0, value]}})
 
 

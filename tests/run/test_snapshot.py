@@ -101,7 +101,7 @@ def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"agent\.yaml:2"):
         load_params(tmp_path)
     (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
-    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: holds a list"):
+    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: contains a list"):
         load_params(tmp_path)
 
 

@@ -1,9 +1,10 @@
-"""The term library: what actions, commands, observations, events, rewards, terminations and curricula compute.
+"""The library of stock terms, which tasks select in YAML.
 
 | module | what it offers |
 |---|---|
-| `actions`, `commands` | what the policy sets, and what it is asked for |
-| `observations`, `noise`, `modifiers` | what it sees, and what becomes of that |
-| `rewards`, `terminations`, `curriculums` | what counts, what ends an episode, what changes while it learns |
-| `events` | resets, disturbances and randomisation |
+| `actions`, `commands` | targets for the joints, and targets for the robot |
+| `observations`, `noise`, `modifiers` | inputs of the policy, and their noise and filters |
+| `rewards`, `terminations`, `curriculums` | rewards, ends of episodes, and settings that change during training |
+| `events`, `recorders` | resets, disturbances, randomisation; and values for datasets |
+| `schedules`, `config_address` | functions and addresses for curricula that change any setting |
 """

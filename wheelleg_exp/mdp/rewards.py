@@ -421,7 +421,7 @@ def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, thres
 def feet_air_time_positive_biped(
     env: Env, command_name: str, threshold: NonNegative, sensor_cfg: SceneEntityCfg
 ) -> torch.Tensor:
-    """Time since the last touchdown or lift-off of any foot, s, while exactly one foot stands; at most ``threshold``.
+    """Time since the last touchdown or lift-off of any foot, s, while one foot is in contact; at most ``threshold``.
 
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
     """

@@ -272,7 +272,7 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # A point that lies on the lattice gets exactly the height drawn there, whatever rounding says.
+    # A point on the lattice gets exactly the height that was drawn there, in spite of rounding errors.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
