@@ -107,8 +107,8 @@ ROWS = [
     ),
     _action("JointPositionAction", "asset_name", "no 'robto'", asset_name="robto"),
     _action("JointPositionAction", "delay", **DELAYED, delay=[2, 1]),
-    _action("JointPositionAction", "delay[0]", **DELAYED, delay=[-1, 2]),
-    _action("JointPositionAction", "delay[0]", **DELAYED, delay=[0.5, 1]),
+    _action("JointPositionAction", "delay", **DELAYED, delay=[-1, 2]),
+    _action("JointPositionAction", "delay", **DELAYED, delay=[0.5, 1]),
     _action("JointPositionAction", "delay", **DELAYED, delay=3),
 ]
 
