@@ -83,7 +83,7 @@ def test_the_parameters_read_back_equal_in_their_order(run):
 
 
 def test_parameters_that_are_not_plain_write_nothing(tmp_path):
-    with pytest.raises(RunDirectoryError, match="tuple cannot be kept"):
+    with pytest.raises(RunDirectoryError, match="tuple cannot be saved"):
         write_params(tmp_path, {"env": {"a": 1}, "agent": {"b": (1, 2)}})
     assert list(tmp_path.iterdir()) == []
 
@@ -203,7 +203,7 @@ def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path
 def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     params = {"env": {"a": (1, 2)}, "agent": {}}
-    with pytest.raises(RunDirectoryError, match="tuple cannot be kept"):
+    with pytest.raises(RunDirectoryError, match="tuple cannot be saved"):
         start_run(
             directory,
             command=[],
@@ -215,7 +215,7 @@ def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
             threads={},
         )
     assert directory.manifest().status == "failed"
-    assert "tuple cannot be kept" in directory.manifest().data["error"]["message"]
+    assert "tuple cannot be saved" in directory.manifest().data["error"]["message"]
 
 
 def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypatch):
