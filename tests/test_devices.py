@@ -36,8 +36,7 @@ HOST = {
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
     "managers/async_queries.py": "looks at masks that have come to the host",
-    "managers/recorded_rows.py": "what recorders note leaves the device",
-    "managers/recorder_manager.py": "the same",
+    "managers/recorder_manager.py": "recorded rows leave the device",
     "managers/curriculum_manager.py": "takes what a user's term returned",
 }
 GROUNDS = {

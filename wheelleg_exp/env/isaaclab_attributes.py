@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
-# Where Isaac Lab's config has what ours has elsewhere.
+# Keys of Isaac Lab's config that have another path here.
 _OTHER_PATHS = {"scene.num_envs": "num_envs", "sim.render_interval": "decimation"}
 
 
 class NoSuchKey(ConfigError, AttributeError):
-    """A config has no such key, or was to be changed."""
+    """A key of the config does not exist, or code tried to change the config."""
 
 
 class Cfg(Mapping[str, Any]):
-    """A section of the composed config, read by attribute as well as by key; nothing of it can be changed.
+    """A read-only section of the composed config, with access by attribute and by key.
 
-    A term's node has ``func``, its target, and ``params``, what goes to it.
+    The node of a term has ``func``, its target, and ``params``, its parameters.
 
     Args:
         section: the section.
-        path: its config key.
-        root: the whole ``env`` section.
+        path: config key of the section.
+        root: the complete ``env`` section.
     """
 
     def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
@@ -89,7 +89,7 @@ class Cfg(Mapping[str, Any]):
     }
 )
 class Simulation(Kept):
-    """What Isaac Lab's terms ask of ``env.sim``.
+    """Attributes of ``env.sim`` that terms written for Isaac Lab read.
 
     Args:
         env: the environment.
@@ -106,7 +106,7 @@ class Simulation(Kept):
 
     @property
     def device(self) -> torch.device:
-        """Where all tensors are."""
+        """Device of all tensors."""
         return self._env.device
 
     def get_physics_dt(self) -> float:
@@ -114,11 +114,11 @@ class Simulation(Kept):
         return self._env.physics_dt
 
     def has_gui(self) -> bool:
-        """Return False: there is no window."""
+        """Return False, because there is no window."""
         return False
 
     def is_playing(self) -> bool:
-        """Return True: the simulations run."""
+        """Return True, because the simulations run."""
         return True
 
 
@@ -127,7 +127,7 @@ class Simulation(Kept):
     | {"viewport_camera_controller": "there is no window", "render": "wheelleg play and recordings draw pictures"}
 )
 class IsaacLabAttributes(Kept):
-    """Names of Isaac Lab's environment for what managers hold."""
+    """Attributes of Isaac Lab's environment; the managers hold the values."""
 
     if TYPE_CHECKING:
         decimation: int
@@ -142,7 +142,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def sim(self) -> Simulation:
-        """What terms ask of the simulation; the engine is ``scene.sim``."""
+        """The simulation as terms written for Isaac Lab read it. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
 
     @property
@@ -162,7 +162,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
-        """Whose time was up in this step, (N,) bool."""
+        """Environments (N,) bool whose time was up in this step."""
         return self.termination_manager.time_outs
 
     @property

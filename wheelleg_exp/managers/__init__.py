@@ -1,16 +1,14 @@
-"""The nine managers: when terms run, what they accumulate, what they log.
+"""The nine managers: when terms run, what they accumulate, and what they log.
 
-| module | what it offers |
+| module | content |
 |---|---|
-| `*_manager` | when terms run, what they accumulate, what they log |
-| `manager_base`, `term` | binding, listing, printing and state of terms |
-| `environment` | what terms may ask of the environment |
-| `entity` | members of the scene, and named ranges, as terms take them |
-| `returned`, `finite` | what terms return, told by the key of the term |
-| `asking` | what a step asks of a device, which waits late or never |
-| `recorded_rows` | what recorders note, cut into episodes |
-| `streams` | random draws, a stream for each term |
-| `buffers`, `observation_term` | history of samples, and what becomes of one |
+| `*_manager` | when the terms of one section run, what they accumulate, what they log |
+| `manager_base` | bound terms, and the base class of the managers |
+| `term_interface` | the environment as terms see it, members of the scene, named ranges |
+| `return_checks`, `non_finite` | errors that name the term: wrong return values, NaN and inf |
+| `async_queries` | masks and finite checks that do not wait for a GPU |
+| `streams` | random draws, one stream for each term |
+| `observation_term`, `sample_history` | an observation from function to sample, and histories of samples |
 """
 
 from wheelleg_exp.managers.action_manager import ActionManager, ActionTerm

@@ -1,4 +1,4 @@
-"""Actions: what a policy's output means, applied at every physics step."""
+"""Actions: the meaning of a policy's output, applied at every physics step."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class ActionTerm(TermBase):
     """A slice of the action vector.
 
     Attributes:
-        drives: which target of its joints it sets: ``position``, ``velocity``, ``effort``; empty when none of these.
-        joint_names: names of the joints, of a term that drives some.
+        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or empty for none.
+        joint_names: names of the joints, if the term drives joints.
     """
 
     drives: ClassVar[str] = ""
@@ -36,7 +36,7 @@ class ActionTerm(TermBase):
         return False
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Take up raw actions (N, action_dim), once per control step."""
+        """Process raw actions (N, action_dim), once per control step."""
         raise NotImplementedError
 
     def apply_actions(self) -> None:
@@ -45,10 +45,10 @@ class ActionTerm(TermBase):
 
 
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
-    """Return the mistakes of joints whose target of one kind two terms set: the later one's alone would count.
+    """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
     Args:
-        claims: config key of the term, the kind of target that it sets, and the joints.
+        claims: config key of a term, the kind of target that the term sets, and its joints.
     """
     found = list(claims)
     return [
@@ -64,7 +64,7 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 class ActionManager(ManagerBase):
     """Splits the action vector over the terms, in declaration order.
 
-    A term's field ``delay`` lets its processed actions act some physics steps later.
+    The field ``delay`` of a term delays its processed actions by some physics steps.
     """
 
     kind = "actions"
@@ -110,10 +110,10 @@ class ActionManager(ManagerBase):
         return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]
 
     def process_action(self, action: torch.Tensor) -> None:
-        """Take up the raw action (N, total) of this control step; it is not clipped.
+        """Process the raw action (N, total) of this control step, without clipping.
 
         Raises:
-            ValueError: the shape is another.
+            ValueError: the shape is wrong.
         """
         if action.shape != self.action.shape:
             raise ValueError(f"actions have shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
@@ -127,7 +127,7 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Let every term set its targets, before each physics step; those that stay as they are once."""
+        """Set the targets of every term before a physics step; targets that stay the same only once."""
         for name, term in self._action_terms.items():
             if self._is_new or name in self._delays or not term.applies_once:
                 with self._terms[name].blamed():
@@ -135,7 +135,7 @@ class ActionManager(ManagerBase):
         self._is_new = False
 
     def _apply(self, name: str, term: ActionTerm) -> None:
-        """Let a term apply its processed actions, or earlier ones in their place."""
+        """Apply the processed actions of a term, or earlier ones if the term has a delay."""
         if name not in self._delays:
             term.apply_actions()
             return
@@ -180,7 +180,7 @@ class ActionManager(ManagerBase):
 
 
 def _require_actions(actions: ActionTerm, term: Term, env: Env) -> None:
-    """Raise ConfigError unless a term says how wide its actions are, and holds them."""
+    """Raise ConfigError if a term lacks a valid ``action_dim``, or its actions have another shape."""
     width = getattr(actions, "action_dim", None)
     if isinstance(width, bool) or not isinstance(width, int) or width < 1:
         raise ConfigError(

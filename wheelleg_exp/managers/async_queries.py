@@ -85,27 +85,27 @@ class AsyncMaskQuery:
 
 
 def is_finite(total: torch.Tensor) -> bool:
-    """Return whether a number (a tensor of one) is finite.
+    """Return whether a number (a tensor with one element) is finite.
 
-    A GPU is not waited for: there a number that is none is noticed some checks later, and from then on every check
-    waits, until ``_PATIENCE`` of them have found none.
+    The host does not wait for a GPU: it learns of a NaN or inf some checks later. From then on every check waits, until
+    ``_PATIENCE`` checks in a row were finite.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # a graph is not to ask, which would wait
+    watch.note(total)  # a CUDA graph cannot wait for the answer
     return True
 
 
 def note(total: torch.Tensor) -> None:
-    """Take note of whether a number (a tensor of one, on a GPU) is finite, for ``is_calm``; a graph can."""
+    """Add a number (a tensor with one element on a GPU) to the numbers that ``is_calm`` reports on."""
     _watch(total.device).note(total)
 
 
 def is_calm(device: torch.device) -> bool:
-    """Return whether no number that is none has been noted of late, as far as the host knows; of a CPU nothing is."""
+    """Return whether the host knows of no recent NaN or inf on a GPU. On a CPU the answer is always False."""
     return device.type == "cuda" and _watch(device).is_calm()
 
 
@@ -117,32 +117,32 @@ def _watch(device: torch.device) -> _FiniteWatch:
 
 
 class _FiniteWatch:
-    """Takes note of numbers on a GPU that are none, and looks at the note when it has come."""
+    """Detects NaN and inf on a GPU. The host reads the answer when a copy of it has arrived."""
 
     def __init__(self, device: torch.device) -> None:
         with torch.inference_mode(False):
             self._sum, self._zero = torch.zeros(2, device=device).unbind()
-        self._told = torch.zeros((), device="cpu", pin_memory=True)
+        self._host_sum = torch.zeros((), device="cpu", pin_memory=True)
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add what is 0 for a number and NaN for good for what is none, infinity too: one kernel."""
-        self._sum.addcmul_(total, self._zero)
+        """Add ``total * 0`` to a running sum: 0 while all numbers are finite, NaN once one is NaN or inf."""
+        self._sum.addcmul_(total, self._zero)  # one kernel
 
     def is_calm(self) -> bool:
-        """Return whether nothing was noted; when something was, False for the next ``_PATIENCE`` times."""
-        if self._waits == 0 and math.isnan(self._told):
+        """Return whether all numbers were finite; after a NaN or inf, False for ``_PATIENCE`` calls."""
+        if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
-            self._told.zero_()
+            self._host_sum.zero_()
         if self._waits > 0:
             self._waits -= 1
             return False
         self._checks += 1
         if self._checks % _EVERY == 0:
-            self._told.copy_(self._sum, non_blocking=True)
+            self._host_sum.copy_(self._sum, non_blocking=True)
         return True
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # by the GPU's index
+_watches: dict[int, _FiniteWatch] = {}  # by the index of the GPU

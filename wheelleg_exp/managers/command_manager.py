@@ -1,4 +1,4 @@
-"""Commands: what the robot is asked to do, resampled at random times."""
+"""Commands: what the robot must do, drawn again at random times."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from wheelleg_exp.terms.term_errors import described
 class CommandTerm(TermBase):
     """A command with a resampling timer and error metrics.
 
-    A metric is the sum of a step's errors times the control step over the longest time between two draws; with
-    ``logs_last_error`` it is the last error, as of commands that are places to be reached.
+    A metric is the sum over steps of ``error * dt``, divided by the longest time between two draws. With
+    ``logs_last_error`` the metric is the last error, which suits commands that are places to reach.
 
     Args:
         env: the environment.
         resampling_time_range: shortest and longest time between two draws, s.
-        metric_names: names of the term's metrics.
+        metric_names: names of the metrics.
         generator: the term's random stream.
     """
 
@@ -53,7 +53,7 @@ class CommandTerm(TermBase):
 
     @property
     def command(self) -> torch.Tensor:
-        """The present command, (N, k)."""
+        """The current command, (N, k)."""
         raise NotImplementedError
 
     def errors(self) -> torch.Tensor:
@@ -65,10 +65,10 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """Derive the command from what was drawn, every step."""
+        """Derive the command from the drawn values, in every step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Sample the metrics, resample where the time is up, post-process; return this step's errors (M, N)."""
+        """Update the metrics, draw commands whose time is up, post-process; return the errors of this step (M, N)."""
         errors = self.errors()
         if getattr(errors, "shape", None) != self.error_sums.shape:
             raise ConfigError(
@@ -94,11 +94,11 @@ class CommandTerm(TermBase):
         """Read the settings again. Tensors that ``draw`` uses must keep their memory: a captured reset reads it."""
 
     def may_expire(self, dt: float) -> bool:
-        """Return whether the time of a command may be up within ``dt`` seconds, without waiting for a GPU."""
+        """Return whether the time of a command may be up within ``dt`` seconds. The host does not wait for a GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
+        """Return the means of the metrics over ``env_ids``, set the metrics to 0, and draw new commands."""
         steps = self.steps.index_select(0, env_ids).clamp(min=1)
         means = self.metrics.index_select(1, env_ids).mean(dim=1)
         per_step = (self.error_sums.index_select(1, env_ids) / steps).mean(dim=1)
@@ -119,10 +119,10 @@ class CommandTerm(TermBase):
 
 
 class CommandManager(ManagerBase):
-    """Holds the command terms by name.
+    """The command terms by name.
 
     Attributes:
-        step_errors: this step's error of each metric, (M, N) by term; of the step alone, and no state.
+        step_errors: errors of the metrics in the last step, (M, N) by term; not state.
     """
 
     kind = "commands"
@@ -138,7 +138,7 @@ class CommandManager(ManagerBase):
             term.form = row_form(self._num_envs, env.device)
 
     def get_command(self, name: str) -> torch.Tensor:
-        """Return the present command of a term, (N, k)."""
+        """Return the current command of a term, (N, k)."""
         found = self.get_term(name)
         term = self._terms[name]
         with term.blamed():
@@ -164,8 +164,9 @@ class CommandManager(ManagerBase):
                 term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
-        """Return whether a command may be drawn in the coming step of ``dt`` seconds, without waiting for a GPU."""
-        return any([term.may_expire(dt) for term in self._command_terms.values()])  # each of them is asked
+        """Return whether a command may be drawn in a step of ``dt`` seconds. The host does not wait for a GPU."""
+        # A list, because each term has to count the time.
+        return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:
         """Advance every term by one control step.

@@ -1,4 +1,4 @@
-"""Curricula: terms that change the task as training goes on, run at each reset."""
+"""Curricula: terms that change the task during training, run at each reset."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wheelleg_exp.managers.term_interface import Env
 
 
 class CurriculumManager(ManagerBase):
-    """Calls each term with the environments that are about to reset; logs what the terms return."""
+    """Calls each term with the environments that will be reset, and logs the returned values."""
 
     kind = "curriculum"
 
@@ -25,7 +25,7 @@ class CurriculumManager(ManagerBase):
             term.form = FiguresForm()
 
     def compute(self, env_ids: torch.Tensor) -> None:
-        """Run every term on the episodes that end now, before anything is reset."""
+        """Run every term on the episodes that end in this step, before the reset."""
         for name, term in self._terms.items():
             self._state[name] = term(self._env, env_ids)
 
@@ -41,14 +41,14 @@ class CurriculumManager(ManagerBase):
         return log
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[Any]]]:
-        """Return the last returned state of each term, of a mapping all values; the same for every environment."""
+        """Return the last state of each term, as a list of its values. The state is the same for every environment."""
         del env_idx
         states = {name: state for name, state in self._state.items() if state is not None}
         parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())
         return [(name, [_number(value) for value in values]) for name, values in parts]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the last returned states as plain numbers, and the terms' states."""
+        """Return the last logged states as plain numbers, and the states of the terms."""
         last = {name: _plain(state) for name, state in self._state.items()}
         return {**super().state_dict(), "last": last}
 
@@ -63,7 +63,7 @@ class CurriculumManager(ManagerBase):
 
 
 def _plain(state: Any) -> Any:
-    """Return what a term returned in a form that a checkpoint takes; arrays become tensors."""
+    """Convert a logged state to values that a checkpoint can store: arrays become tensors."""
     if isinstance(state, Mapping):
         return {str(key): _plain(value) for key, value in state.items()}
     if isinstance(state, (np.ndarray, np.generic)):

@@ -1,4 +1,4 @@
-"""Events: randomisation and disturbances, by the moment at which they happen."""
+"""Events: randomisation and disturbances, by the time at which they run."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
 class EventManager(ManagerBase):
-    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or any name that is applied.
+    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or a user-defined mode.
 
-    Built before the scene is compiled, so that ``prestartup`` terms may edit ``env.scene.spec``.
+    The manager is built before the scene is compiled, so that ``prestartup`` terms can edit ``env.scene.spec``.
     """
 
     kind = "events"
@@ -46,7 +46,7 @@ class EventManager(ManagerBase):
                 self._start_counter(name)
 
     def play(self) -> None:
-        """Make the term objects, now that the simulations run."""
+        """Make the term objects, once the simulations run."""
         for name, term in self._terms.items():
             instantiate_term(term, self._env)
             self._note_asked(name)
@@ -58,20 +58,20 @@ class EventManager(ManagerBase):
 
     @property
     def available_modes(self) -> list[str]:
-        """Modes that some term has."""
+        """Modes of the terms."""
         return list(self._modes)
 
     def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
-        """Run the terms of ``prestartup``, ``startup``, ``reset``, or a mode of the caller's own.
+        """Run the terms of ``prestartup``, ``startup``, ``reset``, or a user-defined mode.
 
         Args:
-            mode: the mode; one of the caller's own that no term has is warned of, and does nothing.
+            mode: the mode. A user-defined mode without terms causes a warning.
             env_ids: environments, or None for all.
-            global_env_step_count: control steps so far; needed for ``reset``.
+            global_env_step_count: control steps so far; required for ``reset``.
 
         Raises:
-            ValueError: ``interval`` (see ``apply_interval``), or ``reset`` without a step count.
-            SimulationFailure: a term wrote numbers that are not finite.
+            ValueError: the mode is ``interval`` (see ``apply_interval``), or ``reset`` without a step count.
+            SimulationFailure: a term wrote NaN or inf.
         """
         if mode == "interval":
             raise ValueError("interval events are applied by apply_interval(dt)")
@@ -93,22 +93,22 @@ class EventManager(ManagerBase):
                 self._run(name, term, ids)
 
     def apply_interval(self, dt: float) -> None:
-        """Advance the timers by ``dt`` seconds and run the terms whose time is up, then those of every step."""
+        """Advance the timers by ``dt`` seconds, run the terms whose time is up, then the terms of mode ``step``."""
         self.advance_timers(dt)
         self.apply_due(dt)
 
     def advance_timers(self, dt: float) -> None:
-        """Let the timers run down by ``dt`` seconds; ``fired`` says whose time is up."""
+        """Subtract ``dt`` seconds from the timers. ``fired`` then holds the environments whose time is up."""
         for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run the terms whose time is up since the timers ran down by ``dt`` seconds, then those of every step.
+        """Run the terms whose time is up, then the terms of mode ``step``; return whether any term ran.
 
-        Returns:
-            Whether any ran.
+        Args:
+            dt: seconds that were subtracted from the timers last.
         """
         ran = False
         for name, term in self._modes.get("interval", {}).items():
@@ -130,21 +130,21 @@ class EventManager(ManagerBase):
         return ran
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
-        """Run a term; what it writes must be numbers."""
+        """Run a term, and check that the numbers it wrote are finite."""
         term(self._env, ids)
-        self._env.scene.robot.data.invalidate()  # whatever it has written, and however
+        self._env.scene.robot.data.invalidate()  # the term may have written to any quantity
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 
     def _note_asked(self, name: str) -> None:
-        """Note what a term has asked for to write: it may have kept it."""
+        """Note which quantities a term requested for writing. It may write to them again in a later run."""
         asked = self._env.scene.sim.asked
         if asked:
             self._asked[name] |= asked
             asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Redraw the per-environment timers of ``env_ids``, and reset the terms but those of ``prestartup``."""
+        """Draw new timers for ``env_ids``, and reset all terms except those of ``prestartup``."""
         for name, term in self._modes.get("interval", {}).items():
             if not term.fields.get("is_global_time", False):
                 self._draw_timer(name, term, env_ids)
@@ -152,7 +152,7 @@ class EventManager(ManagerBase):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return timers, counters and the terms' states."""
+        """Return timers, counters, and the states of the terms."""
         return {
             **super().state_dict(),
             "time_left": {k: v.clone() for k, v in self._time_left.items()},
@@ -193,7 +193,7 @@ class EventManager(ManagerBase):
         self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool, device=self._env.device)
 
     def _due(self, name: str, term: Term, ids: torch.Tensor, step: int) -> torch.Tensor:
-        """Return those of ``ids`` for which enough steps have passed since the term last ran."""
+        """Return the environments of ``ids`` for which enough steps have passed since the term last ran."""
         wait = term.fields.get("min_step_count_between_reset", 0)
         if wait == 0:
             return ids

@@ -45,10 +45,10 @@ _STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the obser
 
 
 class TermBase(Stateful):
-    """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``.
+    """A term with state. Subclasses take ``env``, their parameters, and ``generator`` if they draw random numbers.
 
-    Its attributes are saved and restored without its help (``state``): tensors always, unless ``settings`` names
-    them, everything else once it has changed.
+    The package ``state`` saves and restores the attributes: tensors always, unless ``settings`` names them; other
+    attributes once they have changed.
     """
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -56,10 +56,10 @@ class TermBase(Stateful):
 
 
 class ManagerTermBase(TermBase):
-    """A class term as Isaac Lab writes it: made by ``(cfg, env)``, called with the environment and the parameters.
+    """A class term in Isaac Lab's style: made by ``(cfg, env)``, called with the environment and the parameters.
 
     Args:
-        cfg: the term, with ``func``, ``params`` and the manager's fields.
+        cfg: the term, with ``func``, ``params``, and the fields of the manager.
         env: the environment.
     """
 
@@ -88,10 +88,10 @@ class Term(Kept):
         target: dotted name of the function or class.
         func: the function, or the term object.
         params: the keyword arguments of every call; empty for term objects.
-        fields: the manager's own settings.
-        arguments: of a term object, what the config made it with; ``take_arguments`` takes up what has changed.
-        generator: the term's random stream, where it draws.
-        form: what it has to return, where the manager needs something.
+        fields: the settings that the manager reads.
+        arguments: the arguments of a term object; ``take_arguments`` applies changes.
+        generator: the random stream of the term, if it draws.
+        form: the required form of the return value, if any.
     """
 
     outside_graphs: ClassVar = (
@@ -116,7 +116,7 @@ class Term(Kept):
     lends: bool = field(default=False, init=False)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a field of the manager's by its name, as Isaac Lab's configs of terms have it."""
+        """Return a field of the manager by attribute, as in Isaac Lab's term configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
         raise AttributeError(f"a term has no '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
@@ -128,7 +128,7 @@ class Term(Kept):
             super().__setattr__(name, value)
 
     def take(self, cfg: Any) -> None:
-        """Become what another config of a term says: its function, its parameters, its fields."""
+        """Take function, parameters, and fields from another term config."""
         if cfg is self:
             return
         if getattr(cfg, "func", None) is not None:
@@ -139,11 +139,11 @@ class Term(Kept):
             self.fields[name] = getattr(cfg, name, self.fields[name])
 
     def __call__(self, *args: Any) -> Any:
-        """Call the term with the environment (and ids), and hold what it returns against ``form``.
+        """Call the term with the environment (and ids), and check the return value against ``form``.
 
         Raises:
-            ConfigError: it raises an error in its first call, or returns something else.
-            SimulationFailure: it raises an error later.
+            ConfigError: the first call raises an error, or a return value has another form.
+            SimulationFailure: a later call raises an error.
         """
         try:
             if self.lends:
@@ -160,11 +160,11 @@ class Term(Kept):
         return value
 
     def failure(self, error: BaseException) -> BaseException:
-        """Return an error of the term's code with its key and its place in the code."""
+        """Return an error of the term's code, with config key and source line."""
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Tell an error of a part of the term that is not called by ``__call__``."""
+        """Name the term in errors within the body, for methods of the term other than ``__call__``."""
         return self._lending() if self.lends else _Blamed(self)
 
     @contextmanager
@@ -173,11 +173,11 @@ class Term(Kept):
             yield
 
     def lend(self, generator: torch.Generator) -> None:
-        """Let the term's code draw from a stream by torch's global generator, as code written for Isaac Lab does."""
+        """Use a stream as torch's global generator while the term runs, for code written for Isaac Lab."""
         self.generator, self.lends = generator, True
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the settings that have changed, and the term object's state."""
+        """Return the changed settings and the state of the term object."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
@@ -195,16 +195,16 @@ class Term(Kept):
         return self.func if isinstance(self.func, TermBase) else None
 
     def bound(self) -> None:
-        """Note the settings that the config gave: what differs from them later is state."""
+        """Note the settings from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=_STATEFUL_FIELDS)
 
     def take_arguments(self) -> None:
-        """Let a term object be what its arguments say now, where they have changed; its state stays.
+        """Apply changed arguments to the term object, and keep its state.
 
         Raises:
-            ConfigError: they are not what they may be.
+            ConfigError: an argument is invalid.
         """
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
@@ -213,7 +213,12 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool = False) -> None:
-        """Make the term object, and know how to make another; one that keeps its parameters is called with them."""
+        """Make the term object, and store how to make it again.
+
+        Args:
+            make: makes the term object.
+            keeps_params: whether the term object is called with its parameters.
+        """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
         made(term_object, self.path)
@@ -224,7 +229,7 @@ class Term(Kept):
 
 
 class _Blamed:
-    """Tells what goes wrong within it as an error of a term; a step enters dozens, so it is no generator."""
+    """Names a term in errors within the body. A class, because a generator is slower and a step enters dozens."""
 
     __slots__ = ("_term",)
 
@@ -232,12 +237,12 @@ class _Blamed:
         self._term = term
 
     def __enter__(self) -> None:
-        """Begin."""
+        """Enter."""
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Tell the error."""
-        if error is not None and (told := self._term.failure(error)) is not error:
-            raise told from error
+        """Raise the error with the name of the term."""
+        if error is not None and (named := self._term.failure(error)) is not error:
+            raise named from error
 
 
 def bind_terms(
@@ -250,7 +255,7 @@ def bind_terms(
         section: config key of the section, such as ``env.rewards``.
         nodes: the composed terms by name.
         env: the environment under construction.
-        instantiate: whether to make term objects now; else ``instantiate_term`` does it later.
+        instantiate: whether to make term objects now; otherwise ``instantiate_term`` makes them later.
 
     Raises:
         ConfigError: a node, a target or a parameter is wrong.
@@ -267,7 +272,7 @@ def bind_terms(
 
 
 def bind_term(kind: str, node: TermNode, env: Env) -> Term:
-    """Bind one node: import its target, hold its parameters against the signature, resolve what they name."""
+    """Bind one node: import its target, check its parameters against the signature, and resolve entities."""
     target = resolve_target(node.target, node.path)
     for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
         raise error
@@ -283,7 +288,7 @@ def bind_term(kind: str, node: TermNode, env: Env) -> Term:
 
 
 def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any]:
-    """Return what a target is called with: nodes built, entities resolved, and the term's random stream."""
+    """Return the arguments of a target: with built nodes, resolved entities, and the random stream of the term."""
     params = {name: build(value, f"{term.path}.{name}") for name, value in arguments.items()}
     for name, value in params.items():
         if isinstance(value, SceneEntityCfg):
@@ -292,15 +297,15 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def _made_by(kind: Any, term: Term, env: Env) -> dict[str, Any]:
-    """Return what the term object of a class is made by, beside the environment."""
+    """Return the arguments of a term class, without the environment."""
     if not takes_cfg(kind):
         return _params(term, term.arguments, env)
-    config = cfg_class(kind)  # of an action or a command, which reads its config itself
+    config = cfg_class(kind)  # actions and commands read their config themselves
     return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Make the term object of a class term, and note what every term was made with; functions stay as they are."""
+    """Make the term object of a class term, and note the settings of every term; functions do not change."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
@@ -326,10 +331,10 @@ def instantiate_term(term: Term, env: Env) -> None:
 def build(value: Any, path: str) -> Any:
     """Return a parameter with the ``_target_`` nodes in it called, the innermost first.
 
-    The tree is taken as it stands: what it holds was composed before, and no text in it is resolved again.
+    The tree was composed before, so no text in it is resolved again.
 
     Raises:
-        ConfigError: a target is not allowed, or its arguments are not what they may be.
+        ConfigError: a target is not allowed, or its arguments are invalid.
     """
     for where, node in walk_nodes(value, path):
         if TARGET in node:
@@ -339,7 +344,7 @@ def build(value: Any, path: str) -> Any:
 
 
 def _built(value: Any, path: str) -> Any:
-    """Return a copy, so that what a curriculum changes in it is not the config, with its nodes called."""
+    """Return a copy with the nodes called. A copy, because a curriculum may change it but not the config."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
     if not isinstance(value, Mapping):
@@ -393,7 +398,7 @@ class ManagerBase(Kept):
 
     @property
     def term_names(self) -> list[str]:
-        """Names of the terms, in declaration order, whatever ``active_terms`` sorts them by."""
+        """Names of the terms, in declaration order, also where ``active_terms`` groups them."""
         return list(self._terms)
 
     @property
@@ -402,18 +407,18 @@ class ManagerBase(Kept):
         return list(self._terms.values())
 
     def find_terms(self, name_keys: str | Sequence[str]) -> list[str]:
-        """Return the names of the terms that match expressions; ConfigError when one matches none."""
+        """Return the names of the terms that match expressions; ConfigError if one matches nothing."""
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
     def set_term_cfg(self, name: str, cfg: Any) -> None:
-        """Let a term be what another config says: ``func``, ``params``, the manager's fields."""
+        """Set ``func``, ``params``, and the fields of a term from another term config."""
         self.get_term_cfg(name).take(cfg)
 
     def get_term_cfg(self, name: str) -> Term:
-        """Return a term with ``func``, ``params`` and the manager's fields, to read and to change.
+        """Return a term with ``func``, ``params``, and the fields of the manager, to read and to change.
 
         Raises:
-            ConfigError: there is none of that name.
+            ConfigError: the term does not exist.
         """
         if name not in self._terms:
             raise ConfigError(
@@ -434,7 +439,7 @@ class ManagerBase(Kept):
 
     @property
     def remembers(self) -> bool:
-        """Whether a term has something to do at resets."""
+        """Whether a term overrides ``reset``."""
         return any(_remembers(term.func) for term in self._terms.values())
 
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:

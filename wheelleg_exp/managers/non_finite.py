@@ -16,56 +16,56 @@ from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 
-KEPT = 16  # environments whose state is kept, of those that fail together
+MOST_SAVED = 16  # environments whose state is saved, of those that fail in one step
 PHYSICS = "env.sim"
 ACTIONS = "env.actions"
 POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether a number that some sums are over may not be finite: large ones may add up to infinity as well."""
+    """Return whether an element of some sums may be NaN or inf. Large finite elements may also sum to inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
 def failed_rows(values: torch.Tensor) -> torch.Tensor:
-    """Return the rows of a tensor that hold a number that is not finite, as indices."""
+    """Return the indices of the rows of a tensor that contain NaN or inf."""
     return ids_where(~values.reshape(len(values), -1).isfinite().all(dim=1))
 
 
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
-    """Tell which environments failed in this step, and whose numbers were not finite.
+    """Return which terms produced NaN or inf in this step, and the state of the environments that failed.
 
-    Where the physics itself went wrong, what terms made of it is not told.
+    If the physics of an environment failed, only the physics is named, because the values of terms follow from it.
 
     Args:
-        env: the environment, before they are reset.
-        env_ids: environments that have failed, (n,).
+        env: the environment, before the reset.
+        env_ids: environments that failed, (n,).
 
     Returns:
-        ``keys``: config keys by environment; ``evidence``: the state of the first of them (see ``evidence``).
+        ``keys``: config keys of the terms by environment; ``evidence``: see the function of this name.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
-    told, all_told = set(env_ids.tolist()), env.reward_manager.non_finite
-    rewards = {i: names for i, names in all_told.items() if i in told}
+    chosen = set(env_ids.tolist())
+    rewards = {i: names for i, names in env.reward_manager.non_finite.items() if i in chosen}
     keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
-    unstable = env_ids[env.scene.unstable()[env_ids]]  # whose state went to NaN or to huge values
+    unstable = env_ids[env.scene.unstable()[env_ids]]  # their state is NaN, inf, or huge
     keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
     keys = dict(sorted(keys.items()))
     return {"keys": keys, "evidence": evidence(env, torch.tensor(list(keys), device=env.device))}
 
 
 def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Return what some environments were in, the first ``KEPT`` of them: arrays by name, a row an environment.
+    """Return the state of the first ``MOST_SAVED`` of some environments: arrays by name, one row for each environment.
 
-    ``state`` is the engine's row, ``motion_at_start`` positions and velocities at the start of the control step (the
-    engine itself resets a simulation that has gone wrong), ``model.<field>`` what events have made of the model.
+    ``state`` is the state of the engine. ``motion_at_start`` holds positions and velocities at the start of the control
+    step, because the engine resets a simulation that failed. ``model.<field>`` is a model field that an event changed.
 
     Args:
         env: the environment.
         ids: environments, (n,).
         more: further tensors, (N, ...).
     """
-    ids = ids[:KEPT].to(env.device)
+    ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
     rows = {
         "episode_length": env.episode_length_buf,
@@ -85,16 +85,16 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
 
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
-    """Refuse what an event has written into states, wrenches or model fields and is no number.
+    """Raise an error if an event wrote NaN or inf into states, wrenches, or model fields.
 
     Args:
         env: the environment.
         path: the event's config key.
-        asked: what the event has asked for to be written beside states (see ``Engine.asked``).
-        ids: the environments that it ran for; None is all.
+        asked: quantities other than states that the event may have written (see ``Engine.asked``).
+        ids: the environments for which the event ran; None means all.
 
     Raises:
-        SimulationFailure: with the event's key, and what it wrote.
+        SimulationFailure: names the event and the quantity.
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
@@ -107,7 +107,7 @@ def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
 
 
 def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:
-    before = set(ids_where(env.scene.unstable()).tolist())  # of these it is not the event's fault
+    before = set(ids_where(env.scene.unstable()).tolist())  # these failed before the event ran
     for name, values in written.items():
         bad = set(failed_rows(values).tolist()) - before
         bad &= bad if ids is None else set(ids.tolist())
@@ -117,21 +117,21 @@ def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: tor
 
 
 def note_observations(env: Env) -> None:
-    """Let a GPU note whether the present observations are numbers; nothing waits for it."""
+    """Check on a GPU whether the current observations are finite, without waiting for the answer."""
     if env.device.type == "cuda" and (parts := _parts(env)):
         note(functools.reduce(torch.add, [part.sum() for part in parts]))
 
 
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
-    """Refuse observations that are no numbers.
+    """Raise an error if observations are NaN or inf.
 
     Args:
         env: the environment.
-        only: environments (N,) bool that are looked at; None is all.
-        is_noted: whether ``note_observations`` has seen them.
+        only: environments (N,) bool to check; None means all.
+        is_noted: whether ``note_observations`` was called for these observations.
 
     Raises:
-        SimulationFailure: with the key of the first such term.
+        SimulationFailure: names the first such term.
     """
     if is_noted and is_calm(env.device):
         return
@@ -155,17 +155,17 @@ def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
 
 
 def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
-    """Refuse the actions (N, A) of a policy that are no numbers: its networks have failed, not the environment.
+    """Raise an error if actions (N, A) of a policy are NaN or inf: its networks failed, not the environment.
 
     Raises:
-        SimulationFailure: with the actor's key.
+        SimulationFailure: names the actor.
     """
     if may_fail([actions.sum()]) and len(bad := failed_rows(actions)):
         raise failure(env, POLICY, "the policy's actions are not finite", bad, actions=actions)
 
 
 def failure(env: Env, key: str, what: str, ids: torch.Tensor, **more: torch.Tensor) -> SimulationFailure:
-    """Return the error for numbers that are none, with the state of the environments that they are of."""
+    """Return the error for numbers that are NaN or inf, with the state of the environments where they occurred."""
     first = ", ".join(str(i) for i in ids[:3].tolist()) + (", …" if len(ids) > 3 else "")
     message = f"{what} in {len(ids)} of {env.num_envs} environments ({first}), control step {env.common_step_counter}"
     found = evidence(env, ids, **more) if hasattr(env, "reward_manager") else {}

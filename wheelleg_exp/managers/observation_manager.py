@@ -1,4 +1,4 @@
-"""Observations: groups of terms, each modified, corrupted, clipped, scaled and kept as history."""
+"""Observations: groups of terms with modifiers, noise, clipping, scaling, and histories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SLICE = 100  # bytes of a Python slice and its two numbers: one for each term a
 
 
 class ObservationManager(Kept):
-    """Groups of observation terms; ``obs_buf`` holds what ``compute`` returned last.
+    """Groups of observation terms. ``obs_buf`` holds the last result of ``compute``.
 
     Args:
         nodes: the groups by name.
@@ -41,7 +41,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # whether rows are chosen by masks, whose shapes are fixed, and not by ids
+        self.in_masks = False  # whether rows are selected by masks, which have a fixed shape, instead of by ids
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -70,33 +70,33 @@ class ObservationManager(Kept):
 
     @property
     def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
-        """Shape of each group: one shape where it is concatenated, else one a term."""
+        """Shape of each group: one shape if the group is concatenated, otherwise one for each term."""
         return {group: layout.shape for group, layout in self._layouts.items()}
 
     def term_parts(self, group: str) -> dict[str, list[slice]]:
-        """Return where each term of a concatenated group lies along the joined dimension.
+        """Return the slices of each term of a concatenated group along the joined dimension.
 
-        One slice a term; where histories stand step by step (``history_order: time``), one for each step, oldest first.
+        A term has one slice. With ``history_order: time`` it has one slice for each step, oldest first.
         """
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return where each term of a concatenated group lies; ValueError where a term is not in one piece."""
+        """Return the slice of each term of a concatenated group; ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
             raise ValueError(f"the histories of group '{group}' stand step by step: a term is not one slice")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
-        """Return one term's observation from its group's, for the environments that are in it."""
+        """Return the observation of one term out of the observation of its group."""
         return self._layouts[group].part(term, value)
 
     def split(self, group: str, value: Group) -> dict[str, torch.Tensor]:
-        """Return a group's observation term by term."""
+        """Return the observation of a group by term."""
         return {name: self.part(group, name, value) for name in self._groups[group]}
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return what one environment observed last by term, as ``<group>-<term>``."""
+        """Return the last observation of one environment by term, as ``<group>-<term>``."""
         shown = ((group, self.split(group, value)) for group, value in self.obs_buf.items())
         return [
             (f"{group}-{name}", value[env_idx].flatten().tolist())
@@ -105,20 +105,20 @@ class ObservationManager(Kept):
         ]
 
     def distinct(self) -> list[Group]:
-        """Return what the groups showed last, but for those that are the beginning of another one."""
+        """Return the last observations of the groups, except groups that are a prefix of another group."""
         return [value for group, value in self.obs_buf.items() if group not in self._beginnings]
 
     def sample_between(self) -> None:
-        """Take up samples between two physics steps of a control step, of terms that are seen late."""
+        """Sample the terms that have a delay, between two physics steps of a control step."""
         for term in self._late:
             term.sample_between()
 
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
-        """Return every group's observation; advances noise, modifiers and histories.
+        """Return the observation of every group. This advances noise, modifiers, and histories.
 
         Args:
-            only: environments (N,) bool that are observed anew: the others' observations, modifiers and histories stay
-                as they are.
+            only: environments (N,) bool to observe; None means all. Observations, modifiers, and histories of the
+                remaining environments do not change.
         """
         kept = None if only is None else self.state_dict()
         first = self._first_ids()
@@ -135,7 +135,7 @@ class ObservationManager(Kept):
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:
-        """Return what ``compute`` would, without noise and without changing any state."""
+        """Return the observations without noise, and without changing any state."""
         first = self._first_ids()
         found: dict[str, Group] = {}
         for group, terms in self._groups.items():
@@ -191,7 +191,7 @@ class ObservationManager(Kept):
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
-            if length is None:  # a group's own history setting overrides its terms'
+            if length is None:  # the history setting of the group overrides those of its terms
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
@@ -257,7 +257,7 @@ class ObservationManager(Kept):
                 term.history = HistoryBuffer(env.num_envs, term.history_length, shape, env.device)
 
     def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
-        """Advance one group by a sample, and return its observation."""
+        """Take one sample of each term of a group, and return the observation of the group."""
         terms = self._groups[group]
         row = self._rows.get(group)
         if group in self._beginnings:
@@ -285,7 +285,7 @@ class ObservationManager(Kept):
 
 
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
-    """Refuse a group whose histories do not fit into memory, at the ``key`` or, if "", at the longest term."""
+    """Raise ConfigError if histories do not fit into memory. The error names ``key``, or if "" the longest term."""
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))

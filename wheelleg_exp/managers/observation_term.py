@@ -22,11 +22,11 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """What terms have computed in a step, by the first that was asked.
+    """Values that terms computed in this step, by the term that computed them first.
 
     Attributes:
-        raw: what their functions gave.
-        samples: what became of it.
+        raw: results of the functions.
+        samples: the same after delay, modifiers, noise, clipping, and scaling.
     """
 
     raw: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
@@ -39,8 +39,8 @@ class ObservationTerm(Kept):
     Args:
         term: the bound term.
         env: the environment.
-        corrupt: whether the group lets noise act.
-        history_length: samples kept; 0 is none.
+        corrupt: whether the group applies noise.
+        history_length: number of samples in the history; 0 means no history.
         flatten: whether the history is flattened, oldest first.
     """
 
@@ -83,9 +83,9 @@ class ObservationTerm(Kept):
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
-        """Take what a term of another group computes, if one calls the same function with the same parameters.
+        """Reuse the value of a term of another group that calls the same function with the same parameters.
 
-        A term object or a random draw is a term's own.
+        Terms with state and terms that draw random numbers are not shared.
         """
         term = self.term
         if term.stateful is not None or term.generator is not None:
@@ -98,27 +98,27 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return what a value goes through, to be compared; what remembers, draws or holds tensors equals nothing."""
+        """Return how a value is processed, for comparison. Processing with state, draws, or tensors equals nothing."""
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
 
     def is_shared(self) -> bool:
-        """Return whether another term gives this one's value: a curriculum may have changed the parameters of one."""
+        """Return whether this term still reuses the value of another: a curriculum may have changed a parameter."""
         return self.same_as is not None and all(
             now.keys() == then.keys() and all(now[name] is value for name, value in then.items())
             for now, then in self._when_shared
         )
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether another term has the same samples and keeps as many of them."""
+        """Return whether another term has the same samples and the same history length."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
-        """Return the step's sample (N, ...) before history; draws noise and advances delay and modifiers.
+        """Return the sample (N, ...) of this step. This draws noise and advances delay and modifiers.
 
         Args:
-            values: what terms have computed in this step.
+            values: values that terms computed in this step.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -136,7 +136,7 @@ class ObservationTerm(Kept):
         return sample
 
     def sample_between(self) -> None:
-        """Take up a sample between two physics steps of a control step, for what is to be seen late."""
+        """Sample between two physics steps of a control step, if the term has a delay."""
         if self.delay is not None:
             self.delay.push(self.term(self._env))
 
@@ -154,16 +154,16 @@ class ObservationTerm(Kept):
         return value
 
     def shown(self, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) of the term's own as the observation shows it."""
+        """Return a history (N, H, ...) in the shape of the observation."""
         return history.flatten(1) if self._flatten else history
 
     def parts(self) -> dict[str, Any]:
-        """Return the modifiers and the noise by their keys."""
+        """Return the modifiers and the noise by config key."""
         found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers, noise and delay of ``env_ids``; histories refill with the next sample."""
+        """Reset the term object, modifiers, noise, and delay of ``env_ids``; the next sample fills the histories."""
         if isinstance(self.term.func, TermBase):
             self.term.func.reset(env_ids)
         for modifier in self._modifiers:
@@ -174,7 +174,7 @@ class ObservationTerm(Kept):
             self.delay.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of everything that survives a step."""
+        """Return all state that survives a step."""
         state: dict[str, Any] = {
             "modifiers": [modifier.state_dict() for modifier in self._modifiers],
             "term": self.term.state_dict(),
@@ -199,7 +199,7 @@ class ObservationTerm(Kept):
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:
-            value = value.clone()  # those of a user may write into it
+            value = value.clone()  # user-defined modifiers may write into the value
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
@@ -209,7 +209,7 @@ class ObservationTerm(Kept):
         return value if self._scale is None else value * self._scale
 
     def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
-        """Call a modifier or the noise; what is wrong with it is told under its own key."""
+        """Call a modifier or the noise; errors name its own config key."""
         path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
         try:
             value = part(*args)
@@ -243,7 +243,7 @@ class ObservationTerm(Kept):
 
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Return whether two terms have the same parameters; those that could be changed in place count as different."""
+    """Return whether two terms have equal parameters. Values that can be changed in place count as different."""
     return mine.keys() == theirs.keys() and all(_equal(value, theirs[name]) for name, value in mine.items())
 
 
@@ -257,7 +257,7 @@ Group = torch.Tensor | dict[str, torch.Tensor]
 
 
 class GroupLayout:
-    """Joins the terms of a group, and takes them out of it again.
+    """Joins the observations of a group's terms, and splits them again.
 
     Args:
         terms: the terms by name, in order.
@@ -269,9 +269,9 @@ class GroupLayout:
 
     Attributes:
         concatenated: whether the group is one tensor.
-        by_time: whether flattened histories stand step by step, oldest first, each with all terms; else term by term.
-        shape: shape of one environment's observation, of each term where they are not joined.
-        parts: where each term lies along the joined dimension; a slice a step where histories stand step by step.
+        by_time: whether histories are ordered by step, oldest first, and by term within a step; otherwise by term.
+        shape: shape of one environment's observation; one shape for each term if the terms are not joined.
+        parts: slices of each term along the joined dimension: one, or with ``by_time`` one for each step.
     """
 
     def __init__(self, terms: Mapping[str, ObservationTerm], options: GroupOptions, path: str) -> None:
@@ -294,11 +294,11 @@ class GroupLayout:
         self._dim += self._dim >= 0  # the environments come first
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) of one term as ``join`` takes it."""
+        """Return a history (N, H, ...) of one term in the shape that ``join`` expects."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:
-        """Return the group's observation from those of its terms."""
+        """Return the observation of the group, given those of its terms."""
         if not self.concatenated:
             return values
         if self.by_time:
@@ -306,7 +306,7 @@ class GroupLayout:
         return torch.cat(list(values.values()), dim=self._dim)
 
     def part(self, name: str, value: Group) -> torch.Tensor:
-        """Return one term's observation from the group's, (n, ...); histories oldest first."""
+        """Return the observation of one term out of the group's, (n, ...); histories are ordered oldest first."""
         if not isinstance(value, torch.Tensor):
             return value[name]
         found = [value.narrow(self._dim, part.start, part.stop - part.start) for part in self.parts[name]]
@@ -314,7 +314,7 @@ class GroupLayout:
 
 
 def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
-    """Return the slices of each term in ``steps`` rounds of all terms."""
+    """Return the slices of each term if all terms are repeated ``steps`` times."""
     found: dict[str, list[slice]] = {name: [] for name in widths}
     start = 0
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""Recorders: what each episode was, kept as a dataset. They look, and change nothing."""
+"""Recorders: save each episode as part of a dataset. Recorders read the environment and change nothing."""
 
 from __future__ import annotations
 
@@ -11,28 +11,119 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase, table
-from wheelleg_exp.managers.recorded_rows import Rows, noted
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.terms.config_sections import Dataset
+from wheelleg_exp.terms.term_errors import code_place, described
 
-Noted = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
+Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]
 _SUCCESS = "success"  # the termination whose firing makes an episode a success
-_OWN = ("episode", "rows")  # heads of the keys that tell of the episodes themselves
+_OWN = ("episode", "rows")  # prefixes of reserved keys, which describe the episodes
+_FIRST_ROOM = 64  # rows
+
+
+class Rows:
+    """The rows (N, …) of one quantity. Old rows are dropped once no current episode needs them.
+
+    Args:
+        num_envs: number of environments, N.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        self._num_envs = num_envs
+        self._rows = np.empty((0,))
+        self._count = 0
+        self._starts = np.zeros(num_envs, dtype=np.int64)
+
+    def append(self, value: np.ndarray, owner: str) -> None:
+        """Append ``value`` (N, …); ``owner`` is the config key of the recorder.
+
+        Raises:
+            ConfigError: the shape differs from the earlier rows.
+        """
+        if self._count and value.shape != self._rows.shape[1:]:
+            message = f"its shape is {value.shape}, and was {self._rows.shape[1:]}"
+            raise ConfigError(message, key=owner, expected="the same shape at every call")
+        if self._count == len(self._rows):
+            self._make_room(value)
+        self._rows[self._count] = value
+        self._count += 1
+
+    def set(self, ids: np.ndarray, value: np.ndarray) -> None:
+        """Set ``value`` (n, …) as the only row of the current episodes of some environments."""
+        self._count = 0
+        if not len(self._rows):
+            self._make_room(np.zeros((self._num_envs, *value.shape[1:]), value.dtype))
+            self._rows[0] = 0
+        self._rows[0, ids] = value
+        self._count = 1
+        self._starts[:] = 0
+
+    def of(self, env_id: int) -> np.ndarray:
+        """Return the rows (T, …) of the current episode of an environment."""
+        return self._rows[self._starts[env_id] : self._count, env_id]
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Start new episodes: earlier rows do not belong to them."""
+        self._starts[ids] = self._count
+
+    def _make_room(self, value: np.ndarray) -> None:
+        first = int(self._starts.min())
+        kept = self._rows[first : self._count]
+        grown = np.empty((max(_FIRST_ROOM, 2 * len(kept)), *value.shape), value.dtype)
+        grown[: len(kept)] = kept if len(kept) else 0
+        self._rows, self._count = grown, self._count - first
+        self._starts -= first
+
+
+def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the arrays (rows, …) that a hook returned, by key; those of a mapping by ``key/name``.
+
+    Args:
+        returned: a key and a tensor or a mapping; or None and None.
+        rows: the required number of rows.
+        source: description of the hook.
+        code: the hook.
+
+    Raises:
+        ConfigError: the hook returned something else.
+    """
+    found = described(returned)
+    if isinstance(returned, tuple) and len(returned) == 2:
+        arrays = {} if returned[1] is None else dict(_flatten(*returned))
+        wrong = next((item for item in arrays.items() if not _is_recordable(*item, rows)), None)
+        if wrong is None:
+            yield from ((key, value.detach().cpu().numpy()) for key, value in arrays.items())
+            return
+        found = " and ".join(map(described, wrong))
+    expected = f"a key, and a tensor of shape ({rows}, ...) or such tensors by name; or None, None"
+    raise ConfigError(f"{source} returns {found}", where=code_place(code), expected=expected)
+
+
+def _is_recordable(key: Any, value: Any, rows: int) -> bool:
+    return isinstance(key, str) and isinstance(value, torch.Tensor) and value.shape[:1] == (rows,)
+
+
+def _flatten(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
+    if not isinstance(value, Mapping):
+        yield key, value
+        return
+    for name, item in value.items():
+        yield from _flatten(f"{key}/{name}", item)
 
 
 class RecorderTerm(TermBase):
-    """Notes quantities under keys; subclasses override the hooks that they need.
+    """Records quantities by key. Subclasses override the hooks that they need.
 
-    A hook returns a key and a tensor with a row for each environment, or a mapping of such tensors, whose keys are
+    A hook returns a key and a tensor with one row for each environment, or a mapping of such tensors, whose keys are
     joined by ``/``; or None and None.
 
     Attributes:
-        reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations of the
-            state before resets, without noise. They are computed anew for it, and no state or stream moves.
+        reads_observations: whether ``record_post_step`` reads ``obs_buf``. It then holds the observations of the state
+            before the resets, without noise. Computing them changes no state and no random stream.
 
     Args:
-        env: the environment; action and later managers are not there yet.
+        env: the environment; the action manager and later managers do not exist yet.
     """
 
     reads_observations: ClassVar[bool] = True
@@ -40,33 +131,33 @@ class RecorderTerm(TermBase):
     def __init__(self, env: Env) -> None:
         self._env = env
 
-    def record_pre_step(self) -> Noted:
-        """Return what holds as an action begins to act; ``obs_buf`` is what led to it."""
+    def record_pre_step(self) -> Recorded:
+        """Return quantities before an action is applied; ``obs_buf`` holds the observations that led to the action."""
         return None, None
 
-    def record_post_physics_decimation_step(self) -> Noted:
-        """Return what holds after a physics step, before sensors are read."""
+    def record_post_physics_decimation_step(self) -> Recorded:
+        """Return quantities after a physics step, before sensors are read."""
         return None, None
 
-    def record_post_step(self) -> Noted:
-        """Return what holds at the end of a control step, before anything is reset."""
+    def record_post_step(self) -> Recorded:
+        """Return quantities at the end of a control step, before the resets."""
         return None, None
 
-    def record_pre_reset(self, env_ids: torch.Tensor) -> Noted:  # noqa: ARG002
-        """Return what holds at the end of the episodes of ``env_ids``, a row for each of these."""
+    def record_pre_reset(self, env_ids: torch.Tensor) -> Recorded:  # noqa: ARG002
+        """Return quantities at the end of the episodes of ``env_ids``, one row for each of these environments."""
         return None, None
 
-    def record_post_reset(self, env_ids: torch.Tensor) -> Noted:  # noqa: ARG002
-        """Return what the new episodes of ``env_ids`` begin with, a row for each of these."""
+    def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:  # noqa: ARG002
+        """Return quantities at the start of the new episodes of ``env_ids``, one row for each of these environments."""
         return None, None
 
 
 class RecorderManager(ManagerBase):
-    """Cuts what recorders note into episodes, and hands those that have ended to whoever writes them.
+    """Splits recorded rows into episodes, and returns the finished episodes to the writer of the dataset.
 
-    A dataset holds whole episodes: one that was under way when a state was loaded has lost its beginning and is left
-    out. What is noted is no state of the environment: with and without recorders a checkpoint is the same. With
-    Gymnasium's ``next_step`` the step that only resets is an episode's last.
+    A dataset holds complete episodes. An episode that was running when a state was loaded has lost its start and is
+    left out. Recorded rows are not state of the environment: a checkpoint is the same with and without recorders. With
+    Gymnasium's ``next_step``, the step that only resets is the last step of an episode.
 
     Args:
         nodes: the terms by name.
@@ -93,15 +184,15 @@ class RecorderManager(ManagerBase):
         self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = {}
 
     def record_pre_step(self) -> None:
-        """Let recorders look before the action acts."""
+        """Record before the action is applied."""
         self._append("record_pre_step")
 
     def record_post_physics_decimation_step(self) -> None:
-        """Let recorders look after a physics step."""
+        """Record after a physics step."""
         self._append("record_post_physics_decimation_step")
 
     def record_post_step(self) -> None:
-        """Let recorders look after rewards and terminations, before resets; see ``reads_observations``."""
+        """Record after rewards and terminations, before the resets; see ``reads_observations``."""
         manager = self._env.observation_manager
         kept = manager.obs_buf
         if self._reads:
@@ -112,14 +203,14 @@ class RecorderManager(ManagerBase):
             manager.obs_buf = kept
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> None:
-        """End the episodes of ``env_ids``: those that had a step, and whose beginning is known, are finished."""
+        """Finish the episodes of ``env_ids`` that had at least one step and whose start was recorded."""
         if not self._terms or self._options.export_mode == "none":
             return
         last = self._only("record_pre_reset", env_ids)
         self._finish_episodes(env_ids, last)
 
     def record_post_reset(self, env_ids: torch.Tensor) -> None:
-        """Begin the episodes of ``env_ids``."""
+        """Start the episodes of ``env_ids``."""
         if not self._terms:
             return
         ids = env_ids.cpu().numpy()
@@ -127,7 +218,7 @@ class RecorderManager(ManagerBase):
             self._initial.setdefault(key, Rows(self._num_envs)).set(ids, value)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Begin new episodes of ``env_ids``; recorders log nothing."""
+        """Start new episodes of ``env_ids``; recorders log nothing."""
         if self._terms:
             ids = env_ids.cpu().numpy()
             for rows in self._rows.values():
@@ -137,7 +228,7 @@ class RecorderManager(ManagerBase):
         return {}
 
     def close(self) -> None:
-        """End the episodes under way too, where ``env.dataset.export_in_close`` asks for it."""
+        """Finish the current episodes as well, if ``env.dataset.export_in_close`` is set."""
         if self._options.export_in_close:
             self.record_pre_reset(torch.arange(self._num_envs, device=self._env.device))
             self._is_whole[:] = False
@@ -146,20 +237,20 @@ class RecorderManager(ManagerBase):
         """Return the episodes that have ended since the last call, by group, as arrays by name.
 
         Groups are ``episodes``, or ``succeeded`` and ``failed``. ``episode/env``, ``episode/length`` (control steps),
-        ``episode/last_step`` (control steps since the environment was made) and ``episode/success`` have a number for
-        each episode. Under its own key each quantity has the rows of all episodes one after another, and
-        ``rows/<key>`` says how many are each one's.
+        ``episode/last_step`` (control steps since construction), and ``episode/success`` have one number for each
+        episode. The array of each quantity holds the rows of all episodes in order; ``rows/<key>`` holds the number of
+        rows of each episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
         self._finished = {}
         return found
 
     def forget(self) -> None:
-        """Leave the episodes under way out: the environment has become another."""
+        """Leave out the current episodes, because another state was loaded."""
         self._is_whole[:] = False
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of recorders of a user's own that have one; the stock ones have none."""
+        """Return the states of user-defined recorders; the stock recorders have none."""
         states = {name: term.state_dict() for name, term in self._terms.items()}
         kept = {name: state for name, state in states.items() if state["settings"] or state["object"]}
         return {"terms": kept} if kept else {}
@@ -174,16 +265,16 @@ class RecorderManager(ManagerBase):
         pairs = [(term, term.func) for term in self._terms.values()]
         return [(t, f) for t, f in pairs if getattr(type(f), hook) is not getattr(RecorderTerm, hook)]  # type: ignore[misc]
 
-    def _noted(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
+    def _recorded(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
         for term, recorder in self._hooks[hook]:
             with term.blamed():
-                found = list(noted(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder))
+                found = list(recorded_arrays(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder))
                 for name, _ in found:
                     self._require_own(name, term.path)
             yield from found
 
     def _require_own(self, key: str, owner: str) -> None:
-        """Raise ConfigError where two hooks note under one key, or under a key of the episodes' own."""
+        """Raise ConfigError if two hooks use the same key, or a hook uses a reserved key."""
         first = self._owners.setdefault(key, owner)
         if first != owner:
             raise ConfigError(f"'{key}' is noted by {first} as well", expected="a key for each quantity")
@@ -193,7 +284,7 @@ class RecorderManager(ManagerBase):
     def _append(self, hook: str) -> None:
         if not self._hooks[hook]:
             return
-        for name, array in self._noted(hook, self._num_envs):
+        for name, array in self._recorded(hook, self._num_envs):
             if name not in self._rows:
                 what = f"{self._env.max_episode_length} steps of '{name}' of {self._num_envs} environments"
                 require_memory(array.nbytes * self._env.max_episode_length, self._owners[name], what)
@@ -201,7 +292,7 @@ class RecorderManager(ManagerBase):
             self._rows[name].append(array, self._owners[name])
 
     def _only(self, hook: str, env_ids: torch.Tensor) -> Arrays:
-        return {name: array.copy() for name, array in self._noted(hook, len(env_ids), env_ids)}
+        return {name: array.copy() for name, array in self._recorded(hook, len(env_ids), env_ids)}
 
     def _finish_episodes(self, env_ids: torch.Tensor, last: Arrays) -> None:
         ends = self._env.termination_manager
@@ -244,7 +335,7 @@ def _hooks_of(hooks: Mapping[str, Sequence[tuple[Term, RecorderTerm]]], term: Te
 
 
 def _joined(episodes: Sequence[tuple[Mapping[str, Any], Arrays]]) -> Arrays:
-    """Return the arrays of episodes one after another, with what tells them apart."""
+    """Return the concatenated arrays of episodes, with the length of each."""
     arrays = {f"episode/{name}": np.array([about[name] for about, _ in episodes]) for name in episodes[0][0]}
     for key in dict.fromkeys(key for _, own in episodes for key in own):
         parts = [own[key] for _, own in episodes if key in own]

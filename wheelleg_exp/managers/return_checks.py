@@ -18,27 +18,27 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 
 class Form(Protocol):
-    """What a term has to return."""
+    """The required form of a return value."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether ``value`` is seen at a glance to be what is needed; else ``check`` looks closer."""
+        """Return whether a quick comparison shows that ``value`` is valid. Otherwise ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, unless ``value`` is what is needed; ``source`` names who returned it."""
+        """Raise ConfigError, without a key, if ``value`` is invalid; ``source`` names the function that returned it."""
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
-    """Hold what code returned against a form.
+    """Check a return value against a form.
 
     Args:
-        form: what is needed.
-        value: what was returned.
-        source: who returned it, in words.
-        path: its config key.
-        code: the function or object, whose definition is where the mistake is mended.
+        form: the required form.
+        value: the returned value.
+        source: description of the function that returned the value.
+        path: config key of the function.
+        code: the function or object; messages name its place in the source.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: the value has another form.
     """
     try:
         form.check(value, source)
@@ -48,15 +48,15 @@ def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> N
 
 @dataclass
 class TensorForm:
-    """A tensor with a row for each environment.
+    """A tensor with one row for each environment.
 
     Attributes:
         rows: number of environments, N.
-        device: where it has to be.
-        dtype: its type of numbers; None is any real one.
-        width: None for shape (N,), 0 for (N, width) of any width that stays the same, else its width.
-        deep: whether a row may have further dimensions, as images have.
-        what: one row in words.
+        device: device of the tensor.
+        dtype: type of the elements; None allows any real type.
+        width: None for shape (N,), 0 for (N, width) with any constant width, otherwise the width.
+        deep: whether a row may have further dimensions, as images do.
+        what: description of one row.
     """
 
     rows: int
@@ -69,15 +69,15 @@ class TensorForm:
 
     @property
     def is_known(self) -> bool:
-        """Whether such a tensor has been seen."""
+        """Whether a valid tensor was returned before."""
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value has the shape that has been seen."""
+        """Return whether a value has the same shape as the first valid tensor."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, unless ``value`` is such a tensor."""
+        """Raise ConfigError, without a key, if ``value`` is no such tensor."""
         if self.fits(value):
             return
         found, fix = self._mistake(value)
@@ -91,7 +91,7 @@ class TensorForm:
         return f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
 
     def _mistake(self, value: Any) -> tuple[str, str]:
-        """Return what a value is and what to write instead; nothing when it is right."""
+        """Return a description of a wrong value and the code to write instead; empty texts for a valid value."""
         if not isinstance(value, torch.Tensor):
             return _describe_other(value)
         if not self._has_shape(value.shape) or (self._shape is not None and value.shape != self._shape):
@@ -127,7 +127,7 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 
 @dataclass
 class NoForm:
-    """Nothing: what is returned would be lost."""
+    """None: any other return value would be lost."""
 
     def fits(self, value: Any) -> bool:
         """Return whether a value is None."""
@@ -141,7 +141,7 @@ class NoForm:
 
 @dataclass
 class FiguresForm:
-    """A number, numbers by name, or nothing: what a curriculum logs."""
+    """A number, numbers by name, or None: what a curriculum may log."""
 
     def fits(self, value: Any) -> bool:
         """Return whether a value is a plain number, or None."""
@@ -164,7 +164,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _describe_other(value: Any) -> tuple[str, str]:
-    """Return what a value is that is no tensor, and how it becomes one."""
+    """Return a description of a value that is not a tensor, and the code that converts it."""
     if value is None:
         return "nothing", "a return statement may be missing"
     if isinstance(value, np.ndarray):

@@ -22,7 +22,7 @@ class HistoryBuffer:
 
     Args:
         num_envs: number of environments, N.
-        length: samples kept, H.
+        length: number of samples, H.
         shape: shape of one sample.
         device: where the samples are.
     """
@@ -31,17 +31,17 @@ class HistoryBuffer:
         self.samples = torch.zeros(num_envs, length, *shape, device=device)
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Take up a sample (N, ...), drop the oldest, and return the history (N, H, ...).
+        """Append a sample (N, ...), drop the oldest, and return the history (N, H, ...).
 
         Args:
             sample: the new sample.
-            first: environments for which it is the first of an episode, ids or a mask (N,) bool, or None.
+            first: environments where the sample is the first of an episode: ids, a mask (N,) bool, or None.
         """
         self.samples = self.appended(sample, first)
         return self.samples
 
     def appended(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Return what ``append`` would, without storing it."""
+        """Return the result of ``append`` without storing the sample."""
         newest = sample.unsqueeze(1)
         after = torch.cat((self.samples[:, 1:], newest), dim=1)
         if first is not None and first.dtype == torch.bool:
@@ -60,12 +60,12 @@ class HistoryBuffer:
 
 
 class RowHistory:
-    """The last samples of several terms as one row an environment: term by term, each oldest first.
+    """Histories of several terms in one row for each environment: term by term, each oldest first.
 
     Args:
         num_envs: number of environments, N.
         widths: width of one sample of each term.
-        lengths: samples kept of each term; 0 and 1 both keep the newest alone.
+        lengths: number of samples of each term; 0 and 1 both mean only the newest.
         device: where the samples are.
     """
 
@@ -83,17 +83,17 @@ class RowHistory:
         self.values = torch.zeros(num_envs, sum(sizes), device=device)
 
     def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Take up a sample (N, width) of each term and return the row (N, sum of H * width), the caller's to keep.
+        """Append a sample (N, width) of each term; return a new row (N, sum of H * width).
 
         Args:
             samples: the new samples.
-            first: environments for which they are the first of an episode, ids or a mask (N,) bool, or None.
+            first: environments where the samples are the first of an episode: ids, a mask (N,) bool, or None.
         """
         self.values = self.appended(samples, first)
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return what ``append`` would, without storing it; of the first terms alone where there are fewer samples."""
+        """Return the row after ``append`` without storing it. With fewer samples, only the first terms are included."""
         pieces = []
         for kept, sample in zip(self._kept, samples, strict=False):
             if kept.start < kept.stop:
@@ -118,7 +118,7 @@ class RowHistory:
 
 
 class RowHistoryPart:
-    """One term's history in a row, whose state is that of a history of its own.
+    """The history of one term in a row. Its state is the same as that of a ``HistoryBuffer``.
 
     Args:
         row: the row.
@@ -140,12 +140,12 @@ class RowHistoryPart:
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
-        self._row.values = self._row.values.clone()  # one term after the other; what was handed out stays
+        self._row.values = self._row.values.clone()  # a row that was returned before must not change
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 
 def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return what delays samples (N, ...) of a term by its field ``delay``, or None where nothing does."""
+    """Return the buffer that delays samples (N, ...) of a term by its field ``delay``, or None without a delay."""
     low, high = term.fields.get("delay") or (0, 0)
     if high == 0:
         return None

@@ -26,10 +26,10 @@ class SceneManager:
         cfg: the composed ``env`` section.
         mjcf: the robot's MJCF file.
         num_envs: number of environments.
-        stream: returns the random stream of a config path; None for a scene that is only looked at.
+        stream: returns the random stream of a config path; None for a scene that is only read.
 
     Raises:
-        ConfigError: a section lacks a key or holds an unknown or a wrong one, or a node is wrong.
+        ConfigError: a section has a missing, an unknown, or a wrong key, or a node is wrong.
     """
 
     def __init__(

@@ -39,11 +39,11 @@ class Streams(Kept):
         return self._generators[path]
 
     def all(self) -> list[torch.Generator]:
-        """Return the generators of all streams that somebody has asked for."""
+        """Return the generators of all streams that were requested so far."""
         return list(self._generators.values())
 
     def reseed(self, seed: int) -> None:
-        """Start every stream anew from ``seed``."""
+        """Restart every stream from ``seed``."""
         self._seed = seed
         for path, generator in self._generators.items():
             generator.manual_seed(stream_seed(seed, path))
@@ -55,14 +55,14 @@ class Streams(Kept):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        self.reseed(saved["seed"])  # a stream that had not been drawn from yet begins anew
+        self.reseed(saved["seed"])  # restarts streams that did not exist when the state was saved
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 
 
 @contextmanager
 def lent(generator: torch.Generator | None) -> Iterator[None]:
-    """Make torch's global generator of a stream's device that stream, within the body."""
+    """Use a stream as torch's global generator of its device, within the body."""
     if generator is None:
         yield
         return

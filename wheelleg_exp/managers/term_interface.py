@@ -76,12 +76,12 @@ class SceneEntityCfg:
         name: the member's name, ``robot``, ``terrain`` or a sensor's.
         joint_names: joint expressions; null is all. Once resolved, the names.
         joint_ids: indices of the joints, instead of names.
-        fixed_tendon_names: null: a robot's tendons are not read.
-        fixed_tendon_ids: none.
+        fixed_tendon_names: must be null, because tendons are not supported.
+        fixed_tendon_ids: not used.
         body_names: body expressions; null is all. Once resolved, the names.
         body_ids: indices of the bodies, instead of names.
-        object_collection_names: null: there are no collections of objects.
-        object_collection_ids: none.
+        object_collection_names: must be null, because collections of objects are not supported.
+        object_collection_ids: not used.
         preserve_order: order by expression (True) or by the asset (False).
     """
 
@@ -127,7 +127,7 @@ class SceneEntityCfg:
                 raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the bodies, among ``count``; once resolved, no device is waited for."""
+        """Return the indices of the bodies, out of ``count``. After ``resolve``, the host does not wait for a GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
@@ -138,7 +138,7 @@ class SceneEntityCfg:
 
 
 def member(scene: Scene, name: str, key: str) -> Any:
-    """Return a member of the scene by name; ConfigError at ``key`` when there is none."""
+    """Return a member of the scene by name; raise ConfigError at ``key`` if it does not exist."""
     if name not in list(scene):
         raise ConfigError(
             f"the scene has no '{name}'",
@@ -150,7 +150,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
 
 
 def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
-    """Return indices among ``count`` as a tensor or a slice; those that count from the end, from the beginning."""
+    """Return indices as a tensor or a slice. Negative indices count from the end of ``count`` elements."""
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
@@ -169,7 +169,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return lows and highs (k,) of named ranges on a device; an axis that is not named is (0, 0).
+    """Return lower and upper bounds (k,) of named ranges on a device; the range of a missing axis is (0, 0).
 
     Raises:
         ConfigError: an axis is unknown or a range is not two numbers in order.

@@ -54,23 +54,23 @@ class TerminationManager(ManagerBase):
         return [(name, [float(flag)]) for name, flag in zip(self._terms, flags, strict=True)]
 
     def endings(self, env_ids: torch.Tensor) -> Counter[str]:
-        """Return how many of some environments each termination ends in this step, each environment once.
+        """Return how many environments each termination ends in this step; each environment counts once.
 
         Args:
             env_ids: indices, or a mask (N,).
         """
         return _endings(self.active_terms, self._fired[:, env_ids])
 
-    def compute(self, but: torch.Tensor | None = None) -> torch.Tensor:
+    def compute(self, skipped: torch.Tensor | None = None) -> torch.Tensor:
         """Evaluate every term and return which environments are done, (N,) bool.
 
         Args:
-            but: environments (N,) bool that nothing ends.
+            skipped: environments (N,) bool whose episode cannot end in this step.
         """
         if self._terms:
             torch.stack([term(self._env) for term in self._terms.values()], out=self._fired)
-        if but is not None:
-            self._fired &= ~but
+        if skipped is not None:
+            self._fired &= ~skipped
         for rows, outcome in ((self._time_out_rows, self.time_outs), (self._failure_rows, self.terminated)):
             torch.any(self._fired[rows], dim=0, out=outcome)
         done = self.dones
@@ -78,27 +78,27 @@ class TerminationManager(ManagerBase):
         return done
 
     def force(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """End the episodes of ``env_ids`` as failed, whatever the terms say, and return all that are done."""
+        """End the episodes of ``env_ids`` as failed, even if no term fired, and return all that are done."""
         self.terminated[env_ids] = True
         self._last_episode[:, env_ids] = self._fired[:, env_ids]
         return self.dones
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Return ``Episode_Termination/<term>``: share of all environments whose last episode it ended."""
+        """Return ``Episode_Termination/<term>``: share of all environments whose last episode this term ended."""
         shares = self._last_episode.mean(dim=1, dtype=torch.get_default_dtype())
         self._reset_terms(env_ids)
         return {f"Episode_Termination/{n}": v for n, v in zip(self._terms, shares.unbind(), strict=True)}
 
     def last_endings(self) -> Counter[str]:
-        """Return how many environments' last episode each termination ended, each environment once.
+        """Return for how many environments each termination ended the last episode; each environment counts once.
 
-        Those whose last episode no termination ended, or that have none yet, count as ``none``.
+        Environments whose last episode no termination ended, or that have not finished one yet, count as ``none``.
         """
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what ended each environment's last episode, this step's outcome, and the terms' states."""
+        """Return which terms ended the last episodes, the result of this step, and the states of the terms."""
         return {
             **super().state_dict(),
             "last_episode": self._last_episode.clone(),
@@ -124,6 +124,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count environments by the terms that fired (T, n): each once, under the names of all that fired together."""
+    """Count environments by the terms that fired (T, n). Terms that fired together count as one combined name."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

@@ -7,13 +7,13 @@ from typing import Any
 import torch
 
 from wheelleg_exp.managers import Env, RecorderTerm
-from wheelleg_exp.managers.recorder_manager import Noted
+from wheelleg_exp.managers.recorder_manager import Recorded
 
 
 class InitialStateRecorder(RecorderTerm):
     """The state at the start of an episode (``initial_state``), one row; see ``PostStepStatesRecorder``."""
 
-    def record_post_reset(self, env_ids: torch.Tensor) -> Noted:
+    def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:
         return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
 
 
@@ -26,14 +26,14 @@ class PostStepStatesRecorder(RecorderTerm):
 
     reads_observations = False
 
-    def record_post_step(self) -> Noted:
+    def record_post_step(self) -> Recorded:
         return "states", self._env.scene.get_state(is_relative=True)
 
 
 class PreStepActionsRecorder(RecorderTerm):
     """The raw action of each control step (``actions``)."""
 
-    def record_pre_step(self) -> Noted:
+    def record_pre_step(self) -> Recorded:
         return "actions", self._env.action_manager.action
 
 
@@ -42,7 +42,7 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
 
     reads_observations = False
 
-    def record_post_step(self) -> Noted:
+    def record_post_step(self) -> Recorded:
         manager = self._env.action_manager
         return "processed_actions", torch.cat(
             [manager.get_term(name).processed_actions for name in manager.active_terms], dim=-1
@@ -60,7 +60,7 @@ class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
         super().__init__(env)
         self._group = group
 
-    def record_pre_step(self) -> Noted:
+    def record_pre_step(self) -> Recorded:
         return "obs", self._env.observation_manager.obs_buf.get(self._group)
 
 
