@@ -1,14 +1,16 @@
-"""The rsl_rl adapter, training, checkpoints that hold everything, and export.
+"""The rsl_rl adapter, training, checkpoints that contain everything, and export.
 
-| module | what it offers |
+| module | content |
 |---|---|
-| `trainer` | one iteration: a rollout and an update |
-| `algorithm`, `initial` | the algorithm and its networks, and what they begin with |
+| `trainer` | one iteration: collect a rollout, update, log |
+| `algorithm`, `network_loading` | the algorithm and its networks, and networks from a checkpoint |
+| `ppo_graphs`, `matmul` | CUDA graphs of PPO, and the precision of matrix products |
 | `vec_env` | the environment as rsl_rl expects it |
-| `options` | what may stand under `agent` |
-| `checkpoint`, `digests` | the whole state in a file, and short digests of it |
-| `policy`, `export` | a policy alone, and for deployment |
-| `episode_log`, `step_means` | what a rollout tells: of episodes, failures counted; of every step |
-| `symmetry/` | mirror images of observations and actions |
-| `global_draws`, `one_thread` | guards of what repeats |
+| `options` | the keys of the `agent` section |
+| `checkpoint`, `digests`, `policy_average` | the complete state in a file, short digests of it, averaged weights |
+| `export` | the policy for deployment |
+| `rollout_log` | what a rollout reports: episodes, failures, means over steps |
+| `ranks` | several processes that train one policy |
+| `symmetry`, `mirror_rules`, `mirror_images` | mirror images of observations and actions |
+| `determinism` | guards that keep a training reproducible |
 """

@@ -15,17 +15,17 @@ from wheelleg_exp.errors import ConfigError
 
 @contextmanager
 def no_global_draws(*generators: str) -> Iterator[None]:
-    """Refuse a body that moves a global generator.
+    """Raise an error if the body draws from a global generator.
 
-    The policy draws its exploration from torch's: an environment that does so as well changes the policy's draws, and
-    each of its terms those of all others. No seed of a run sets numpy's and Python's. Looking at torch's takes some
-    microseconds, at Python's some tens.
+    The policy draws its exploration from torch's global generator. A term that draws from it as well would change the
+    draws of the policy and of other such terms. The seed of a run does not set the generators of NumPy and Python. The
+    comparison takes some microseconds for torch and some tens of microseconds for Python.
 
     Args:
-        generators: which ones, of ``torch``, ``numpy`` and ``python``; all when none is named.
+        generators: ``torch``, ``numpy``, ``python``; empty means all.
 
     Raises:
-        ConfigError: the body moved one, naming it.
+        ConfigError: the body drew from a generator; the message names it.
     """
     watched = generators or tuple(_STATES)
     before = [_STATES[name]() for name in watched]
@@ -52,14 +52,14 @@ _STATES: dict[str, Callable[[], Any]] = {
 }
 
 
-# Above this many numbers torch splits a sum or a mean over everything among its threads, so that their count decides
-# the order of the additions (at::internal::GRAIN_SIZE).
+# torch splits a sum or a mean over more numbers than this among its threads, so that the number of threads decides the
+# order of the additions (at::internal::GRAIN_SIZE).
 SPLIT_ABOVE = 32768
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let torch work with one thread in the body."""
+    """Make torch use one thread within the body, so that sums do not depend on the number of threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -17,12 +17,12 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 @dataclass(frozen=True)
 class Initial:
-    """What a training begins with in place of networks that were drawn.
+    """Networks that a training starts from instead of random weights.
 
     Attributes:
         state: a checkpoint, or a part of one.
-        parts: what is loaded of it: ``actor``, ``critic``, ``optimizer``.
-        facts: whose it is, plain.
+        parts: parts of the checkpoint to load: ``actor``, ``critic``, ``optimizer``.
+        facts: description of the checkpoint's origin, plain.
     """
 
     state: Mapping[str, Any]
@@ -31,7 +31,7 @@ class Initial:
 
 
 def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
-    """Give the teacher what a checkpoint's policy has learned."""
+    """Load the policy of a checkpoint into the teacher."""
     try:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
     except RuntimeError as error:
@@ -43,7 +43,7 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
 
 
 def load_initial(algorithm: Any, initial: Initial) -> None:
-    """Give the networks what a checkpoint's have learned; nothing is drawn, so that all else begins as without."""
+    """Load the networks of a checkpoint. This draws no random numbers, so all else starts as without it."""
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
     for role in (part for part in initial.parts if part in checkpoint.ROLES):

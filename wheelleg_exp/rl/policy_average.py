@@ -9,23 +9,23 @@ import torch
 
 from wheelleg_exp.state import cloned
 
-STATE = "averaged_state_dict"  # of a checkpoint: the mean, under the names of the policy's own state
-_COUNT = "averaged_iterations"  # under what each process has for itself
+STATE = "averaged_state_dict"  # key of the average in a checkpoint; the names are those of the policy's state
+_COUNT = "averaged_iterations"  # key of the number of iterations in the ``unsaved`` part of a checkpoint
 
 
 class PolicyAverage:
     """Exponential mean of a policy's parameters.
 
-    While a policy explores, its weights never come to rest: they wander about those that do well, and so does what the
-    policy does. Their mean lies in the middle (Polyak and Juditsky, "Acceleration of stochastic approximation by
-    averaging", SIAM J. Control Optim. 30, 1992). Nothing of the training depends on it.
+    During training the weights move around good weights without coming to rest. Their mean lies in the middle (Polyak
+    and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control Optim. 30, 1992). The
+    training does not depend on the mean.
 
     Args:
         policy: the network.
-        iterations: n; the mean is that of all at first, then m += (w - m) / n. 0 is no mean.
+        iterations: n; in the first n iterations the mean over all, then m += (w - m) / n. 0 means no average.
 
     Attributes:
-        is_on: whether there is to be a mean.
+        is_on: whether an average is computed.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
@@ -36,7 +36,7 @@ class PolicyAverage:
 
     @torch.no_grad()
     def take(self) -> None:
-        """Take the weights into the mean, as they are behind an update."""
+        """Add the present weights to the mean, after an update."""
         if not self.is_on:
             return
         now = self._policy.state_dict()
@@ -50,18 +50,18 @@ class PolicyAverage:
                 self._mean[name].copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the part of a checkpoint that is the mean; none before the first update."""
+        """Return the mean as a part of a checkpoint; an empty dictionary before the first update."""
         return {STATE: cloned(self._mean)} if self._count else {}
 
     def unsaved(self) -> dict[str, int]:
-        """Return how many iterations the mean is over."""
+        """Return the number of averaged iterations."""
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Go on with a checkpoint's mean; it begins with the next update where there is none.
+        """Continue with the mean of a checkpoint. Without one, the mean starts with the next update.
 
         Raises:
-            ValueError: it is the mean of another network, or of no number of iterations.
+            ValueError: the mean belongs to another network, or the number of iterations is invalid.
         """
         if not self.is_on:
             return
@@ -74,7 +74,7 @@ class PolicyAverage:
 
 
 def without_average(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a checkpoint's state as it is for a training that takes no mean."""
+    """Return the state of a checkpoint without the average."""
     unsaved = {key: value for key, value in saved["unsaved"].items() if key != _COUNT}
     return {**{key: value for key, value in saved.items() if key != STATE}, "unsaved": unsaved}
 

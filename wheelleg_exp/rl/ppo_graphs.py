@@ -20,17 +20,17 @@ from torch import nn
 from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
-_MIRROR_LOSS = "symmetry"  # its name among them, where there is one
+_MIRROR_LOSS = "symmetry"  # name of the mirror loss among the losses
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5  # rsl_rl's bounds of an adaptive learning rate, and its step
 
 
 def can_capture_update(algorithm: Any) -> bool:
-    """Return whether an algorithm's update is one that this does: plain PPO, or with the mirror loss, on a GPU."""
+    """Return whether an update can be captured: plain PPO on a GPU, with or without the mirror loss."""
     return torch.device(algorithm.device).type == "cuda" and is_plain_ppo(algorithm)
 
 
 def is_plain_ppo(algorithm: Any) -> bool:
-    """Return whether it is rsl_rl's PPO, with Adam, no more beside it than a mirror loss, and perceptrons."""
+    """Return whether an algorithm is rsl_rl's PPO with Adam, MLPs, and no extension other than a mirror loss."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
     symmetry = algorithm.symmetry
@@ -59,10 +59,11 @@ class CapturedPPO:
 
 
 class CapturedUpdate:
-    """Updates the networks of a PPO of rsl_rl's as its own ``update`` does.
+    """Updates the networks of rsl_rl's PPO with the same numbers as ``PPO.update``.
 
-    The first update runs minibatch by minibatch; the second is captured. Between updates the optimiser is as rsl_rl has
-    it, so that it is saved and loaded as ever; other memory than was captured is noticed, and captured anew.
+    The first update runs without a graph, the second one is captured. Between updates the optimizer has rsl_rl's own
+    settings, so that it is saved and loaded as usual. If tensors lie in other memory than at the capture, for example
+    after loading a state, the update is captured again.
 
     Args:
         algorithm: the algorithm.
@@ -81,13 +82,13 @@ class CapturedUpdate:
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
         symmetry = algorithm.symmetry
-        # What is only logged has no weight.
+        # A mirror loss that is only logged has weight 0.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
         self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
 
     def __call__(self) -> dict[str, float]:
-        """Do what ``PPO.update`` does; return its mean losses."""
+        """Update the networks and return the mean losses by name."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         count = algorithm.num_mini_batches
         order = torch.randperm(count * len(self._rows), device=algorithm.device).view(count, -1)
@@ -106,14 +107,14 @@ class CapturedUpdate:
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
 
     def _minibatches(self, order: torch.Tensor) -> None:
-        """Go through the minibatches (B, n) of every pass."""
+        """Take one step for each minibatch (B, n) of each learning epoch."""
         if self._stream is None:
             self._each(order, self._minibatch)
         elif self._ran:
             if self._graph is None or self._captured != self._memory():
                 self._capture(order)
             self._each(order, self._graph.replay)
-        else:  # on a stream of its own, as a capture asks for: gradients would be added up on this one
+        else:  # on the stream of the capture, because gradients are accumulated on the stream of their first use
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -127,7 +128,7 @@ class CapturedUpdate:
                 work()
 
     def _capture(self, order: torch.Tensor) -> None:
-        """Record a minibatch; nothing of it is done."""
+        """Record a minibatch. Its kernels do not run yet."""
         self._rows.copy_(order[0])
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
@@ -136,7 +137,7 @@ class CapturedUpdate:
         self._captured = self._memory()
 
     def _memory(self) -> tuple[int, ...]:
-        """Return where that lies which is replaced when a state is loaded."""
+        """Return the addresses of the tensors that may be replaced when a state is loaded."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
         networks = (algorithm.actor, algorithm.critic)
@@ -145,7 +146,7 @@ class CapturedUpdate:
         return tuple(v.data_ptr() for v in (*states, *parameters, *beside) if isinstance(v, torch.Tensor))
 
     def _lend_the_optimizer(self) -> list[dict[str, Any]]:
-        """Let Adam take its learning rate from the GPU, and be one kernel; return its own settings."""
+        """Make Adam one kernel that reads its learning rate from the GPU; return its previous settings."""
         optimizer = self._algorithm.optimizer
         kept = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
         for group in optimizer.param_groups:
@@ -164,7 +165,7 @@ class CapturedUpdate:
             group.update(own, lr=rate)
 
     def _minibatch(self) -> None:
-        """Take one step of the optimiser with the rows of now."""
+        """Take one step of the optimizer with the samples in ``_rows``."""
         algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
         observations = storage.observations.flatten(0, 1)[rows]
         actions, old_values, returns, old_log_prob, advantages = (
@@ -175,7 +176,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # Not the actor itself, which draws as well: nobody uses it, and torch waits for the GPU to look at deviations.
+        # Not the forward pass of the actor: it draws actions that are not needed, and torch waits for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
@@ -204,20 +205,20 @@ class CapturedUpdate:
         self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
 
     def _adapt(self, divergence: torch.Tensor) -> None:
-        """Take a slower or faster learning rate when the policy has changed by more or less than is desired."""
+        """Lower or raise the learning rate if the policy changed more or less than desired."""
         desired, rate = self._algorithm.desired_kl, self._rate
         slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
         raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
         rate.copy_(torch.where(divergence > desired * 2, slower, raised))
 
     def _surrogate(self, change: torch.Tensor, advantages: torch.Tensor) -> torch.Tensor:
-        """Return the clipped surrogate of the return (Schulman et al. 2017, eq. 7), negative."""
+        """Return the negative clipped surrogate objective (Schulman et al. 2017, eq. 7)."""
         ratio, clip = change.exp(), self._algorithm.clip_param
         clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
         return torch.max(-advantages * ratio, -advantages * clipped).mean()
 
     def _value(self, values: torch.Tensor, old: torch.Tensor, returns: torch.Tensor) -> torch.Tensor:
-        """Return the critic's squared error, that of a clipped change where that is larger."""
+        """Return the squared error of the critic, or of its clipped change if this is larger."""
         error = (values - returns).pow(2)
         if not self._algorithm.use_clipped_value_loss:
             return error.mean()
@@ -227,7 +228,7 @@ class CapturedUpdate:
 
 
 def _normalize(network: Any, observations: Any) -> None:
-    """Let a network learn means and deviations of observations, in the memory that it has had them in."""
+    """Update the running means and deviations of observations of a network, in their present memory."""
     before = dict(network.named_buffers())
     network.update_normalization(observations)
     for name, static in before.items():
@@ -239,15 +240,15 @@ def _normalize(network: Any, observations: Any) -> None:
 
 
 def can_capture_acting(algorithm: Any) -> bool:
-    """Return whether an algorithm, whose update is one of graphs, draws actions from normal distributions."""
+    """Return whether an algorithm whose update can be captured draws actions from normal distributions."""
     return getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
 
 
 class CapturedActing:
-    """Acts as ``PPO.act`` does: draws actions, and notes what the update needs of them.
+    """Draws actions and stores the values for the update, as ``PPO.act`` does.
 
-    The first rollout acts by rsl_rl's own method; a graph is captured at the beginning of a rollout, and anew when
-    the networks lie in other memory.
+    The first rollout uses ``PPO.act``. The graph is captured at the start of the second rollout, and again if the
+    networks lie in other memory.
 
     Args:
         algorithm: the algorithm, on a GPU, with networks that are not recurrent.
@@ -275,14 +276,14 @@ class CapturedActing:
         self._graph.replay()
         transition, found = algorithm.transition, self._found
         transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # whoever keeps them shall keep these
+        transition.actions = found["actions"].clone()  # a copy, because the next replay overwrites them
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations
         return transition.actions
 
     def _capture(self, observations: Any) -> None:
-        """Record acting; nothing is drawn."""
+        """Record the computation. Its kernels do not run yet."""
         self._observations = observations.clone()
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
@@ -291,7 +292,7 @@ class CapturedActing:
         self._captured = self._memory()
 
     def _computed(self) -> dict[str, Any]:
-        """Return what ``PPO.act`` notes; drawn without torch's look at deviations, which waits for the GPU."""
+        """Return the values that ``PPO.act`` stores. Not by torch's own sampling, because that waits for the GPU."""
         actor, observations = self._algorithm.actor, self._observations
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         mean, deviation = actor.output_mean, actor.output_std

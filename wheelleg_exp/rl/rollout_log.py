@@ -13,15 +13,15 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # before the config key, of what is logged
+SCALAR = "Diagnostics/non_finite/"  # prefix of logged scalars; the config key of the term follows
 
 
 class FailureCount:
-    """Counts such episodes: one now and then is an event of its own, many are a mistake.
+    """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
     Args:
         num_envs: number of environments, N.
-        agent: the ``agent`` section; its ``max_non_finite`` times N episodes may end so, and one in any case.
+        agent: the ``agent`` section; ``max_non_finite`` times N such episodes are accepted, at least one.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -32,7 +32,7 @@ class FailureCount:
         self.by_key: Counter[str] = Counter()
 
     def take(self, extras: Mapping[str, Any]) -> None:
-        """Take up what a step reports."""
+        """Count the failures that a step reports."""
         found = extras.get("non_finite")
         if found is not None:
             self.episodes += len(found["keys"])
@@ -41,10 +41,10 @@ class FailureCount:
             self._evidence = self._evidence or found["evidence"]
 
     def require_few(self, when: str) -> None:
-        """Raise SimulationFailure, with the key that failed most, when there were more than may be.
+        """Raise SimulationFailure, with the key that failed most often, if there were too many failures.
 
         Args:
-            when: by when, for the message.
+            when: the time of the failure, for the message.
         """
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
@@ -58,7 +58,7 @@ class FailureCount:
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:
-    """Return the episodes by config key that an iteration's scalars tell of."""
+    """Return the number of failed episodes by config key, out of the scalars of an iteration."""
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 
@@ -66,7 +66,7 @@ _EPISODES = 100  # finished episodes that the running means cover, as in rsl_rl
 
 
 class EpisodeLog:
-    """Collects what steps report and returns it once per iteration, under rsl_rl's keys.
+    """Collects the reports of steps and returns them once per iteration, by the keys of rsl_rl.
 
     Args:
         num_envs: number of environments, N.
@@ -84,7 +84,7 @@ class EpisodeLog:
         self._non_finite: Counter[str] = Counter()
 
     def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
-        """Take up one step's rewards (N,), dones (N,) and extras."""
+        """Add the rewards (N,), dones (N,), and extras of one step."""
         self._return += rewards
         self._length += 1
         for keys in extras.get("non_finite", {"keys": {}})["keys"].values():
@@ -107,7 +107,7 @@ class EpisodeLog:
         self._ended.clear()
 
     def collect(self) -> dict[str, float]:
-        """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
+        """Return the scalars since the last call: means over reset batches, and over the last episodes."""
         self._take_pending()
         scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
         self._values.clear()
@@ -119,7 +119,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return running sums, the last episodes, and what has not been collected yet."""
+        """Return running sums, the last episodes, and reports that were not collected yet."""
         self._take_pending()
         return {
             "return": self._return.clone(),
@@ -143,7 +143,7 @@ class EpisodeLog:
 
 
 def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
-    """Return what a log holds as numbers; those of one kind come from a GPU together."""
+    """Return a log as Python numbers. Tensors of one type are copied from a GPU together."""
     kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
     for key, value in log.items():
         if isinstance(value, torch.Tensor):
@@ -158,10 +158,10 @@ REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Termin
 
 
 class StepMeans:
-    """Adds up what each control step was worth, and returns the means once per iteration.
+    """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
-    What managers log when environments are reset is of the episodes that end, and of those who fall early more
-    often: here each environment counts alike in each step. Between iterations nothing is kept, so there is no state.
+    Managers log only episodes that end, and robots that fall early end more episodes. Here each environment has the
+    same weight in each step. Nothing is stored between iterations, so there is no state.
 
     Args:
         env: the environment.
@@ -173,7 +173,7 @@ class StepMeans:
         self._steps = 0
 
     def take(self) -> None:
-        """Add the step that the environment has just made."""
+        """Add the last step of the environment."""
         for key, rows in self._rows():
             if key in self._sums:
                 self._sums[key] += rows
@@ -182,7 +182,7 @@ class StepMeans:
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
-        """Return the means since the last call, over steps and environments, and forget them."""
+        """Return the means since the last call over steps and environments, and start again."""
         with one_thread():
             scalars = {
                 f"{head}/{name}": value / self._steps
@@ -194,7 +194,7 @@ class StepMeans:
         return scalars
 
     def _rows(self) -> Iterator[tuple[tuple[str, tuple[str, ...]], torch.Tensor]]:
-        """Yield what each manager has for this step: head and names of the keys, and a row (N,) for each name."""
+        """Yield the values of each manager in this step: prefix and names of the keys, and a row (N,) for each name."""
         rewards, terminations = self._env.reward_manager, self._env.termination_manager
         yield (REWARDS, tuple(rewards.active_terms)), rewards.step_reward
         yield (TERMINATIONS, tuple(terminations.active_terms)), terminations.fired

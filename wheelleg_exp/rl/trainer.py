@@ -1,4 +1,4 @@
-"""Training with rsl_rl's PPO, or its distillation: one iteration is a rollout and an update."""
+"""Training with rsl_rl's PPO or distillation: one iteration is a rollout and an update."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from wheelleg_exp.user_exceptions import in_words, place
 
 @dataclass(frozen=True)
 class Iteration:
-    """What one iteration did.
+    """The result of one iteration.
 
     Attributes:
-        index: its number, from 0.
-        scalars: what is logged, by rsl_rl's and Isaac Lab's keys.
+        index: number of the iteration, from 0.
+        scalars: logged numbers, by the keys of rsl_rl and Isaac Lab.
         env_steps: environment steps of the rollout.
     """
 
@@ -48,19 +48,19 @@ class Iteration:
 class Trainer:
     """Trains a policy.
 
-    The policy's own draws (initial weights, exploration, minibatches) come from torch's global generator, which
-    nothing in the environment uses.
+    Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
+    this generator.
 
     Args:
         env: the adapted environment.
         agent: the composed ``agent`` section, plain.
         seed: the run's seed.
-        teacher: the checkpoint whose policy teaches, of a distillation.
-        initial: what the networks begin with; what explores and what is simulated begin anew.
-        ranks: the processes that train together; the others must have a trainer as well.
+        teacher: for a distillation, the checkpoint whose policy teaches.
+        initial: networks to start from; exploration and simulation start from scratch.
+        ranks: the processes that train together; each of them has a trainer.
 
     Raises:
-        ConfigError: rsl_rl refuses the section, or the teacher or the initial networks do not fit it.
+        ConfigError: rsl_rl rejects the section, or the teacher or the initial networks do not fit it.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class Trainer:
         return self.ranks.merged(scalars, ("Perf/collection_time", "Perf/learning_time"))
 
     def _share_buffers(self) -> None:
-        """Give all processes the first's running means of observations: each has seen its own samples alone."""
+        """Copy the running means of observations from the first rank to all, because each rank saw other samples."""
         networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
         with communicating():
             for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
@@ -173,7 +173,7 @@ class Trainer:
         return [getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm)]
 
     def _products(self) -> AbstractContextManager[None]:
-        """Return in what an update multiplies."""
+        """Return the context that sets the precision of matrix products in an update."""
         if self._matmul == "float32":
             return nullcontext()
         if self._matmul == "tf32":
@@ -182,7 +182,7 @@ class Trainer:
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
-        """Tell of an error in rsl_rl or in a network: numbers that have grown too large end in many ways."""
+        """Convert an error of rsl_rl or of a network to a SimulationFailure that names the iteration."""
         try:
             yield
         except SimulationFailure as error:
@@ -203,7 +203,7 @@ class Trainer:
             ) from error
 
     def _require_finite(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
-        """Refuse losses and parameters that are not finite."""
+        """Raise an error if losses or parameters are NaN or inf."""
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
         for role in checkpoint.roles_of(self.algorithm):
             network = getattr(self.algorithm, role)
@@ -219,17 +219,17 @@ class Trainer:
             ) from cause
 
     def _learning(self, losses: Mapping[str, float]) -> dict[str, torch.Tensor]:
-        """Return what there is to keep of an update that failed."""
+        """Return the learning rate and the losses of an update that failed."""
         rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
         return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the coming iterations depend on; ``iter`` is the last finished iteration."""
+        """Return everything that later iterations depend on; ``iter`` is the last finished iteration."""
         return {
             "format_version": FORMAT_VERSION,
             "iter": self.iteration - 1,
             "infos": None,
-            **cloned(self.algorithm.save()),  # else it would go on with the networks
+            **cloned(self.algorithm.save()),  # a copy, because the networks change
             **self.average.state_dict(),
             "unsaved": unsaved_state(self.algorithm) | self.average.unsaved(),
             "env": self.env.env.state_dict(),
@@ -238,10 +238,10 @@ class Trainer:
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; the random state comes last, because building draws.
+        """Restore what ``state_dict`` returned. The random state comes last, because construction draws numbers.
 
         Raises:
-            RunDirectoryError: it is the state of other networks, or of another environment.
+            RunDirectoryError: the state belongs to other networks or another environment.
         """
         checkpoint.require_resumable(saved)
         try:
@@ -263,7 +263,7 @@ class Trainer:
 
     @contextmanager
     def played(self) -> Iterator[MLPModel]:
-        """Lend the policy on the CPU as it is played: with the mean of its weights where they are averaged."""
+        """Provide the policy on the CPU as it is played: with averaged weights, if there is an average."""
         policy = self.algorithm.get_policy().to("cpu")
         own = cloned(policy.state_dict())
         policy.load_state_dict(self.average.state_dict().get(policy_average.STATE, own))
@@ -273,7 +273,7 @@ class Trainer:
             policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
-        """Set the learning rate of the coming updates; an adaptive schedule goes on from it."""
+        """Set the learning rate of the next updates. An adaptive schedule continues from this value."""
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value

@@ -1,14 +1,15 @@
-"""What objects keep between steps: found, saved, restored, or refused by name.
+"""State of objects between steps: find, save, and restore it, or reject it by name.
 
-| name | what it is for |
+| name | purpose |
 |---|---|
-| `Stateful` | a base class whose attributes are its state |
+| `Stateful` | base class whose attributes are its state |
 | `made`, `save`, `restore`, `stateful` | the same for objects of any class |
-| `Settings` | the settings of a term, which are state once something has changed them |
-| `Kept`, `NamedStream` | what somebody else saves, so that a reference to it is no state |
-| `Outside` | what a term changes although it is not its own: noticed and named |
-| `merged` | the states of some environments put together with those of the others |
-| `Memory` | tensors of one object that lie in the memory of another: refused |
+| `Settings` | settings of a term, which are state once they have changed |
+| `Kept`, `NamedStream` | objects that another part saves, so that a reference to them is not state |
+| `Outside` | changes that a term makes outside its own attributes: rejected by name |
+| `Memory` | tensors of two objects that share memory: rejected by name |
+| `merged` | a state dict with some environments from one state and the remaining ones from another |
+| module `object_graph` | the walk over objects, which graph capture uses as well |
 """
 
 from wheelleg_exp.state.saved_values import Kept, NamedStream, cloned, on_device, same

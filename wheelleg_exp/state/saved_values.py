@@ -29,7 +29,7 @@ TAG = "__kind__"
 NOTHING = object()
 _PLAIN = (bool, int, float, str, type(None))
 CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
-# Never changed in place: what is bound to the name is all there is.
+# Objects of these types never change in place.
 _CONSTANTS = (
     bytes,
     complex,
@@ -60,15 +60,15 @@ GENERATORS: dict[str, Generator] = {
 
 
 class Kept:
-    """Marks objects whose state somebody saves: what only points to one does not save it again."""
+    """Marks objects whose state another part saves: an object that refers to one does not save it again."""
 
 
 class NamedStream(Kept, torch.Generator):
-    """A random stream that the environment's streams save."""
+    """A random stream whose state the environment's streams save."""
 
 
 class Unsaveable(Exception):
-    """Something whose state cannot be saved."""
+    """A value whose state cannot be saved."""
 
     def __init__(self, path: str, value: Any, why: str = "") -> None:
         kind = type(value)
@@ -78,7 +78,7 @@ class Unsaveable(Exception):
 
 @dataclasses.dataclass
 class Reference:
-    """Something that is not written: ``seen`` is what it held when it was looked at, as far as it could change."""
+    """A value that a checkpoint does not store; ``seen`` is a copy of its contents, if they can change."""
 
     value: Any
     seen: Any = None
@@ -88,10 +88,10 @@ class Reference:
 
 
 def look(value: Any, path: str) -> Any:
-    """Return a copy of a value in tensors, numbers, tagged dictionaries and references.
+    """Return a copy of a value as tensors, numbers, tagged dictionaries, and references.
 
     Raises:
-        Unsaveable: it is, or holds, something else.
+        Unsaveable: the value is, or contains, anything else.
     """
     if type(value) in _PLAIN:
         return value
@@ -116,7 +116,7 @@ def look(value: Any, path: str) -> Any:
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
-    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:  # a mask or a file would be lost
+    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:  # for example a mask would be lost
         raise Unsaveable(path, value)
     try:
         tensor = torch.from_numpy(np.array(value))
@@ -130,7 +130,7 @@ def _container(value: Any, path: str) -> dict[str, Any]:
     if isinstance(value, dict):
         tagged["keys"] = [look(key, f"{path} (a key)") for key in value]
         return {**tagged, "items": [look(item, f"{path}[{key!r}]") for key, item in value.items()]}
-    # A set's own order depends on the process.
+    # The order of a set differs between processes.
     items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
     tagged["items"] = [look(item, f"{path}[{i}]") for i, item in enumerate(items)]
     return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
@@ -141,14 +141,14 @@ def _saves_itself(value: Any) -> bool:
 
 
 def _rest(value: Any, path: str) -> Reference:
-    """Return what a network's ``state_dict`` leaves out; whoever writes one of his own answers for it."""
+    """Return the values that a network's ``state_dict`` omits. A user-defined ``state_dict`` is taken as complete."""
     if not isinstance(value, torch.nn.Module) or isinstance(value, torch.jit.ScriptModule):
         return Reference(None)
     return Reference(None, {name: look(item, f"{path}.{name}") for name, item in _unlisted(value)})
 
 
 def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
-    """Yield a network's plain attributes and buffers that are not in its ``state_dict``."""
+    """Yield the plain attributes and buffers of a network that are not in its ``state_dict``."""
     own = vars(torch.nn.Module()).keys() - {"training"}
     for prefix, part in network.named_modules():
         buffers = {name: part._buffers[name] for name in part._non_persistent_buffers_set}
@@ -157,7 +157,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether an attribute only points at parameters, as recurrent networks keep them."""
+    """Return whether an attribute only refers to parameters, as in recurrent networks."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -178,7 +178,7 @@ def _reference(value: Any, path: str) -> Reference:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two looked-at trees are equal to the bit, NaN included."""
+    """Return whether two trees from ``look`` are equal to the bit, including NaN."""
     if type(a) is not type(b):
         return False
     if isinstance(a, torch.Tensor):
@@ -188,7 +188,7 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, (list, tuple)):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, Reference):
-        # A bound method is a new object each time, and equal.
+        # Each access to a bound method makes a new, equal object.
         methods = isinstance(a.value, (*_CONSTANTS, types.MethodType)) and a.value == b.value
         return (a.value is b.value or methods) and same(a.seen, b.seen)
     if isinstance(a, float):
@@ -197,20 +197,20 @@ def same(a: Any, b: Any) -> bool:
 
 
 def _equal_bytes(a: torch.Tensor, b: torch.Tensor) -> bool:
-    """NaN is equal to itself alone, and 0.0 is not -0.0."""
+    """Compare bytes: NaN equals the same NaN, and 0.0 differs from -0.0."""
     return a.device == b.device and torch.equal(bytes_of(a), bytes_of(b))
 
 
 def bytes_of(value: torch.Tensor) -> torch.Tensor:
-    """Return the bytes of a tensor's elements in their order, without a copy where they lie so in memory."""
+    """Return the bytes of a tensor's elements in order, without a copy if the tensor is contiguous."""
     flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
-    if flat.stride(0) != 1:  # one element of a row: contiguous by name, and not by its stride
+    if flat.stride(0) != 1:  # torch calls a row of one element contiguous, whatever its stride
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
 
 
 def on_device(tree: Any, device: torch.device) -> Any:
-    """Return mappings, lists and tuples with their tensors on a device; a file's are in the host's memory."""
+    """Return mappings, lists, and tuples with all tensors moved to a device."""
     if isinstance(tree, torch.Tensor):
         return tree.to(device)
     if isinstance(tree, Mapping):
@@ -221,7 +221,7 @@ def on_device(tree: Any, device: torch.device) -> Any:
 
 
 def cloned(tree: Any) -> Any:
-    """Return a copy of mappings, lists and tuples of tensors that stands still."""
+    """Return mappings, lists, and tuples with all tensors copied."""
     if isinstance(tree, torch.Tensor):
         return tree.detach().clone()
     if isinstance(tree, Mapping):
@@ -235,15 +235,15 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
 def writable(item: Any, before: Any, path: str) -> Any:
-    """Return a looked-at value as a checkpoint takes it.
+    """Return a value from ``look`` in a form that a checkpoint can store.
 
     Args:
-        item: the value now.
-        before: what stood there when its owner was made, into which it will be written.
-        path: where it stands.
+        item: the present value.
+        before: the value when its owner was made. Loading writes into an object that was made in the same way.
+        path: name of the attribute.
 
     Raises:
-        Unsaveable: a reference was bound or changed since, or an object that only its owner could make again.
+        Unsaveable: a reference was bound or changed since then, or the value is an object that only its owner can make.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which came or changed since its owner was made")
@@ -272,7 +272,7 @@ def _require_untouched(now: Reference | None, before: Reference | None, path: st
 
 
 def made_again(item: Any, present: Any = None) -> Any:
-    """Return the value that a looked-at item stands for, written over ``present`` where that can be written."""
+    """Return the value that an item from ``look`` describes, written into ``present`` if possible."""
     if isinstance(item, torch.Tensor):
         return _tensor_again(item, present)
     if isinstance(item, Reference):
@@ -297,7 +297,7 @@ def made_again(item: Any, present: Any = None) -> Any:
 def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
     if not isinstance(present, torch.Tensor) or (present.shape, present.dtype) != (item.shape, item.dtype):
         return item.clone()
-    if 0 in present.stride() and present.numel() > 1:  # expanded: it cannot be written
+    if 0 in present.stride() and present.numel() > 1:  # an expanded tensor cannot be written to
         return item.clone()
     with torch.inference_mode() if present.is_inference() else torch.no_grad():
         return present.copy_(item)

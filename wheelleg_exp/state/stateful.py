@@ -15,11 +15,11 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, look, made_again, same, writable
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # stands for one that is saved whether it has changed or not
+_TENSOR = "a tensor"  # represents a tensor that is saved even if it has not changed
 
 
 class _Base(NamedTuple):
-    """What an object held when it was made, looked at, and the config key that messages name."""
+    """The attributes of an object when it was made (see ``look``), and the config key for messages."""
 
     values: dict[str, Any]
     key: str | None
@@ -29,25 +29,25 @@ class Stateful:
     """An object that saves and restores its attributes (see the module).
 
     Attributes:
-        settings: names of tensor attributes that come from the config, and are saved only when they have changed.
+        settings: names of tensor attributes that come from the config, and that are saved only if they have changed.
     """
 
     settings: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what the coming steps depend on."""
+        """Return everything that later steps depend on."""
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned, in an object that was made alike."""
+        """Restore what ``state_dict`` returned, in an object that was made in the same way."""
         restore(self, saved)
 
 
 def made(value: Any, key: str | None = None) -> None:
-    """Note what an object holds now as what it was made with.
+    """Note the present attributes of an object as its first ones.
 
     Raises:
-        ConfigError: it keeps something whose state cannot be saved.
+        ConfigError: an attribute holds state that cannot be saved.
     """
     try:
         _require_no_slots(value)
@@ -62,7 +62,7 @@ def save(value: Any) -> dict[str, Any]:
     """Return the state of an object as tensors and plain values.
 
     Raises:
-        ConfigError: it now keeps something whose state cannot be saved.
+        ConfigError: an attribute holds state that cannot be saved.
     """
     if _BASE not in vars(value):
         made(value)
@@ -81,7 +81,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Give an object the state that ``save`` returned; what was not saved goes back to what it was made with."""
+    """Restore the state that ``save`` returned. Attributes that were not saved get their first values."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -95,10 +95,10 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Let an object be as one of its class that was made with other settings, but for its state; tensors stay in place.
+    """Give an object the settings of another object of its class, and keep its own state. Tensors keep their memory.
 
     Raises:
-        ConfigError: the other keeps something whose state cannot be saved.
+        ConfigError: the other object holds state that cannot be saved.
     """
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
@@ -124,7 +124,7 @@ def _require_no_slots(value: Any) -> None:
 
 
 def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
-    """Return the error that tells what an object keeps and may not."""
+    """Return the error for an object that holds state that cannot be saved."""
     why = "points back at itself" if isinstance(error, RecursionError) else str(error)
     return ConfigError(
         f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ",
@@ -135,7 +135,7 @@ def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
 
 
 class _Attributes:
-    """Saves the attributes of an object that has no ``state_dict``; of None, nothing."""
+    """Saves the attributes of an object that has no ``state_dict``. The object may be None."""
 
     def __init__(self, value: Any, key: str) -> None:
         self._value = value
@@ -151,10 +151,10 @@ class _Attributes:
 
 
 def stateful(value: Any, key: str) -> Any:
-    """Return what saves and restores ``value``: itself when it can, else its attributes.
+    """Return an object that saves and restores ``value``: the value itself if it has ``state_dict``.
 
     Raises:
-        ConfigError: it keeps something whose state cannot be saved.
+        ConfigError: the value holds state that cannot be saved.
     """
     itself = hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
     return value if itself else _Attributes(value, key)
@@ -164,15 +164,15 @@ _Looked = dict[str, dict[str, Any]]
 
 
 class Settings:
-    """The settings of a term, as its config gave them: what differs from them is state, set by a curriculum perhaps.
+    """The settings of a term from its config. Later differences, for example by a curriculum, are state.
 
-    A change is saved beside the setting that it was made on, and is not restored on another: who changed the
-    setting in the config means it.
+    A change is saved together with the setting from the config. It is restored only if the config still has the same
+    setting: a setting that was changed in the config has priority.
 
     Args:
         groups: dictionaries of settings by name.
         key: config key of the term, for messages.
-        skip: names of settings that save their state themselves.
+        skip: names of settings that save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -191,7 +191,7 @@ class Settings:
             raise ConfigError(f"a setting {error}, whose state cannot be saved", key=self._key) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the changed settings by group and name, each with what it was."""
+        """Return the changed settings by group and name, each with the setting from the config."""
         found: dict[str, Any] = {}
         for group, values in self._look().items():
             for name, now in values.items():
@@ -207,7 +207,7 @@ class Settings:
             raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; settings that had not changed are what the config says."""
+        """Restore what ``state_dict`` returned; all other settings get the value from the config."""
         for group, values in self._groups.items():
             changes, base = saved.get(group, {}), self._base[group]
             for name in list(values.keys() - base.keys() - changes.keys() - self._skip):
@@ -220,5 +220,5 @@ class Settings:
 
 
 def _written(looked: Any) -> Any:
-    """Return a setting of the config as a checkpoint takes it."""
+    """Return a setting of the config in a form that a checkpoint can store."""
     return writable(looked, looked, "")

@@ -10,12 +10,12 @@ import torch
 
 
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
-    """Return a state dict that is ``after`` in some environments' rows and ``before`` in the others'.
+    """Merge two state dicts: the rows of some environments from ``after``, all other rows from ``before``.
 
     Args:
-        before: a state dict, in which tensors (N, ...) have a row an environment.
-        after: a later one of the same object; of what has no rows, this is returned.
-        rows: environments, (N,) bool.
+        before: a state dict whose tensors (N, ...) have one row for each environment.
+        after: a later state dict of the same object. Values without rows are taken from it.
+        rows: environments (N,) bool to take from ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}
@@ -29,5 +29,5 @@ def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
 
 
 def host_copy(tensor: torch.Tensor) -> np.ndarray[Any, Any]:
-    """Return a copy of a tensor in the host's memory, whatever device it is on; later steps do not change it."""
+    """Return a copy of a tensor in host memory. Later steps do not change the copy."""
     return tensor.detach().cpu().numpy().copy()

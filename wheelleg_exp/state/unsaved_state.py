@@ -24,13 +24,13 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 
 
 class Outside:
-    """Notes the surroundings of terms when they are made.
+    """Detects changes that terms make outside their own attributes.
 
     Args:
         code: the function or class of each term, by config key.
-        owners: objects that terms may read but not write, by name. Attributes are not allowed to appear on them or on
-            this package's objects below them; their own public numbers and texts are not allowed to change.
-        config: the config that the terms were made from.
+        owners: objects that terms may read but not write, by name. Terms must not add attributes to them or to this
+            package's objects below them, and must not change their public numbers and texts.
+        config: the config from which the terms were made.
 
     Raises:
         ConfigError: a class attribute or a default argument is an iterator, whose position cannot be read.
@@ -42,7 +42,7 @@ class Outside:
         self._before = dict(self._seen())
 
     def require_unchanged(self) -> None:
-        """Raise ConfigError when something has changed, with its name."""
+        """Raise ConfigError if a term has changed anything, with the name of the place."""
         now = dict(self._seen())
         for place in {**self._before, **now}:
             was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
@@ -87,12 +87,12 @@ def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _is_default(value: Any, name: str) -> bool:
-    """Return whether an attribute overrides a number or None of its class, such as a dataclass has."""
+    """Return whether an attribute overrides a plain class attribute, such as a default of a dataclass."""
     return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
 def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    """Yield attributes and default arguments of a function, or of a class and its bases, that could be state."""
+    """Yield attributes and default arguments of a function, or of a class and its bases, that may hold state."""
     if not inspect.isclass(code):
         function: Any = code
         while function is not None:
@@ -104,7 +104,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # what __init__ stores on self is saved there
+                if name != "__init__":  # attributes that __init__ sets are saved with the object
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
@@ -141,12 +141,12 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-_MOST_WORK = 10_000  # of numpy's exact answer; beyond it, overlapping bounds are taken for sharing
+_MOST_WORK = 10_000  # for NumPy's exact check; beyond that, overlapping ranges count as shared
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A tensor, an array or a container: whose it is, its name there, and the addresses that it spans."""
+    """A tensor, an array, or a container: its owner, its name, and the range of its addresses."""
 
     owner: str
     name: str
@@ -156,11 +156,14 @@ class _Place:
 
 
 class Memory:
-    """Holds the memory of objects apart.
+    """Rejects tensors that come to share memory.
+
+    Within one object, sharing is always rejected. Between an object and others it is allowed if it existed from the
+    start and still exists, because a write then reaches both.
 
     Args:
-        owners: objects that save their attributes, by config key; none of their tensors may come to lie in another's.
-        others: returns the tensors of the surroundings, by name.
+        owners: objects that save their attributes, by config key.
+        others: returns the tensors of all other objects, by name.
 
     Raises:
         ConfigError: two attributes of one object share memory.
@@ -171,14 +174,14 @@ class Memory:
         self._shared = self._sharing()
 
     def require_apart(self) -> None:
-        """Raise ConfigError when something has come to share memory, or shares it no longer."""
+        """Raise ConfigError if two tensors share memory that did not at the start, or no longer share it."""
         now = self._sharing()
         for owner, name, other in sorted(now ^ self._shared):
             verb = "has come to share" if (owner, name, other) in now else "no longer shares"
             raise _refusal(owner, f"'{name}' {verb} its memory with {other}")
 
     def _sharing(self) -> set[tuple[str, str, str]]:
-        """Return who shares memory with whom: an owner, the name of its attribute, and the other's."""
+        """Return all pairs that share memory: an owner, the name of its attribute, and the name of the other."""
         places = [p for owner, value in self._owners.items() for p in _places(attributes(value), owner)]
         places += [_place("", name, tensor) for name, tensor in self._others().items() if tensor.numel()]
         found, near = set(), list[_Place]()
@@ -228,22 +231,22 @@ def _place(owner: str, name: str, node: torch.Tensor | np.ndarray) -> _Place:
 
 
 def _share(a: Any, b: Any) -> bool:
-    """Return whether two things whose spans meet have an element in common."""
+    """Return whether two objects with overlapping address ranges have an element in common."""
     if not isinstance(a, (torch.Tensor, np.ndarray)) or not isinstance(b, (torch.Tensor, np.ndarray)):
         return a is b
     try:
         return np.shares_memory(_array(a), _array(b), max_work=_MOST_WORK)  # type: ignore[arg-type]  # numpy's stubs know two values
-    except (TypeError, RuntimeError):  # no strides; too hard (an error of numpy's own)
+    except (TypeError, RuntimeError):  # no strides, or the exact check takes too long
         return True
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return an array at the same addresses, only to ask where it lies: they may be a GPU's, and nothing is read."""
+    """Return an array at the same addresses, for address checks only: GPU memory cannot be read."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 
 class _Addresses:
-    """A tensor's addresses, in numpy's terms."""
+    """The addresses of a tensor as NumPy's array interface."""
 
     def __init__(self, node: torch.Tensor) -> None:
         size = node.element_size()
