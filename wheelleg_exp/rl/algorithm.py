@@ -1,4 +1,4 @@
-"""rsl_rl's algorithm and networks, built from the ``agent`` section, and what they cannot be built from."""
+"""Build rsl_rl's algorithm and networks from the ``agent`` section, and reject sections that cannot work."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_m
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# Keys of the agent section that are this program's, not rsl_rl's.
+# Keys of the agent section that rsl_rl does not know.
 OWN_KEYS = (
     "device",
     "torch_threads",
@@ -44,7 +44,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     """Build rsl_rl's algorithm from the ``agent`` section.
 
     Raises:
-        ConfigError: an observation group is missing, or rsl_rl refuses a value.
+        ConfigError: an observation group is missing, or rsl_rl rejects a value.
     """
     observations = env.get_observations()
     for role, groups in agent["obs_groups"].items():
@@ -69,7 +69,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         _require_memory(env, observations, agent)
     options = options_of(agent)
     env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
-    # rsl_rl changes the dictionary that it is given, and prints the networks.
+    # A copy, because rsl_rl changes the dictionary. rsl_rl also prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
@@ -77,7 +77,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
             algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except Exception as error:  # its classes may be a user's own
+    except Exception as error:  # any error, because the classes may be user-defined
         raise ConfigError(
             f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
             key="agent",
@@ -88,10 +88,10 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
-    """Return what makes images of every second environment's observations and actions, of a training that asks for it.
+    """Return the mirror for every second environment, if ``agent.symmetry.mirrored_envs`` is set.
 
     Raises:
-        ConfigError: there is one environment, or it is not known how a term turns.
+        ConfigError: there is only one environment, or a term has no mirror rule.
     """
     options = options_of(agent)
     if options is None or not options.mirrored_envs:
@@ -104,9 +104,9 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | 
 
 
 def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:
-    """Return the groups whose images are needed, with what rsl_rl takes where they are not named.
+    """Return the observation groups that need mirror images: those of actor and critic, and of RND.
 
-    Those of actor and critic; a robot in a mirror is new to what looks for novelty there as well.
+    RND, which rewards new states, must not treat a mirrored robot as new.
     """
     novel = options.mirrored_envs and agent["algorithm"].get("rnd_cfg")
     roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
@@ -115,7 +115,7 @@ def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions)
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
-    """Refuse rollouts and networks that do not fit into memory: numbers of four bytes."""
+    """Raise ConfigError if rollouts and networks do not fit into memory (four bytes for each number)."""
     steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
     samples = env.num_envs * steps
     numbers = sum(widths.values()) + 3 * env.num_actions + 6
@@ -125,11 +125,11 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Beside each weight its gradient, and the two means of Adam.
+        # Each weight has a gradient and the two means of Adam.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 
-_ALSO = {"gpu": "cuda"}  # what people call a device
+_ALSO = {"gpu": "cuda"}  # common wrong names of a device
 
 
 def _require_device(name: str) -> None:

@@ -1,4 +1,4 @@
-"""Checkpoints: everything that training depends on, in one file that loads without running anybody's code."""
+"""Checkpoints: everything that training depends on, in one file that loads without running code from the file."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
-_READABLE = (1, FORMAT_VERSION)  # version 1 lacks what a resume needs, but holds the same networks
+_READABLE = (1, FORMAT_VERSION)  # version 1 has the same networks, but lacks state that a resume needs
 _NEEDED = {"format_version": object, "iter": int}
 ROLES = ("actor", "critic", "student", "teacher")  # of networks; an algorithm has two of them
-# Of what is loaded: most parts, deepest nesting, and how many times larger than the file the tensors may be.
+# Limits for a loaded tree: number of parts, depth of nesting, and size of the tensors relative to the file.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
 def serialize(state: Mapping[str, Any]) -> bytes:
-    """Return a checkpoint's bytes: the same state gives the same bytes, whatever objects hold it."""
+    """Return the bytes of a checkpoint. Equal states give equal bytes."""
     buffer = io.BytesIO()
     torch.save(_rebuilt(dict(state)), buffer)
     return buffer.getvalue()
@@ -40,7 +40,8 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         finite: whether to refuse networks whose parameters are NaN or inf.
 
     Raises:
-        RunDirectoryError: the file is missing, damaged, or no checkpoint of this program; or a parameter is not finite.
+        RunDirectoryError: the file is missing, damaged, or not a checkpoint of this program; or a parameter is not
+            finite.
     """
     if not path.is_file():
         raise RunDirectoryError(
@@ -49,11 +50,11 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
-        with warnings.catch_warnings():  # torch has advice for other kinds of files
+        with warnings.catch_warnings():  # torch warns about other kinds of files
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
         _require_bounded(state, path.stat().st_size)
-    except Exception as error:  # a damaged archive may fail in any way; nothing in it is run
+    except Exception as error:  # a damaged archive can raise any error; no code in it runs
         raise RunDirectoryError(
             "cannot be read as a checkpoint: it is damaged, or holds something else than numbers and names",
             key=str(path),
@@ -81,7 +82,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
 
 
 def _require_finite(state: Mapping[str, Any], path: Path) -> None:
-    """Raise RunDirectoryError, with the parameter, where a network has NaN or inf: its actions would be NaN too."""
+    """Raise RunDirectoryError, with the parameter, if a network has NaN or inf: its actions would be NaN too."""
     for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
         network = state.get(key)
         for name, value in network.items() if isinstance(network, Mapping) else ():
@@ -95,7 +96,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
-    """Raise RunDirectoryError when a checkpoint's networks can be used, but its training cannot go on."""
+    """Raise RunDirectoryError if a checkpoint's networks can be played, but its training cannot be resumed."""
     if state["format_version"] != FORMAT_VERSION:
         raise RunDirectoryError(
             f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
@@ -104,7 +105,7 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 
 
 def _require_bounded(state: Any, size: int) -> None:
-    """Raise ValueError for a tree that is endless to walk, or tensors that have no bytes of their own."""
+    """Raise ValueError for a tree that is too large or too deep, or tensors that are larger than the file."""
     waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
     while waiting:
         value, depth = waiting.pop()
@@ -122,7 +123,7 @@ def _require_bounded(state: Any, size: int) -> None:
 
 
 def _rebuilt(value: Any) -> Any:
-    """Rebuild a tree so that no two parts share an object: pickle would write shared ones differently."""
+    """Rebuild a tree so that no two parts share an object, because pickle writes shared objects differently."""
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)
     if isinstance(value, Mapping):
@@ -135,17 +136,17 @@ def _rebuilt(value: Any) -> Any:
 
 
 def roles_of(algorithm: Any) -> tuple[str, ...]:
-    """Return the names of an algorithm's networks: actor and critic, or student and teacher."""
+    """Return the roles of an algorithm's networks: actor and critic, or student and teacher."""
     return tuple(role for role in ROLES if hasattr(algorithm, role))
 
 
 def policy_state(state: Mapping[str, Any]) -> Any:
-    """Return the parameters of a checkpoint's policy: their mean, where it has one, else its student's or actor's."""
+    """Return the policy's parameters in a checkpoint: the average if there is one, else those of student or actor."""
     return state.get(STATE) or state.get("student_state_dict") or state["actor_state_dict"]
 
 
 def unsaved_state(algorithm: Any) -> dict[str, Any]:
-    """Return hidden states of recurrent networks, the counter and the running return of RND, a student's progress."""
+    """Return hidden states of recurrent networks, the state of RND, and the progress of a distillation."""
     state: dict[str, Any] = {
         "learning_rate": float(algorithm.learning_rate),
         "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)},

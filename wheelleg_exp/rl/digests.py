@@ -1,7 +1,7 @@
-"""Short digests of a training's state: what an iteration leaves in the log, and what a checkpoint must agree with.
+"""Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-They are computed from the tree that a checkpoint holds, so that they can be computed again from the file. Names,
-kinds, shapes and bytes count, and nothing else: two states have equal digests when they are equal to the bit.
+Digests are computed from the tree of a checkpoint, so they can be computed again from the file. They depend on names,
+types, shapes, and bytes only: two states have equal digests if they are equal to the bit.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from wheelleg_exp.state.saved_values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# Which definition of the digests a log holds; those of different formats cannot be compared.
+# Version of the definition of the digests. Digests of different versions cannot be compared.
 FORMAT = 1
 
-_LENGTH = 16  # hexadecimal digits: an unnoticed difference has a chance of 5e-20
+_LENGTH = 16  # hexadecimal digits: the probability of an undetected difference is 5e-20
 _LABELS = ("format_version", "iter", "infos", "ranks")
 
 
 def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     """Return the digests of a checkpoint's tree by part.
 
-    ``parameters`` are the networks, ``optimizer`` its state with the learning rate, ``environment`` all of the
-    environment but its random streams, ``streams`` those and torch's, ``log`` the running episode sums, ``mean`` that
-    of the policy's weights, where they are averaged, and ``rest`` whatever else there is. Of a training by several
-    processes they are over the parts of all.
+    ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: the environment
+    without random streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums.
+    ``mean``: the averaged weights, if there are any. ``rest``: everything else. With several ranks, each digest covers
+    the parts of all ranks.
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
 def networks(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return of a checkpoint's tree what ``parameters`` is the digest of."""
+    """Return the part of a checkpoint's tree that the digest ``parameters`` covers."""
     return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
 
 
 def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return the digests of the first process's parts with those of the others' parts of the same names."""
+    """Merge the digests of the first rank with those of the other ranks, part by part."""
     if not others:
         return dict(first)
     return {
@@ -53,7 +53,7 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
 
 
 def tree_digest(tree: Any) -> str:
-    """Return 16 hexadecimal digits over a tree of mappings, sequences, tensors, numbers and text."""
+    """Return a digest of 16 hexadecimal digits of a tree of mappings, sequences, tensors, numbers, and text."""
     digest = hashlib.sha256()
     _update(digest, "", tree)
     return digest.hexdigest()[:_LENGTH]
@@ -102,5 +102,5 @@ def _update(digest: _Hash, path: str, value: Any) -> None:
 
 
 def tensor_bytes(tensor: torch.Tensor) -> memoryview:
-    """Return the bytes of a tensor's elements in their order, without a copy where it lies so in memory."""
+    """Return the bytes of a tensor's elements in order, without a copy if the tensor is contiguous."""
     return bytes_of(tensor.cpu()).numpy().data

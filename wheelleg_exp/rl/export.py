@@ -1,4 +1,4 @@
-"""The policy for deployment: TorchScript, ONNX, and a description of what goes in and comes out."""
+"""The policy for deployment: TorchScript, ONNX, and a description of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def torchscript(policy: MLPModel) -> bytes:
 
 
 def _without_places(archive: io.BytesIO) -> bytes:
-    """Drop the records that tell where on this disk each line of the source stood."""
+    """Drop the records with source paths on this computer."""
     kept = io.BytesIO()
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(kept, "w", zipfile.ZIP_STORED) as target:
         for name in source.namelist():
@@ -45,7 +45,7 @@ def onnx(policy: MLPModel) -> bytes:
     file = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # The exporter by tracing: the other one takes two seconds and keeps what it learns of every batch size.
+        # The tracing exporter: the other one takes two seconds and caches data for every batch size.
         torch.onnx.export(
             model,
             model.get_dummy_inputs(),
@@ -61,14 +61,14 @@ def onnx(policy: MLPModel) -> bytes:
 
 
 def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int) -> str:
-    """Return what a deployer must know, as JSON: rates, joints, and each slice of input and output."""
+    """Return the description for deployment as JSON: rates, joints, and each slice of input and output."""
     groups = agent["obs_groups"]["student" if "student" in agent else "actor"]
     robot = env.scene.robot
     offset, observations = 0, []
     for group in groups:
         for name, parts in env.observation_manager.term_parts(group).items():
             for age, part in zip(reversed(range(len(parts))), parts, strict=True):
-                steps = {"age_steps": age} if len(parts) > 1 else {}  # of histories that stand step by step
+                steps = {"age_steps": age} if len(parts) > 1 else {}  # histories that are ordered by step
                 place = {"start": offset + part.start, "stop": offset + part.stop}
                 observations.append({"group": group, "term": name, **place, **steps})
         offset += sum(shape[-1] for shape in env.observation_manager.group_obs_term_dim[group])

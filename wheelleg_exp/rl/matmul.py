@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
-# A layer with fewer weights is as fast in float32: what its product saves, the conversions cost.
+# A layer with fewer weights is not faster in bfloat16, because of the conversions.
 FEWEST_WEIGHTS = 4096
-_BLOCK = 1 << 17  # numbers that are worked on at a time
-# Values of oneDNN's variable with which it uses the CPU's AMX (and those that name it), and its bf16 instructions.
+_BLOCK = 1 << 17  # numbers that are processed at a time
+# Values of oneDNN's variable that allow AMX (in addition to values that name AMX), and bf16 instructions.
 _ANY = ("", "ALL", "DEFAULT")
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-_COUNTS = (1, 2, 3, 4, 8, 16)  # of threads that products are tried with: those where one breaks are of no order
+_COUNTS = (1, 2, 3, 4, 8, 16)  # numbers of threads to try, because differences follow no order
 
 
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
-    """Return what ``agent.matmul`` comes to here: ``float32``, ``bfloat16`` or ``tf32``.
+    """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
-    A run of before there was such a key had float32. ``auto`` decides by the CPU and by what is trained, never by a
-    measurement, so that it comes to the same at each start.
+    Runs from before this key existed used float32. ``auto`` decides by the CPU and the networks, never by a
+    measurement, so that each start makes the same decision.
 
     Raises:
-        ConfigError: bfloat16 or TF32 is asked for where this does not make it.
+        ConfigError: bfloat16 or TF32 is requested but not supported here.
     """
     wanted = str(agent.get("matmul", "float32"))
     why_not = _why_not(agent)
@@ -59,9 +59,9 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
 
 
 def has_units() -> bool:
-    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN is there and may use what it has.
+    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN may use these units.
 
-    AMX does, and so do the bf16 vector instructions of AMD's CPUs; with Intel's a product takes longer than in float32.
+    AMX is faster, and so are the bf16 vector instructions of AMD's CPUs. Those of Intel's CPUs are slower than float32.
     """
     if not torch.backends.mkldnn.is_available():
         return False
@@ -74,7 +74,7 @@ def has_units() -> bool:
 
 
 def _kind(agent: Mapping[str, Any]) -> str:
-    """Return the kind of device; whether there is one of that name is asked where networks are built."""
+    """Return the type of the agent's device. ``build_algorithm`` checks that the device exists."""
     return str(agent["device"]).partition(":")[0]
 
 
@@ -87,10 +87,10 @@ def _why_not(agent: Mapping[str, Any]) -> str:
 
 
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
-    """Return whether a layer's products of so many rows come out otherwise with one thread than with more.
+    """Return whether products of a layer with some number of rows depend on the number of threads.
 
-    oneDNN does not promise that they are equal: with AMX it may give each thread a part of a sum. So it is tried, with
-    ``threads`` and other numbers of them, on drawn numbers of the layers' own sizes.
+    oneDNN does not promise equal results: with AMX it may split a sum among threads. So this function tries several
+    numbers of threads, including ``threads``, on random numbers with the sizes of the layers.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     large = [x for x in _layers(_perceptrons(networks)) if isinstance(x, nn.Linear) and _is_large(x)]
@@ -111,7 +111,7 @@ def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads
 
 
 def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
-    """Return the perceptrons that compute as rsl_rl's own."""
+    """Return the MLPs that use the forward pass of rsl_rl's MLP."""
     from rsl_rl.modules import MLP
 
     found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
@@ -124,7 +124,7 @@ def _layers(perceptrons: Iterable[MLP]) -> list[nn.Module]:
 
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
-    """Let the multi-layer perceptrons in these networks multiply in bfloat16 in the body, forward and backward."""
+    """Make the MLPs in these networks multiply in bfloat16 within the body, forward and backward."""
     perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))
@@ -137,7 +137,7 @@ def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
 
 @contextmanager
 def tf32_products() -> Iterator[None]:
-    """Let a GPU multiply float32 in TF32 in the body."""
+    """Make a GPU multiply float32 in TF32 within the body."""
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True
     try:
@@ -147,7 +147,7 @@ def tf32_products() -> Iterator[None]:
 
 
 def _forward_of(layers: list[nn.Module]) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return what such layers compute in turn, with products in bfloat16 where that is faster."""
+    """Return the forward pass of these layers, with products in bfloat16 where that is faster."""
 
     def forward(x: torch.Tensor) -> torch.Tensor:
         rest = iter(range(len(layers)))
@@ -174,7 +174,7 @@ def _is_elu(layer: nn.Module) -> bool:
 
 
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
-    """Return a linear layer whose products, here and of its gradients, have factors in bfloat16.
+    """Return the result of a linear layer. Factors of its products and of its gradients are bfloat16.
 
     Args:
         x: (..., I) float32 or bfloat16.
@@ -190,14 +190,14 @@ def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bo
 
 
 class _Linear(torch.autograd.Function):
-    """A linear layer, and ELU behind it, forward and backward."""
+    """A linear layer, optionally followed by ELU, forward and backward."""
 
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, elu: bool) -> torch.Tensor:
         """See ``linear``."""
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
-        y = _add_and_elu(y, bias) if elu else y + bias  # of a bfloat16 and a float32: float32
+        y = _add_and_elu(y, bias) if elu else y + bias  # bfloat16 + float32 gives float32
         ctx.save_for_backward(low, factors, *([y] if elu else []))
         ctx.dtype = x.dtype
         return y
@@ -220,9 +220,9 @@ def _multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def _add_and_elu(y: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
-    """Add the bias to (B, O) bfloat16 and apply ELU, in place: in float32, some rows at a time, which stay in a cache.
+    """Add the bias to (B, O) bfloat16 and apply ELU in place, in float32 and by blocks of rows that fit into a cache.
 
-    ELU is not torch's own: its bits depend on where its threads meet in a tensor, those of exp do not.
+    The ELU of torch is not used, because its bits depend on how threads split a tensor. Those of ``exp`` do not.
     """
     for rows in y.split(max(1, _BLOCK // y.shape[1])):
         part = rows + bias

@@ -11,21 +11,22 @@ import numpy as np
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
-_MAX_JOINT_DISTANCE = 0.02  # of the robot's size: farther off is no image
-_MIN_AXIS_COSINE = 0.99  # cosine between an axis and the other's image
+_MAX_JOINT_DISTANCE = 0.02  # relative to the robot's size
 _FLIP = np.array([1.0, -1.0, 1.0])  # a mirror in the plane of the base's x and z axes
+MIRROR = np.diag(_FLIP)
+_MIN_AXIS_COSINE = 0.99  # between the axis of a joint and the mirrored axis of its image
 
 
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
-    r"""Return the index of each joint's image; a joint that no expression names is its own.
+    r"""Return the index of each joint's image. A joint that no expression matches is its own image.
 
     Args:
         names: the joints.
-        pairs: expressions of whole names of the one side, and what the name of the image is, with ``\1`` for groups;
-            None where there is none.
+        pairs: expressions that match full names on one side, and the name of the image, with ``\1`` for groups; None
+            removes a pair.
 
     Raises:
-        ConfigError: an expression fits no joint, or there is no joint of the image's name.
+        ConfigError: an expression matches no joint, or the image does not exist.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -54,10 +55,10 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 
 
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
-    """Return the sign with which each joint's image moves.
+    """Return the sign with which the image of each joint moves.
 
-    A mirror M turns the axis of a rotation about: the image of a turn by q about a is one by q about -M a; that of a
-    slide along a is one along M a. Anchors, and the centres and masses of what the joints carry, must be images too.
+    With a mirror M, the image of a rotation by q about a is a rotation by q about -M a, and the image of a slide along
+    a is a slide along M a. Anchors, and centres and masses of the bodies that the joints move, must be images as well.
 
     Args:
         model: the compiled scene.
@@ -66,7 +67,7 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
         images: the index of each one's image.
 
     Raises:
-        ConfigError: two joints are no mirror images.
+        ConfigError: two joints are not mirror images.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -113,17 +114,16 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 def _centre_of_mass(
     model: mujoco.MjModel, data: mujoco.MjData, joint: int, turn: np.ndarray, origin: np.ndarray
 ) -> np.ndarray:
-    """Return the centre of mass of what a joint carries, in the base's axes, m."""
+    """Return the centre of mass of the body that a joint moves, in the axes of the base, m."""
     return turn @ (data.xipos[model.jnt_bodyid[joint]] - origin)
 
 
-_MAX_BODY_DISTANCE = 0.02  # of the robot's size: farther off is no image
-_MAX_FRAME_ERROR = 0.02  # of the entries of two frames' matrices: more is no image
-MIRROR = np.diag([1.0, -1.0, 1.0])  # in the plane of the base's x and z axes
+_MAX_BODY_DISTANCE = 0.02  # relative to the robot's size
+_MAX_FRAME_ERROR = 0.02  # between entries of two rotation matrices
 
 
 class BodyImages:
-    """The images of a robot's bodies, found from its joints' images and, where a body has none, from the places.
+    """The mirror images of a robot's bodies, from the images of its joints, or for other bodies from their positions.
 
     Args:
         model: the compiled scene.
@@ -161,10 +161,10 @@ class BodyImages:
         Args:
             name: the body.
             key: the config key that names it.
-            with_axes: whether its axes must be images of each other too.
+            with_axes: whether the axes of both bodies must be images as well.
 
         Raises:
-            ConfigError: it has none.
+            ConfigError: the body has no image.
         """
         body = self.names.index(name)
         image = self._images[body]
@@ -182,7 +182,7 @@ class BodyImages:
         return self.names[image]
 
     def _by_place(self, body: int, parents: Sequence[int | None]) -> int | None:
-        """Return the body below the image of the parent that lies where the image is to be."""
+        """Return the child of the parent's image that is nearest to the mirrored position."""
         parent = parents[body]
         above = None if parent is None else self._images[parent]
         others = [i for i, other in enumerate(parents) if above is not None and other == above]

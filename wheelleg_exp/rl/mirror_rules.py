@@ -16,22 +16,22 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
 
 RULES_KEY = "agent.symmetry.terms"
-# The signs of rows of fixed width, by rule.
+# Signs by rule, for rules of fixed width.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
     "pseudovector": (-1, 1, -1),  # angular velocity, torque
     "planar_velocity": (1, -1, -1),  # forwards, to the left, yaw rate
     "quaternion": (1, -1, 1, -1),
     "roll_pitch": (-1, 1),
-    "travel": (1, -1),  # forwards, turned
-    "place": (1, -1, 1, -1),  # the way to a place, and the turn that is left
+    "travel": (1, -1),  # forwards, rotation
+    "place": (1, -1, 1, -1),  # the way to a place, and the remaining rotation
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# Rules of any width: what does not change; a number, or a sine and then a cosine, of each joint; raw actions; sines and
-# cosines of a gait's clock; a number of each ray.
+# Rules of any width: no change; one number for each joint, or all sines and then all cosines; raw actions; sines and
+# cosines of a gait's clock; one number for each ray.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# Rules of some numbers a body: their signs, the parameter that chooses the bodies, whether their axes must be images.
+# Rules with some numbers for each body: signs, parameter that selects the bodies, whether their axes must be images.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -39,13 +39,13 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "body_vectors": ((1, -1, 1), "asset_cfg", True),
     "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
 }
-# Rules of what an IMU measures in its own axes.
+# Rules of measurements of an IMU in its own axes.
 IMU_RULES: Mapping[str, str] = {
     "imu_vector": "vector",
     "imu_pseudovector": "pseudovector",
     "imu_quaternion": "quaternion",
 }
-COMMAND_RULE = "command"  # stands for the rule of the command's class
+COMMAND_RULE = "command"  # replaced by the rule of the command's class
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 _OBSERVATIONS = "wheelleg_exp.mdp.observations"
@@ -101,27 +101,27 @@ COMMAND_RULES: Mapping[str, str] = {
 
 
 def rule_of_target(target: str) -> str | None:
-    """Return the rule of a stock observation by its dotted name; None when there is none."""
+    """Return the rule of a stock observation by its dotted name, or None."""
     module, _, name = target.rpartition(".")
     return TERM_RULES.get(name) if f"{module}.".startswith(f"{_OBSERVATIONS}.") else None
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
-    """Return what is told of a rule that there is not."""
+    """Return the error for an unknown mirror rule."""
     expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
     return ConfigError(f"'{rule}' is no rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
 
-SignedSources = list[tuple[int, float]]
-_MAX_OFFSET = 1e-4  # m, and of unit directions: rays that differ by more are no images
-_MAX_SIGN_ERROR = 1e-3  # of a matrix of signs
+SignedSources = list[tuple[int, float]]  # for each number of an image: its source and its sign
+_MAX_OFFSET = 1e-4  # m, or of unit directions
+_MAX_SIGN_ERROR = 1e-3  # of the entries of a matrix of signs
 
 
 def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
-    """Return which ray each ray's image is: from the mirrored place, in the mirrored direction.
+    """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
     Raises:
-        ConfigError: the sensor casts no rays, or they are not the same to both sides.
+        ConfigError: the sensor casts no rays, or its rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
         raise ConfigError("is no ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
@@ -136,13 +136,13 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
 
 
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
-    """Return how a vector, a pseudovector or the quaternion of an IMU turns.
+    """Return the mirror rule of a vector, a pseudovector, or the quaternion of an IMU.
 
-    With R its axes in its body's, the image of a vector is R^T M R times it, of a pseudovector -R^T M R; where that is
-    no matrix of signs, the IMU's place is none in a mirror.
+    With the rotation R from the axes of the IMU to those of its body, the image of a vector v is R^T M R v, and the
+    image of a pseudovector is -R^T M R v. The matrix must be a matrix of signs.
 
     Raises:
-        ConfigError: the sensor is no IMU, or its place or its axes are not their own image.
+        ConfigError: the sensor is not an IMU, or its position or its axes are not their own image.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("is no IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
@@ -172,20 +172,18 @@ def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
         raise ConfigError(message, key=key, expected="a body in the middle of the robot")
 
 
-# Where each number of an image comes from, and its sign.
-SignedSourcesOfTerm = list[tuple[int, float]]
 Rule = str | Sequence[float]
 _MAX_PHASE_ERROR = 1e-6  # of a cycle
 
 
 class TermMirror:
-    """Knows of each rule what it makes of a term.
+    """Applies mirror rules to terms.
 
     Args:
         env: the environment.
         joint_images: the index of each joint's image.
-        joint_signs: the sign with which it moves.
-        action: how the action vector turns.
+        joint_signs: the sign with which each image moves.
+        action: sources and signs of the mirrored action vector.
     """
 
     def __init__(
@@ -193,14 +191,14 @@ class TermMirror:
         env: ManagerBasedRLEnv,
         joint_images: Sequence[int],
         joint_signs: Sequence[float],
-        action: SignedSourcesOfTerm,
+        action: SignedSources,
     ) -> None:
         self._env, self._images, self._signs, self._action = env, list(joint_images), list(joint_signs), action
         robot = env.scene.robot
         self._bodies = BodyImages(env.scene.model, robot.body_names, robot.joint_names, joint_images)
 
-    def frame(self, rule: Rule, term: ObservationTerm) -> SignedSourcesOfTerm:
-        """Return where each number of a frame's image comes from, and its sign."""
+    def frame(self, rule: Rule, term: ObservationTerm) -> SignedSources:
+        """Return source and sign of each number of a mirrored frame."""
         path = term.term.path
         if not isinstance(rule, str):
             return [(i, float(sign)) for i, sign in enumerate(rule)]
@@ -224,7 +222,7 @@ class TermMirror:
         return joints
 
     def command(self, term: ObservationTerm) -> str | None:
-        """Return the rule of the command that a term shows."""
+        """Return the rule of the command that a term observes."""
         found: Any = self._env.command_manager.get_term(str(term.term.params["command_name"]))
         if hasattr(found, "body_name"):
             key = f"env.commands.{term.term.params['command_name']}.body_name"
@@ -244,8 +242,8 @@ class TermMirror:
             raise ConfigError(f"has no {parameter}", key=term.term.path, expected="a parameter that names the sensor")
         return found
 
-    def _phases(self, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
-        """Return the clock half a cycle later, if that lets the legs of both sides change their parts."""
+    def _phases(self, term: ObservationTerm, path: str) -> SignedSources:
+        """Return the clock half a cycle later, if this exchanges the legs of both sides."""
         offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
         for offset in offsets:
             apart = [abs((offset + 0.5 - other + 0.5) % 1.0 - 0.5) for other in offsets]
@@ -258,12 +256,12 @@ class TermMirror:
                 )
         return [(i, -1.0) for i in range(term.width)]
 
-    def _bodies_of(self, rule: str, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
+    def _bodies_of(self, rule: str, term: ObservationTerm, path: str) -> SignedSources:
         signs, parameter, with_axes = BODY_RULES[rule]
         entity = self._entity(term, parameter)
         owner = self._env.scene[entity.name]
         names = _chosen(entity.body_ids, owner.body_names)
-        found: SignedSourcesOfTerm = []
+        found: SignedSources = []
         for name in names:
             image = self._bodies.image(name, path, with_axes=with_axes)
             if image not in names:
@@ -274,7 +272,7 @@ class TermMirror:
             found += [(first + i, float(sign)) for i, sign in enumerate(signs)]
         return found
 
-    def _joints_of(self, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
+    def _joints_of(self, term: ObservationTerm, path: str) -> SignedSources:
         entity = term.term.params.get("asset_cfg")
         names = self._env.scene.robot.joint_names
         ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
@@ -287,8 +285,8 @@ class TermMirror:
                 )
         return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
 
-    def _action_of(self, term: ObservationTerm) -> SignedSourcesOfTerm:
-        """Return how the last action turns, of the whole vector or of one term's part."""
+    def _action_of(self, term: ObservationTerm) -> SignedSources:
+        """Return the mirror rule of the last action: of the whole vector, or of one action term."""
         manager, name = self._env.action_manager, term.term.params.get("action_name")
         if name is None:
             return self._action

@@ -1,4 +1,4 @@
-"""What may stand under ``agent``: the trainer's keys, and what rsl_rl's own parameters may be."""
+"""Keys of the ``agent`` section: those of the trainer, and valid values of rsl_rl's parameters."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class SymmetryOptions:
     r"""``agent.symmetry``: how the robot is mirrored, for ``wheelleg_exp.rl.symmetry.left_right`` and mirrored robots.
 
     Attributes:
-        joint_pairs: expressions of whole names of joints of one side, and the names of their images on the other, with
-            `\1` for what a group matched; a joint that is not named is its own image, and null takes a pair back.
-        terms: how observations turn that are no stock terms: a rule by the term's name, or a sign for each number.
-        mirrored_envs: whether every second environment's robot is met in a mirror while training, by observations and
-            actions: the policy learns on both sides from no more samples than without.
+        joint_pairs: expressions that match the full names of joints on one side, and the names of their images on the
+            other side, with `\1` for a matched group. A joint without a pair is its own image; null removes a pair.
+        terms: mirror rules of user-defined observations: a rule by the name of the term, or a sign for each number.
+        mirrored_envs: whether the policy sees every second environment in a mirror during training (observations and
+            actions), so that it learns both sides from the same number of samples.
     """
 
     joint_pairs: dict[str, str | None]
@@ -48,15 +48,16 @@ class Learning:
     """``agent``: what every algorithm of rsl_rl and the trainer read.
 
     Attributes:
-        max_non_finite: episodes that may end in one iteration because a number was not finite, as a share of the
-            environments; one always may. It changes no number of a training, only whether it has failed.
-        matmul: in what the networks' products are taken in the update: `float32`, `bfloat16` (on CPUs; weights and sums
-            stay float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 where the CPU has units for it,
-            tf32 on a GPU. Acting is float32 in any case.
-        graph_update: on a GPU, whether PPO's acting and update are CUDA graphs, the learning rate kept on the GPU; what
-            PPO has beside it and a mirror loss (RND, images as samples, recurrent ones) is updated by rsl_rl itself.
-        average_iterations: iterations over which the policy's weights are averaged, exponentially; the mean is what is
-            played, evaluated, exported and begun with, and training goes on with the weights themselves. 0 is none.
+        max_non_finite: share of the environments whose episode may end in one iteration because a number was NaN or
+            inf; one episode is always allowed. It changes no number of a training, only when the training fails.
+        matmul: precision of matrix products in the update: `float32`, `bfloat16` (on CPUs; weights and sums stay
+            float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 if the CPU has units for it, tf32 on a
+            GPU. Acting always uses float32.
+        graph_update: whether PPO's acting and update are CUDA graphs on a GPU. PPO with other extensions than a mirror
+            loss (RND, mirrored samples, recurrent networks) is updated by rsl_rl itself.
+        average_iterations: number of iterations over which the policy's weights are averaged exponentially. The average
+            is played, evaluated, exported, and used to start other trainings; training continues with the weights
+            themselves. 0 means no average.
     """
 
     algorithm: Section
@@ -105,8 +106,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# By name, wherever they stand in rsl_rl's configuration: it takes what is wrong without a word, and fails or learns
-# nothing.
+# Checked by name, anywhere in rsl_rl's configuration: rsl_rl accepts wrong values, and then fails or learns nothing.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
@@ -136,14 +136,14 @@ PARAMETERS: dict[str, Any] = {
 
 
 def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
-    """Raise the first that is wrong with the section's values as a ConfigError."""
+    """Raise a ConfigError for the first wrong value of the section."""
     errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
     for error in errors or batch_errors(agent, num_envs):
         raise error
 
 
 def parameter_errors(agent: Mapping[str, Any]) -> list[ConfigError]:
-    """Return what is wrong with the values of rsl_rl's parameters, by name."""
+    """Return errors for wrong values of rsl_rl's parameters."""
     errors: list[ConfigError] = []
     for name, section in agent.items():
         if isinstance(section, Mapping) and name != "obs_groups":
@@ -163,9 +163,9 @@ def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
-    """Return what is wrong with the number of samples of an iteration, of a config whose values are right each."""
+    """Return errors for a wrong number of samples in an iteration. Each single value must be valid."""
     samples = num_envs * int(agent["num_steps_per_env"])
-    if samples < 2:  # whose standard deviation the advantages are divided by
+    if samples < 2:  # advantages are divided by their standard deviation
         message = f"{samples} sample is too little to learn from"
         return [
             ConfigError(message, key="agent.num_steps_per_env", expected="at least 2 samples, env.num_envs times it")

@@ -34,10 +34,10 @@ _COMMUNICATION = Path(dist.__file__).parent
 
 
 class FirstRankFailed(WheellegError):
-    """The training has failed, and the first process says why.
+    """The training has failed, and the first rank reports the reason.
 
     Args:
-        keeps: whether the first keeps what it failed with, and a checkpoint of the last iteration that was whole.
+        keeps: whether the first rank saves the evidence and a checkpoint of the last complete iteration.
     """
 
     exit_code = EXIT_FAILED
@@ -48,12 +48,12 @@ class FirstRankFailed(WheellegError):
 
 
 class Left(SimulationFailure):
-    """Another process of the training is gone."""
+    """Another rank has ended."""
 
 
 @contextmanager
 def communicating() -> Iterator[None]:
-    """Say of an error in the body, if it came up in a word between processes, that another one is gone."""
+    """If torch.distributed raised an error in the body, raise ``Left``: another rank has ended."""
     try:
         yield
     except Exception as error:
@@ -63,13 +63,13 @@ def communicating() -> Iterator[None]:
 
 
 def is_communication(error: BaseException) -> bool:
-    """Return whether an error came up where processes talk to each other."""
+    """Return whether torch.distributed raised an error."""
     frames = traceback.extract_tb(error.__traceback__)
     return bool(frames) and Path(frames[-1].filename).is_relative_to(_COMMUNICATION)
 
 
 def left() -> Left:
-    """Return the error of a process whose others are gone."""
+    """Return the error for a rank that lost another rank."""
     return Left(
         "another process of the training has ended",
         key=f"rank {os.environ.get('RANK', '0')}",
@@ -78,7 +78,7 @@ def left() -> Left:
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return an error for people as text by name; empty for none."""
+    """Return the parts of an error as text by name; an empty dictionary for None."""
     if error is None:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
@@ -86,12 +86,12 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
 
 
 def error_from_facts(rank: int, told: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
-    """Return the error of another process.
+    """Return the error of another rank.
 
     Args:
-        rank: the process's number.
+        rank: number of the other rank.
         told: what ``plain`` gave there.
-        evidence: what it failed with.
+        evidence: arrays that describe the failure.
     """
     fields = {name: told[name] for name in ("key", "where", "expected", "nearest")}
     message = f"{told['message']} [in process {rank}]"
@@ -100,18 +100,18 @@ def error_from_facts(rank: int, told: Mapping[str, str | None], evidence: Mappin
     return ConfigError(message, **fields)
 
 
-_PATIENCE = timedelta(minutes=30)  # for a process that converts a robot or compiles kernels while the others wait
+_PATIENCE = timedelta(minutes=30)  # for a rank that converts a robot or compiles kernels while the others wait
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """One process among those that train together; alone, everything here is as if there were no such thing.
+    """One process among those that train together. A single process is rank 0 of 1.
 
     Attributes:
-        rank: its number, from 0; the first writes the run directory.
-        size: how many there are.
-        local: its number among those of this machine.
-        locals: how many of them are on this machine.
+        rank: number of this process, from 0. The first rank writes the run directory.
+        size: number of ranks.
+        local: number of this process among the ranks of this machine.
+        locals: number of ranks on this machine.
     """
 
     rank: int = 0
@@ -121,23 +121,23 @@ class Ranks:
 
     @property
     def first(self) -> bool:
-        """Whether this is the process that writes."""
+        """Whether this is the rank that writes the run directory."""
         return self.rank == 0
 
     @property
     def together(self) -> bool:
-        """Whether there are others."""
+        """Whether there are several ranks."""
         return self.size > 1
 
     def seed(self, seed: int) -> int:
-        """Return the seed of this process's streams: the run's own in the first, the stream ``rank/<n>`` in others."""
+        """Return the seed of this rank's streams: the run's, or for later ranks that of the stream ``rank/<n>``."""
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
     def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config that this process builds from: its own GPU for ``cuda`` or ``cuda:0``, its share of cores.
+        """Return the config of this rank: with its own GPU for ``cuda`` or ``cuda:0``, and its share of the cores.
 
         Raises:
-            ConfigError: the config names one GPU for all, or another than this machine has.
+            ConfigError: the config names one GPU for all ranks, or this machine has too few GPUs.
         """
         if not self.together:
             return dict(config)
@@ -153,7 +153,7 @@ class Ranks:
         kind, _, number = name.partition(":")
         if kind != "cuda":
             return name
-        if number not in ("", "0"):  # the first GPU of what a process sees as its own
+        if number not in ("", "0"):  # 0 is the first of the GPUs that a process sees
             raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
             raise ConfigError(
@@ -164,14 +164,14 @@ class Ranks:
         return f"cuda:{self.local}"
 
     def for_rsl_rl(self) -> dict[str, int] | None:
-        """Return what rsl_rl's algorithms read as ``multi_gpu``; None alone."""
+        """Return ``multi_gpu`` of rsl_rl's algorithms; None for a single rank."""
         return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
 
     def facts(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return what the manifest says of the processes: number, backend, and seed, device and host of each.
+        """Return the entry of the manifest about the ranks: number, backend, and seed, device, and host of each.
 
         Args:
-            config: the composed tree; of it each process's own devices are told.
+            config: the composed tree.
         """
         if not self.together:
             return None
@@ -182,14 +182,14 @@ class Ranks:
         backend = "nccl" if device.startswith("cuda") else "gloo"
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
 
-    # --- what they tell each other ---
+    # --- messages between ranks ---
 
     def tell_all(self, value: Any) -> list[Any]:
-        """Return the plain values of all processes, in their order."""
+        """Send a plain value to all ranks; return the values of all ranks in order."""
         return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
 
     def any(self, flag: bool) -> bool:
-        """Return whether the flag of one of them is set."""
+        """Return whether the flag of any rank is set."""
         if not self.together:
             return flag
         number = torch.tensor([int(flag)])
@@ -198,11 +198,11 @@ class Ranks:
         return bool(number.item())
 
     def said_by_first(self, value: Any) -> Any:
-        """Return the first process's plain value."""
+        """Return the plain value of the first rank."""
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the trees of tensors, numbers and text of all processes in the first, nothing in the others."""
+        """Return the trees of tensors, numbers, and text of all ranks; on other ranks than the first, an empty list."""
         if not self.together:
             return [dict(tree)]
         found = self._gathered(checkpoint.serialize(tree), everywhere=False)
@@ -226,11 +226,11 @@ class Ranks:
 
     @contextmanager
     def agreed(self) -> Iterator[None]:
-        """Let an error for people in the body of one process end the body of all.
+        """Run the body on all ranks; if it raises a WheellegError on one rank, raise an error on all ranks.
 
         Raises:
-            WheellegError: in the first, its own or that of the one that has it, with what it failed with.
-            FirstRankFailed: in the others.
+            WheellegError: on the first rank: the error of the rank that failed, with its evidence.
+            FirstRankFailed: on the other ranks.
         """
         if not self.together:
             yield
@@ -254,10 +254,10 @@ class Ranks:
         raise mine or error_from_facts(rank, found["error"], found["evidence"])
 
     def require_equal(self, values: Mapping[str, str]) -> None:
-        """Refuse values that are not the same in all processes.
+        """Raise ConfigError if values differ between ranks.
 
         Args:
-            values: digests by what they are of.
+            values: digests by name.
         """
         if not self.together:
             return
@@ -270,11 +270,11 @@ class Ranks:
                     )
 
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
-        """Return the scalars of all in the first process: means over those that have one, and sums of counts.
+        """Merge the scalars of all ranks: means over the ranks that have a key, and sums of counts.
 
         Args:
-            scalars: this process's; the others get them back as they are.
-            times: keys of which the longest counts.
+            scalars: scalars of this rank. Ranks other than the first get them back unchanged.
+            times: keys of durations, where the longest counts.
         """
         if not self.together:
             return dict(scalars)
@@ -290,10 +290,10 @@ ALONE = Ranks()
 
 @contextmanager
 def joined() -> Iterator[Ranks]:
-    """Join the processes that torchrun has started, as ``WORLD_SIZE`` and ``RANK`` say; alone where it has not.
+    """Join the ranks that torchrun started (``WORLD_SIZE`` and ``RANK``). Without torchrun there is a single rank.
 
     Raises:
-        ConfigError: the variables are not torchrun's.
+        ConfigError: the environment variables are incomplete.
     """
     size = world_size()
     if size <= 1:
@@ -315,7 +315,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # after an error the others may be gone, and it would wait for them
+    dist.destroy_process_group()  # not after an error: it would wait for ranks that have ended
 
 
 def _put_together(key: str, times: Sequence[str]) -> Callable[[list[float]], float]:
@@ -331,28 +331,30 @@ RANKS_KEY = "ranks"
 
 
 def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state of all processes in the first, and in the others their own; all must call it.
+    """Return the state of all ranks on the first rank, and the own state on other ranks. All ranks must call this.
 
     Args:
-        ranks: the processes.
-        state: this one's, as ``Trainer.state_dict`` gives it.
+        ranks: the ranks.
+        state: state of this rank, from ``Trainer.state_dict``.
     """
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
 
 
 def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
-    """Return one process's state out of that of all."""
+    """Return the state of one rank out of the state of all ranks."""
     own = state[RANKS_KEY][rank - 1] if rank else {}
     return {**{key: value for key, value in state.items() if key != RANKS_KEY}, **own}
 
 
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
-    """Return the digests that the state of all will have, and whether all have the same networks; all must call it.
+    """Return the digests of the state of all ranks, and whether all ranks have the same networks.
+
+    All ranks must call this.
 
     Args:
-        ranks: the processes.
-        state: this one's, or a part of it.
+        ranks: the ranks.
+        state: state of this rank, or a part of it.
     """
     mine = digests.of_state(state)
     if not ranks.together:

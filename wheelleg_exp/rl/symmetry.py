@@ -18,13 +18,13 @@ from wheelleg_exp.managers import ActionTerm
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl import mirror_rules
 from wheelleg_exp.rl.mirror_images import JOINT_PAIRS_KEY, joint_images, joint_signs
-from wheelleg_exp.rl.mirror_rules import SignedSourcesOfTerm, TermMirror
+from wheelleg_exp.rl.mirror_rules import SignedSources, TermMirror
 from wheelleg_exp.rl.options import SymmetryOptions
 
 __all__ = ["Mirror", "left_right"]
 
 
-_MAX_TARGET_ERROR = 1e-4  # rad, or the units of targets: defaults and targets that differ by more are no images
+_MAX_TARGET_ERROR = 1e-4  # rad, or the unit of a target
 
 
 class Mirror:
@@ -33,11 +33,11 @@ class Mirror:
     Args:
         env: the environment.
         options: the ``agent.symmetry`` section.
-        groups: the observation groups that networks see.
-        device: where batches are.
+        groups: the observation groups that networks read.
+        device: device of the batches.
 
     Raises:
-        ConfigError: the robot is no mirror image of itself, or it is not known how a term turns.
+        ConfigError: the robot is not symmetric, or a term has no mirror rule.
     """
 
     def __init__(
@@ -55,20 +55,20 @@ class Mirror:
         self._action_tensors = _index_and_sign_tensors(self._action, device)
 
     def observations(self, observations: TensorDict) -> TensorDict:
-        """Return the image of a batch; groups that no network sees stay as they are."""
+        """Return the image of a batch. Groups that no network reads do not change."""
         turned = {**dict(observations.items()), **self.images(observations)}
         return TensorDict(turned, batch_size=observations.batch_size)
 
     def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
-        """Return the images of the groups that networks see."""
+        """Return the images of the groups that networks read."""
         return {name: _apply_signs(observations[name], *tensors) for name, tensors in self._groups.items()}
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Return the image of raw actions (B, A)."""
         return _apply_signs(actions, *self._action_tensors)
 
-    def _actions(self) -> SignedSourcesOfTerm:
-        """Return how the action vector turns: what an action makes of a joint's target must be the image's target."""
+    def _actions(self) -> SignedSources:
+        """Return the mirror rule of the action vector. Mirrored actions must set mirrored joint targets."""
         manager = self._env.action_manager
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []
@@ -104,8 +104,8 @@ class Mirror:
             turned.append((columns[image], sign))
         return turned
 
-    def _group(self, group: str) -> SignedSourcesOfTerm:
-        """Return how a group's vector turns: each frame of each term's history by itself."""
+    def _group(self, group: str) -> SignedSources:
+        """Return the mirror rule of a group's vector, frame by frame of each term's history."""
         manager = self._env.observation_manager
         terms, slices = manager.terms(group), manager.term_slices(group)
         found: dict[int, tuple[int, float]] = {}
@@ -117,8 +117,8 @@ class Mirror:
                 found |= {first + i: (first + source, sign) for i, (source, sign) in enumerate(frame)}
         return [found[i] for i in range(len(found))]
 
-    def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSourcesOfTerm:
-        """Return how one frame of a term turns."""
+    def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSources:
+        """Return the mirror rule of one frame of a term, as sources and signs."""
         path, rule = term.term.path, self._rule(group, name, term)
         width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
@@ -129,7 +129,7 @@ class Mirror:
         return turned
 
     def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
-        """Return a term's rule: the config's, else that of a stock term."""
+        """Return the rule of a term: from the config, or that of a stock term."""
         given = self._options.terms.get(name)
         rule = given if given is not None else mirror_rules.rule_of_target(term.term.target)
         if rule == mirror_rules.COMMAND_RULE:
@@ -142,8 +142,8 @@ class Mirror:
             )
         return rule
 
-    def _require_even(self, term: ObservationTerm, turned: SignedSourcesOfTerm, path: str) -> None:
-        """Raise ConfigError where clip or scale treat a number and its image differently."""
+    def _require_even(self, term: ObservationTerm, turned: SignedSources, path: str) -> None:
+        """Raise ConfigError if clip or scale treat a number and its image differently."""
         clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
         if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
             raise ConfigError(
@@ -155,7 +155,7 @@ class Mirror:
             )
 
     def _require_defaults(self) -> None:
-        """Raise ConfigError unless the default pose is its own image."""
+        """Raise ConfigError if the default pose is not symmetric."""
         robot = self._env.scene.robot
         pose = robot.layout.default_joint_pos.tolist()
         for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
@@ -180,10 +180,10 @@ class Mirror:
 
 
 class MirroredHalf:
-    """Every second environment's robot, met in a mirror: its observations and actions are images, the others' are not.
+    """Mirrors observations and actions of every second environment.
 
     Args:
-        mirror: what images are made by, where the environments' tensors are.
+        mirror: the mirror, on the device of the environments.
         num_envs: number of environments.
     """
 
@@ -192,11 +192,11 @@ class MirroredHalf:
         self._mirrored = (torch.arange(num_envs, device=mirror.device) % 2 == 1).unsqueeze(1)
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return raw actions (N, A) as the environments take them."""
+        """Return raw actions (N, A) of the policy as actions for the environments."""
         return torch.where(self._mirrored, self._mirror.actions(actions), actions)
 
     def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Return observations (N, ...) by group as networks see them; groups that none sees stay as they are."""
+        """Return observations (N, ...) by group for the networks. Groups that no network reads do not change."""
         images = self._mirror.images(observations)
         return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
 
@@ -207,7 +207,7 @@ def left_right(
     """Return a batch followed by its mirror image, as rsl_rl's ``data_augmentation_func``.
 
     Args:
-        env: the adapter that rsl_rl trains with.
+        env: the ``RslRlVecEnv`` that rsl_rl trains with.
         obs: observations, or None.
         actions: raw actions (B, A), or None.
     """
@@ -216,9 +216,7 @@ def left_right(
     return both, None if actions is None else torch.cat((actions, mirror.actions(actions)), dim=0)
 
 
-def _index_and_sign_tensors(
-    turned: SignedSourcesOfTerm, device: str | torch.device
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     sources = torch.tensor([source for source, _ in turned], dtype=torch.long, device=device)
     return sources, torch.tensor([sign for _, sign in turned], device=device)
 
@@ -228,7 +226,7 @@ def _apply_signs(values: torch.Tensor, sources: torch.Tensor, factors: torch.Ten
 
 
 def _offset_and_scale(term: ActionTerm) -> tuple[list[float], list[float]]:
-    """Return the offset and the scale of an action term, for each action, and leave its state as it was."""
+    """Return the offset and the scale of an action term, for each action, without changing its state."""
     kept = term.state_dict()
     zeros = torch.zeros_like(term.raw_actions)
     term.process_actions(zeros)
@@ -246,13 +244,13 @@ def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
 
 
 def is_mirror_loss_only(symmetry: Any) -> bool:
-    """Return whether a symmetry is rsl_rl's own, of our images, and adds no samples: ``mirror_loss`` is its loss."""
+    """Return whether rsl_rl's symmetry uses ``left_right`` for a loss only, so that ``mirror_loss`` can replace it."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 
 
 def replace_mirror_loss(algorithm: Any) -> None:
-    """Let the mirror loss of rsl_rl's PPO be ours; what is a user's own, or recurrent, keeps its own."""
+    """Replace the mirror loss of rsl_rl's PPO by ``mirror_loss``, except for user-defined or recurrent classes."""
     if type(algorithm) is not PPO or algorithm.actor.is_recurrent or not is_mirror_loss_only(algorithm.symmetry):
         return
     symmetry = algorithm.symmetry
@@ -260,15 +258,15 @@ def replace_mirror_loss(algorithm: Any) -> None:
 
 
 def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
-    """Return how far the policy's means for images are from the images of its means, squared.
+    """Return the mean squared difference between actions for mirrored observations and mirrored actions.
 
-    The same as ``Symmetry.compute_loss`` of rsl_rl 5.5, and with the same gradient. That one asks the policy for its
-    means once more, and sends a gradient of 0 back through them; here they are those that it has just answered with.
+    Value and gradient are the same as those of ``Symmetry.compute_loss`` of rsl_rl 5.5. That function evaluates the
+    policy once more and sends a gradient of 0 back through it. This one uses the actions that were computed last.
 
     Args:
         symmetry: the extension.
-        actor: the policy; it has answered to these observations.
-        observations: of B samples, by group.
+        actor: the policy, last evaluated on these observations.
+        observations: observations of B samples, by group.
     """
     mirror = symmetry.env.mirror
     wanted = mirror.actions(actor.output_mean.detach())

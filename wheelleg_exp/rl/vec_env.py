@@ -15,7 +15,7 @@ class RslRlVecEnv(VecEnv):
     """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
 
     Args:
-        env: the environment; it is reset here, as Isaac Lab's wrapper does.
+        env: the environment. The constructor resets it, as Isaac Lab's wrapper does.
         clip_actions: bound of the raw actions, or None.
     """
 
@@ -28,18 +28,18 @@ class RslRlVecEnv(VecEnv):
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
-        self.mirror: Any = None  # what rsl_rl's symmetry asks for images
-        self.half: Any = None  # what a training meets in a mirror
+        self.mirror: Any = None  # makes mirror images for rsl_rl's symmetry
+        self.half: Any = None  # mirrors every second environment during training
         env.reset()
 
     @property
     def unwrapped(self) -> ManagerBasedRLEnv:
-        """The environment itself; rsl_rl's RND asks it for its step duration."""
+        """The environment itself. rsl_rl's RND reads its step duration."""
         return self.env
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """Control steps of each present episode, (N,)."""
+        """Control steps of each current episode, (N,)."""
         return self.env.episode_length_buf
 
     @episode_length_buf.setter
@@ -47,14 +47,14 @@ class RslRlVecEnv(VecEnv):
         self.env.episode_length_buf.copy_(value)
 
     def get_observations(self) -> TensorDict:
-        """Return the observations computed last; nothing is drawn and no state changes."""
+        """Return the last observations. This draws no random numbers and changes no state."""
         return self._as_tensordict(self.env.observation_manager.obs_buf)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras.
 
-        ``extras`` has ``time_outs`` (N,), after which rsl_rl adds the value of what would follow, unless
-        ``env.is_finite_horizon``.
+        ``extras`` has ``time_outs`` (N,), for which rsl_rl adds the value of the next state, unless
+        ``env.is_finite_horizon`` is set.
         """
         if self._clip_actions is not None:
             actions = actions.clamp(-self._clip_actions, self._clip_actions)
