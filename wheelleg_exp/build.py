@@ -1,4 +1,4 @@
-"""From a composed config to an environment: the asset is converted, then the environment built."""
+"""Build the environment of a composed config: convert the robot, then make the environment."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from wheelleg_exp.paths import cache_dir, find_asset
 def prepare_asset(
     config: Mapping[str, Any], asset_roots: Sequence[Path] = (), networks: Mapping[str, Path] | None = None
 ) -> CachedConversion:
-    """Convert the config's robot to MJCF, or take it from the cache.
+    """Convert the robot of the config to MJCF, or use the cached conversion.
 
     Args:
         config: the composed tree, plain.
-        asset_roots: folders of the user's own assets.
-        networks: more files that are laid beside the MJCF, by their paths there.
+        asset_roots: folders of user-defined assets.
+        networks: further files to place next to the MJCF, by their relative paths.
 
     Raises:
-        AssetError: the file is not there, or holds no robot.
+        AssetError: the file does not exist or contains no robot.
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")

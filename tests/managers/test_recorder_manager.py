@@ -231,7 +231,7 @@ def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
         (("k", torch.zeros(4).numpy()), "a numpy array of shape (4,)"),
         (("k", {"a": [1.0]}), "'k/a'"),
         (("episode/env", torch.zeros(4)), "the episodes themselves"),
-        (("after", torch.zeros(4)), "is noted by"),
+        (("after", torch.zeros(4)), "is already recorded by"),
     ],
 )
 def test_what_cannot_be_noted_is_told_with_the_term(make, noted, said):

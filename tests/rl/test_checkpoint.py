@@ -146,7 +146,7 @@ def check(path: Path, *expected: str) -> None:
 
 
 def test_a_missing_file_is_told(tmp_path):
-    check(tmp_path / "model_9.pt", "there is no such checkpoint")
+    check(tmp_path / "model_9.pt", "the checkpoint does not exist")
 
 
 def test_a_folder_is_told(tmp_path):
@@ -203,7 +203,7 @@ def test_a_checkpoint_of_another_program_is_told(tmp_path, key):
 
 @pytest.mark.parametrize("value", [[1, 2], torch.ones(2), "text", None, 3])
 def test_a_value_that_is_no_mapping_is_told(tmp_path, value):
-    check(written(tmp_path / "model_1.pt", value), "no checkpoint of this program")
+    check(written(tmp_path / "model_1.pt", value), "not a checkpoint of this program")
 
 
 def test_a_whole_network_is_told(tmp_path):

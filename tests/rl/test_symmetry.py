@@ -205,7 +205,7 @@ def lopsided(change):
 )
 def test_joints_that_are_no_images_are_told(change, said):
     assert joint_signs(lopsided({}), "base", ["l", "r"], [1, 0]) == [1, 1]
-    with pytest.raises(ConfigError, match="'l' and 'r' are no mirror images") as caught:
+    with pytest.raises(ConfigError, match="'l' and 'r' are not mirror images") as caught:
         joint_signs(lopsided(change), "base", ["l", "r"], [1, 0])
     assert said in str(caught.value)
 

@@ -236,7 +236,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Read the result of the last physics step; return who is done, and whose physics failed, (N,) bool."""
+        """Read the result of the last physics step; return done and failed environments, (N,) bool each."""
         self.scene.update()
         self.episode_length_buf += 1
         done, unstable = self.termination_manager.compute(skipped), self.scene.unstable()
@@ -246,7 +246,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _compute_reward(self, skipped: torch.Tensor | None) -> torch.Tensor:
-        """Compute ``reward_buf``; return whose reward is NaN or inf, (N,) bool."""
+        """Compute ``reward_buf``; return the environments (N,) bool whose reward is NaN or inf."""
         self.reward_buf = self.reward_manager.compute(self.step_dt, skipped)
         failed = self.reward_manager.failed
         return failed if skipped is None else failed & ~skipped

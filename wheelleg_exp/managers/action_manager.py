@@ -74,7 +74,7 @@ class ActionManager(ManagerBase):
         self._action_terms: dict[str, ActionTerm] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, ActionTerm):
-                raise ConfigError(f"'{term.target}' is no action term", key=term.path, expected="an action term")
+                raise ConfigError(f"'{term.target}' is not an action term", key=term.path, expected="an action term")
             self._action_terms[name] = term.func
             _require_actions(term.func, term, env)
         claims = [(term.path, f.drives, f.joint_names) for term, f in self._driving()]

@@ -13,8 +13,8 @@ class AsyncMaskQuery:
     """Find the environments whose episode ended: masks go to the host, and indices come back.
 
     The GPU continues to work while the host waits for the masks: ``start`` starts the copies, ``ids`` waits for them. A
-    third mask is known later than the first two. On a GPU ``ids`` does not wait for the third mask unless it must;
-    ``late`` then returns what it adds.
+    third mask is known later than the first two. On a GPU ``ids`` does not wait for the third mask unless the
+    caller needs it at once; ``late`` then returns the remaining environments.
 
     Args:
         count: the length of a mask, N.

@@ -84,7 +84,7 @@ class ObservationManager(Kept):
         """Return the slice of each term of a concatenated group; ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"the histories of group '{group}' stand step by step: a term is not one slice")
+            raise ValueError(f"the histories of group '{group}' are ordered by step: a term has several slices")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
@@ -210,7 +210,7 @@ class ObservationManager(Kept):
         return sorted(self._groups, key=lambda group: group in self._beginnings)
 
     def _find_beginnings(self, added: str) -> None:
-        """Let one row be kept for two groups, where the terms of one are the first terms of the other."""
+        """Share one row between two groups, if the terms of one group are the first terms of the other."""
         for known in [group for group in self._rows if group not in self._beginnings and group != added]:
             part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
             if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._beginnings.values():
@@ -228,13 +228,13 @@ class ObservationManager(Kept):
             term.history = row.part(index)
 
     def _is_beginning(self, group: str) -> bool:
-        """Return whether the terms of a group still are those of the group that its row is kept with."""
+        """Return whether the terms of a group are still the first terms of the group that shares its row."""
         whole = self._groups[self._beginnings[group]].values()
         pairs = zip(self._groups[group].values(), whole, strict=False)
         return all((one if one.same_as is other else other).is_shared() for one, other in pairs)
 
     def _part(self, group: str) -> None:
-        """Keep a row of its own from now on for a group whose row was the beginning of another group's."""
+        """Give a group its own row, if it shared the row of another group so far."""
         terms = self._groups[group].values()
         values = self._rows[self._beginnings.pop(group)].beginning(len(terms))
         row = RowHistory(len(values), [t.width for t in terms], [t.history_length for t in terms], values.device)

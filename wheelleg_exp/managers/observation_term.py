@@ -51,7 +51,7 @@ class ObservationTerm(Kept):
         self._env = env
         modifiers = term.fields.get("modifiers") or []
         if not isinstance(modifiers, list):
-            raise ConfigError("is no list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
+            raise ConfigError("is not a list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
         self._modifiers: list[Any] = list(modifiers)
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
@@ -329,7 +329,7 @@ def _require_steps(terms: Mapping[str, ObservationTerm], options: GroupOptions, 
     lengths = {term.history_length for term in terms.values()}
     if not (plain and len(lengths) == 1 and lengths != {0} and options.concatenate_terms):
         raise ConfigError(
-            "the histories of the terms do not stand step by step",
+            "the histories of the terms cannot be ordered by step",
             key=f"{path}.history_order",
             expected="concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors",
         )
@@ -347,7 +347,7 @@ def _require_joinable(shapes: Mapping[str, tuple[int, ...]], dim: int, path: str
     if len({len(shape) for shape in shapes.values()}) > 1 or len(others) > 1:
         listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise ConfigError(
-            f"terms of different shape cannot stand in one observation: {listed}",
+            f"terms of different shapes cannot be joined: {listed}",
             key=f"{path}.terms",
             expected="one history_length and flatten_history_dim for all, value.flatten(1) in terms that return more "
             "than vectors, or concatenate_terms: false",

@@ -173,7 +173,7 @@ class RecorderManager(ManagerBase):
         for term in self._terms.values():
             if not isinstance(term.func, RecorderTerm):
                 raise ConfigError(
-                    f"'{term.target}' is no recorder", key=term.path, expected="a subclass of RecorderTerm"
+                    f"'{term.target}' is not a recorder", key=term.path, expected="a subclass of RecorderTerm"
                 )
         self._hooks = {name: self._having(name) for name in vars(RecorderTerm) if name.startswith("record_")}
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
@@ -277,9 +277,9 @@ class RecorderManager(ManagerBase):
         """Raise ConfigError if two hooks use the same key, or a hook uses a reserved key."""
         first = self._owners.setdefault(key, owner)
         if first != owner:
-            raise ConfigError(f"'{key}' is noted by {first} as well", expected="a key for each quantity")
+            raise ConfigError(f"'{key}' is already recorded by {first}", expected="a key for each quantity")
         if key.split("/")[0] in _OWN:
-            raise ConfigError(f"'{key}' tells of the episodes themselves", expected="another key")
+            raise ConfigError(f"'{key}' is reserved for facts about episodes", expected="another key")
 
     def _append(self, hook: str) -> None:
         if not self._hooks[hook]:

@@ -77,7 +77,7 @@ class TensorForm:
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, if ``value`` is no such tensor."""
+        """Raise ConfigError, without a key, if ``value`` is not such a tensor."""
         if self.fits(value):
             return
         found, fix = self._mistake(value)
@@ -136,7 +136,7 @@ class NoForm:
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` is None."""
         if value is not None:
-            raise ConfigError(f"{source} returns {described(value)}, which nobody reads", expected="no return value")
+            raise ConfigError(f"{source} returns {described(value)}, which is not used", expected="no return value")
 
 
 @dataclass

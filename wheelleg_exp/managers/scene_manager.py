@@ -20,7 +20,7 @@ from wheelleg_exp.terms.config_sections import read_section
 
 
 class SceneManager:
-    """The scene and what it was built from.
+    """The scene, built from the config.
 
     Args:
         cfg: the composed ``env`` section.
@@ -75,5 +75,7 @@ def _built(nodes: Mapping[str, Any], path: str, kind: type) -> dict[str, Any]:
     built = {name: build(node, f"{path}.{name}") for name, node in nodes.items() if node is not None}
     for name, value in built.items():
         if not isinstance(value, kind):
-            raise ConfigError(f"is no {kind.__name__}", key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}")
+            raise ConfigError(
+                f"is not a {kind.__name__}", key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}"
+            )
     return built

@@ -124,7 +124,7 @@ class SceneEntityCfg:
         self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
         for name in ("fixed_tendon_names", "object_collection_names"):
             if getattr(self, name) is not None:
-                raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
+                raise ConfigError(f"'{self.name}' does not support this", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
         """Return the indices of the bodies, out of ``count``. After ``resolve``, the host does not wait for a GPU."""

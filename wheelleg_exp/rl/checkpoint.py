@@ -45,7 +45,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     """
     if not path.is_file():
         raise RunDirectoryError(
-            "there is no such checkpoint", key=str(path), expected="a model_<iteration>.pt of a run"
+            "the checkpoint does not exist", key=str(path), expected="a model_<iteration>.pt of a run"
         )
     try:
         with zipfile.ZipFile(path) as archive:
@@ -66,7 +66,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     missing = [key for key, kind in needed.items() if key not in state or not isinstance(state[key], kind)]
     if missing:
         raise RunDirectoryError(
-            f"is no checkpoint of this program: it has no '{missing[0]}'",
+            f"is not a checkpoint of this program: it lacks '{missing[0]}'",
             key=str(path),
             expected="a model_<iteration>.pt of a run",
         )

@@ -1,9 +1,9 @@
 """Matrix products of the update in bfloat16, on CPUs that have units for them, or in TF32 on GPUs.
 
-Weights, biases, activations' derivatives, losses, gradients' sums and the optimiser stay float32: only the factors of a
-product, and what one layer hands to the next, have bfloat16's 8 bits (mixed precision, Micikevicius et al. 2018, with
-the format of Kalamkar et al. 2019, whose range needs no scaling of the loss). oneDNN adds the products up in float32.
-Acting, evaluation and export know nothing of it. TF32, whose factors have 10 bits, is what Isaac Lab trains in.
+Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. Only the factors
+of a product and the values between two layers have the 8 bits of bfloat16 (mixed precision, Micikevicius et al. 2018,
+with the format of Kalamkar et al. 2019, whose range makes loss scaling unnecessary). oneDNN sums products in float32.
+Acting, evaluation, and export always use float32. Isaac Lab trains with TF32, whose factors have 10 bits.
 """
 
 from __future__ import annotations

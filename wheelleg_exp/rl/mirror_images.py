@@ -102,8 +102,8 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
                 else [f"they carry {mass:.4g} and {its:.4g} kg"]
             ),
         ):
-            what = f"joint '{name}' is no mirror image of itself" if names[other] == name else ""
-            what = what or f"joints '{name}' and '{names[other]}' are no mirror images"
+            what = f"joint '{name}' is not its own mirror image" if names[other] == name else ""
+            what = what or f"joints '{name}' and '{names[other]}' are not mirror images"
             raise ConfigError(
                 f"{what}: {wrong}", key=JOINT_PAIRS_KEY, expected="pairs of joints to the left and right of the base"
             )
@@ -175,7 +175,7 @@ class BodyImages:
         turned = MIRROR @ self._frames[body] @ MIRROR
         if with_axes and np.abs(turned - self._frames[image]).max() > _MAX_FRAME_ERROR:
             raise ConfigError(
-                f"the axes of the body '{name}' are no mirror images of those of '{self.names[image]}'",
+                f"the axes of the body '{name}' are not mirror images of those of '{self.names[image]}'",
                 key=key,
                 expected="bodies whose frames are images, or a rule of your own",
             )

@@ -109,7 +109,7 @@ def rule_of_target(target: str) -> str | None:
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
     """Return the error for an unknown mirror rule."""
     expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
-    return ConfigError(f"'{rule}' is no rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
+    return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
 
 SignedSources = list[tuple[int, float]]  # for each number of an image: its source and its sign
@@ -124,7 +124,7 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
         ConfigError: the sensor casts no rays, or its rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
-        raise ConfigError("is no ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+        raise ConfigError("is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
     found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
@@ -145,7 +145,7 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
         ConfigError: the sensor is not an IMU, or its position or its axes are not their own image.
     """
     if not isinstance(sensor, Imu):
-        raise ConfigError("is no IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
+        raise ConfigError("is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     pos, quat = sensor.offset_pose
     turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0].double().cpu().numpy()
@@ -155,9 +155,7 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     signs = np.round(mirrored)
     if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
         expected = "axes along the body's" if kind != "quaternion" else "a turn about y, or none"
-        raise ConfigError(
-            "its axes are no mirror image of themselves", key=f"{sensor.key}.offset.rot", expected=expected
-        )
+        raise ConfigError("its axes are not their own mirror image", key=f"{sensor.key}.offset.rot", expected=expected)
     if kind == "quaternion":
         return [(0, 1.0), (1, -1.0), (2, 1.0), (3, -1.0)]
     sign = -1.0 if kind == "pseudovector" else 1.0
@@ -168,7 +166,7 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
 def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
     image = bodies.image(name, key, with_axes=True)
     if image != name:
-        message = f"it sits on '{name}', whose image is '{image}'"
+        message = f"it is mounted on '{name}', whose image is '{image}'"
         raise ConfigError(message, key=key, expected="a body in the middle of the robot")
 
 
@@ -249,7 +247,7 @@ class TermMirror:
             apart = [abs((offset + 0.5 - other + 0.5) % 1.0 - 0.5) for other in offsets]
             if min(apart) > _MAX_PHASE_ERROR:
                 raise ConfigError(
-                    f"the clock at {offset:g} of the cycle has none half a cycle later",
+                    f"the clock at {offset:g} of the cycle has no counterpart half a cycle later",
                     key=f"{path}.offsets",
                     expected="offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for"
                     " legs that move together, or a list of a sign for each number",

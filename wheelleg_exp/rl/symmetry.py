@@ -90,7 +90,7 @@ class Mirror:
             sign = self._signs[source]
             if image not in columns:
                 raise ConfigError(
-                    f"'{joint}' has an action, and its image '{image[1]}' has none of that kind",
+                    f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind",
                     key="env.actions",
                     expected="actions for both sides",
                 )
@@ -123,7 +123,7 @@ class Mirror:
         width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
             told = rule if isinstance(rule, str) else list(rule)
-            message = f"the mirror rule {told} is of {len(turned)} numbers, and the term has {width}"
+            message = f"the mirror rule {told} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
         self._require_even(term, turned, path)
         return turned

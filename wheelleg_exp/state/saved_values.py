@@ -73,7 +73,7 @@ class Unsaveable(Exception):
     def __init__(self, path: str, value: Any, why: str = "") -> None:
         kind = type(value)
         name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
-        super().__init__(f"keeps a {name} in '{path}'" + (f" ({why})" if why else ""))
+        super().__init__(f"holds a {name} in '{path}'" + (f" ({why})" if why else ""))
 
 
 @dataclasses.dataclass
@@ -246,14 +246,14 @@ def writable(item: Any, before: Any, path: str) -> Any:
         Unsaveable: a reference was bound or changed since then, or the value is an object that only its owner can make.
     """
     if isinstance(item, Reference):
-        raise Unsaveable(path, item.value, "which came or changed since its owner was made")
+        raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
     if not isinstance(item, dict):
         return item
     tag = item[TAG]
     alike = isinstance(before, dict) and before.get(TAG) == tag
     if tag == "stateful" or tag in GENERATORS:
         if not alike:
-            raise Unsaveable(path, NOTHING, f"a {tag}, which came since its owner was made")
+            raise Unsaveable(path, NOTHING, f"a {tag}, which was added after its owner was made")
         _require_untouched(item.get("rest"), before.get("rest"), path)
         return {TAG: tag, "data": item["data"] if tag != "stateful" else writable(item["data"], before["data"], path)}
     if "items" not in item:

@@ -66,5 +66,5 @@ def test_it_goes_on_from_its_saved_state(make_env, period):
 def test_a_negative_period_and_what_is_no_sensor_are_refused(make_env):
     with pytest.raises(ConfigError, match=r"env\.scene\.sensors\.height.*update_period"):
         _env(make_env, update_period=-1.0)
-    with pytest.raises(ConfigError, match="is no SensorBase"):
+    with pytest.raises(ConfigError, match="is not a SensorBase"):
         make_env(scene={"sensors": {"x": {"_target_": "managers.spies.Step", "height": 1.0, **MATERIAL}}})

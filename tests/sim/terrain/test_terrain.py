@@ -35,7 +35,7 @@ def test_the_robot_gets_the_mean_friction_and_no_part_of_the_ground_does(make_en
 
 
 def test_what_is_no_ground_is_refused(make_env):
-    with pytest.raises(ConfigError, match=r"env\.scene\.terrain: is no TerrainBase"):
+    with pytest.raises(ConfigError, match=r"env\.scene\.terrain: is not a TerrainBase"):
         make_env(scene={"terrain": {"_target_": "managers.spies.Altimeter"}})
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*static_friction"):
         make_env(scene={"terrain": {**STEP, "static_friction": -1.0}})
