@@ -341,7 +341,7 @@ def test_what_cannot_be_seen_is_refused_by_name_when_it_is_made(make, inside):
 def test_an_object_that_only_its_owner_could_make_again_is_refused_when_it_comes_later(later):
     value = new(Holds)
     value.value = later()
-    with pytest.raises(ConfigError, match=r"'value'.*came since"):
+    with pytest.raises(ConfigError, match=r"'value'.*added after"):
         value.state_dict()
 
 

@@ -16,7 +16,7 @@ from torch.utils._pytree import tree_leaves
 
 from wheelleg_exp.managers.manager_base import Term, TermBase
 from wheelleg_exp.state.object_graph import PLAIN, Slot, is_own, is_plain, parts, slots, walk
-from wheelleg_exp.state.saved_values import Unsaveable, look, same
+from wheelleg_exp.state.saved_values import Unsaveable, same, snapshot
 
 Key = tuple[Any, ...]
 _MOST_KNOWN = 64  # combinations of settings
@@ -223,7 +223,7 @@ def _undeclared_in(value: Any) -> Any:
         found = [_undeclared_in(item) for item in items]
         return [len(found), *found] if isinstance(value, list) else found
     try:
-        return look(value, "")
+        return snapshot(value, "")
     except (Unsaveable, RecursionError):
         return id(value)
 

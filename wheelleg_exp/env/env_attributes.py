@@ -9,7 +9,15 @@ import torch
 
 from wheelleg_exp.managers import Env
 from wheelleg_exp.state import Memory, Outside, Stateful
-from wheelleg_exp.state.saved_values import NOTHING, Reference, Unsaveable, look, made_again, same, writable
+from wheelleg_exp.state.saved_values import (
+    NOTHING,
+    Reference,
+    Unsaveable,
+    checkpoint_value,
+    restored_value,
+    same,
+    snapshot,
+)
 from wheelleg_exp.state.stateful import refusal
 
 # Attributes that the environment itself or its caller changes.
@@ -69,9 +77,9 @@ class EnvAttributes:
             if name in self._names and not (_is_plain(name, item) and not same(item, self._plain.get(name, NOTHING))):
                 continue
             try:
-                looked = look(item, name)
-                if not isinstance(looked, Reference):  # a reference is not state
-                    found[name] = writable(looked, NOTHING, name)
+                seen = snapshot(item, name)
+                if not isinstance(seen, Reference):  # a reference is not state
+                    found[name] = checkpoint_value(seen, NOTHING, name)
             except (Unsaveable, RecursionError) as error:
                 raise refusal(self._env, error, "env") from error
         return found
@@ -81,7 +89,7 @@ class EnvAttributes:
         for name in vars(self._env).keys() - self._names - saved.keys():
             delattr(self._env, name)
         for name, item in {**self._plain, **saved}.items():
-            setattr(self._env, name, made_again(item, vars(self._env).get(name)))
+            setattr(self._env, name, restored_value(item, vars(self._env).get(name)))
 
 
 def _is_plain(name: str, item: Any) -> bool:

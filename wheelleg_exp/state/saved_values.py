@@ -3,7 +3,7 @@
 State is: tensors, arrays, numbers, text, random generators, plain containers of these, and objects with their own
 ``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as
 long as they do not change; and objects that another part saves (``Kept``). Everything else is ``Unsaveable``.
-``look`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries. A reference appears in
+``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries. A reference appears in
 this tree as a ``Reference``.
 """
 
@@ -84,10 +84,10 @@ class Reference:
     seen: Any = None
 
 
-# --- looking ---
+# --- snapshots ---
 
 
-def look(value: Any, path: str) -> Any:
+def snapshot(value: Any, path: str) -> Any:
     """Return a copy of a value as tensors, numbers, tagged dictionaries, and references.
 
     Raises:
@@ -109,9 +109,9 @@ def look(value: Any, path: str) -> Any:
         return Reference(value)
     for tag, (kind, get, _) in GENERATORS.items():
         if isinstance(value, kind):
-            return {TAG: tag, "data": look(get(value), path)}
+            return {TAG: tag, "data": snapshot(get(value), path)}
     if _saves_itself(value):
-        return {TAG: "stateful", "data": look(dict(value.state_dict()), path), "rest": _rest(value, path)}
+        return {TAG: "stateful", "data": snapshot(dict(value.state_dict()), path), "rest": _rest(value, path)}
     return _reference(value, path)
 
 
@@ -128,11 +128,11 @@ def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
 def _container(value: Any, path: str) -> dict[str, Any]:
     tagged: dict[str, Any] = {TAG: CONTAINERS[type(value)]}
     if isinstance(value, dict):
-        tagged["keys"] = [look(key, f"{path} (a key)") for key in value]
-        return {**tagged, "items": [look(item, f"{path}[{key!r}]") for key, item in value.items()]}
+        tagged["keys"] = [snapshot(key, f"{path} (a key)") for key in value]
+        return {**tagged, "items": [snapshot(item, f"{path}[{key!r}]") for key, item in value.items()]}
     # The order of a set differs between processes.
     items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
-    tagged["items"] = [look(item, f"{path}[{i}]") for i, item in enumerate(items)]
+    tagged["items"] = [snapshot(item, f"{path}[{i}]") for i, item in enumerate(items)]
     return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
 
 
@@ -144,7 +144,7 @@ def _rest(value: Any, path: str) -> Reference:
     """Return the values that a network's ``state_dict`` omits. A user-defined ``state_dict`` is taken as complete."""
     if not isinstance(value, torch.nn.Module) or isinstance(value, torch.jit.ScriptModule):
         return Reference(None)
-    return Reference(None, {name: look(item, f"{path}.{name}") for name, item in _unlisted(value)})
+    return Reference(None, {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)})
 
 
 def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
@@ -164,13 +164,13 @@ def _is_wiring(item: Any) -> bool:
 
 def _reference(value: Any, path: str) -> Reference:
     if isinstance(value, types.MethodType):
-        return Reference(value, None if isinstance(value.__self__, type) else look(value.__self__, path))
+        return Reference(value, None if isinstance(value.__self__, type) else snapshot(value.__self__, path))
     if isinstance(value, partial):
-        return Reference(value, look([value.args, value.keywords], path))
+        return Reference(value, snapshot([value.args, value.keywords], path))
     if isinstance(value, _CONSTANTS):
         return Reference(value)
     if dataclasses.is_dataclass(value) and hasattr(value, "__dict__"):
-        return Reference(value, {name: look(item, f"{path}.{name}") for name, item in vars(value).items()})
+        return Reference(value, {name: snapshot(item, f"{path}.{name}") for name, item in vars(value).items()})
     raise Unsaveable(path, value)
 
 
@@ -178,7 +178,7 @@ def _reference(value: Any, path: str) -> Reference:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two trees from ``look`` are equal to the bit, including NaN."""
+    """Return whether two trees from ``snapshot`` are equal to the bit, including NaN."""
     if type(a) is not type(b):
         return False
     if isinstance(a, torch.Tensor):
@@ -234,8 +234,8 @@ def cloned(tree: Any) -> Any:
 _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
-def writable(item: Any, before: Any, path: str) -> Any:
-    """Return a value from ``look`` in a form that a checkpoint can store.
+def checkpoint_value(item: Any, before: Any, path: str) -> Any:
+    """Return a value from ``snapshot`` in a form that a checkpoint can store.
 
     Args:
         item: the present value.
@@ -255,12 +255,15 @@ def writable(item: Any, before: Any, path: str) -> Any:
         if not alike:
             raise Unsaveable(path, NOTHING, f"a {tag}, which was added after its owner was made")
         _require_untouched(item.get("rest"), before.get("rest"), path)
-        return {TAG: tag, "data": item["data"] if tag != "stateful" else writable(item["data"], before["data"], path)}
+        return {
+            TAG: tag,
+            "data": item["data"] if tag != "stateful" else checkpoint_value(item["data"], before["data"], path),
+        }
     if "items" not in item:
         return item
     there = before["items"] if alike and same(item.get("keys"), before.get("keys")) else []
     there = [*there, *([NOTHING] * (len(item["items"]) - len(there)))]
-    items = [writable(part, there[i], f"{path}[{i}]") for i, part in enumerate(item["items"])]
+    items = [checkpoint_value(part, there[i], f"{path}[{i}]") for i, part in enumerate(item["items"])]
     return {**item, "items": items}
 
 
@@ -271,8 +274,8 @@ def _require_untouched(now: Reference | None, before: Reference | None, path: st
             raise Unsaveable(f"{path}.{name}", NOTHING, "which its network's state_dict leaves out; register a buffer")
 
 
-def made_again(item: Any, present: Any = None) -> Any:
-    """Return the value that an item from ``look`` describes, written into ``present`` if possible."""
+def restored_value(item: Any, present: Any = None) -> Any:
+    """Return the value that an item from ``snapshot`` describes, written into ``present`` if possible."""
     if isinstance(item, torch.Tensor):
         return _tensor_again(item, present)
     if isinstance(item, Reference):
@@ -286,10 +289,10 @@ def made_again(item: Any, present: Any = None) -> Any:
     if tag == "scalar":
         return data.cpu().numpy()[()]
     if tag == "stateful":
-        present.load_state_dict(made_again(data))
+        present.load_state_dict(restored_value(data))
         return present
     if tag in GENERATORS:
-        GENERATORS[tag][2](present, made_again(data))
+        GENERATORS[tag][2](present, restored_value(data))
         return present
     return _container_again(tag, item, present)
 
@@ -315,12 +318,12 @@ def _array_again(item: torch.Tensor, present: Any) -> np.ndarray:
 def _container_again(tag: str, item: dict[str, Any], present: Any) -> Any:
     alike = type(present) is _KINDS[tag]
     if tag == "dict":
-        keys = [made_again(key) for key in item["keys"]]
+        keys = [restored_value(key) for key in item["keys"]]
         there = [present.get(key) if alike else None for key in keys]
     else:
         there = list(present)[: len(item["items"])] if alike and tag not in ("set", "frozenset") else []
         there += [None] * (len(item["items"]) - len(there))
-    items = [made_again(part, at) for part, at in zip(item["items"], there, strict=True)]
+    items = [restored_value(part, at) for part, at in zip(item["items"], there, strict=True)]
     if tag == "dict":
         return _refilled(present if alike else {}, dict(zip(keys, items, strict=True)))
     if tag in ("tuple", "frozenset"):

@@ -12,14 +12,14 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, look, made_again, same, writable
+from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
 _TENSOR = "a tensor"  # represents a tensor that is saved even if it has not changed
 
 
 class _Base(NamedTuple):
-    """The attributes of an object when it was made (see ``look``), and the config key for messages."""
+    """The attributes of an object when it was made (see ``snapshot``), and the config key for messages."""
 
     values: dict[str, Any]
     key: str | None
@@ -51,11 +51,11 @@ def made(value: Any, key: str | None = None) -> None:
     """
     try:
         _require_no_slots(value)
-        looked = {name: look(item, name) for name, item in attributes(value).items()}
+        seen = {name: snapshot(item, name) for name, item in attributes(value).items()}
     except (Unsaveable, RecursionError) as error:
         raise refusal(value, error, key) from error
-    always = {name for name, item in looked.items() if isinstance(item, torch.Tensor) and name not in _settings(value)}
-    vars(value)[_BASE] = _Base({n: _TENSOR if n in always else item for n, item in looked.items()}, key)
+    always = {name for name, item in seen.items() if isinstance(item, torch.Tensor) and name not in _settings(value)}
+    vars(value)[_BASE] = _Base({n: _TENSOR if n in always else item for n, item in seen.items()}, key)
 
 
 def save(value: Any) -> dict[str, Any]:
@@ -70,9 +70,9 @@ def save(value: Any) -> dict[str, Any]:
     settings, found = _settings(value), {}
     try:
         for name, item in attributes(value).items():
-            now, before = look(item, name), base.get(name, NOTHING)
+            now, before = snapshot(item, name), base.get(name, NOTHING)
             if (isinstance(now, torch.Tensor) and name not in settings) or not same(now, before):
-                found[name] = writable(now, before, name)
+                found[name] = checkpoint_value(now, before, name)
         for name in base.keys() - vars(value).keys():
             raise Unsaveable(name, NOTHING, "an attribute that was deleted")
     except (Unsaveable, RecursionError) as error:
@@ -90,8 +90,8 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
     unchanged = {name: item for name, item in base.items() if name not in saved and item is not _TENSOR}
     for name, item in {**unchanged, **saved}.items():
         present = held.get(name)
-        if name in saved or not same(look(present, name), item):
-            vars(value)[name] = made_again(item, present)
+        if name in saved or not same(snapshot(present, name), item):
+            vars(value)[name] = restored_value(item, present)
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
@@ -102,7 +102,7 @@ def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
     """
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
-        vars(value)[name] = made_again(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
+        vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
     made(value, key)
     value.load_state_dict(state)
 
@@ -160,7 +160,7 @@ def stateful(value: Any, key: str) -> Any:
     return value if itself else _Attributes(value, key)
 
 
-_Looked = dict[str, dict[str, Any]]
+_Snapshots = dict[str, dict[str, Any]]
 
 
 class Settings:
@@ -179,12 +179,12 @@ class Settings:
         self._groups = dict(groups)
         self._key = key
         self._skip = frozenset(skip)
-        self._base = self._look()
+        self._base = self._snapshots()
 
-    def _look(self) -> _Looked:
+    def _snapshots(self) -> _Snapshots:
         try:
             return {
-                group: {name: look(value, name) for name, value in values.items() if name not in self._skip}
+                group: {name: snapshot(value, name) for name, value in values.items() if name not in self._skip}
                 for group, values in self._groups.items()
             }
         except Unsaveable as error:
@@ -193,7 +193,7 @@ class Settings:
     def state_dict(self) -> dict[str, Any]:
         """Return the changed settings by group and name, each with the setting from the config."""
         found: dict[str, Any] = {}
-        for group, values in self._look().items():
+        for group, values in self._snapshots().items():
             for name, now in values.items():
                 was = self._base[group].get(name, NOTHING)
                 if not same(now, was):
@@ -202,7 +202,7 @@ class Settings:
 
     def _change(self, name: str, was: Any, now: Any) -> dict[str, Any]:
         try:
-            return {"was": _written(None if was is NOTHING else was), "now": writable(now, was, name)}
+            return {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
         except Unsaveable as error:
             raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
 
@@ -215,10 +215,10 @@ class Settings:
             for name in [*base, *(n for n in changes if n not in base)]:
                 change, own = changes.get(name), base.get(name)
                 wanted = change["now"] if change is not None and same(change["was"], _written(own)) else own
-                if not same(look(values.get(name), name), wanted):
-                    values[name] = made_again(wanted, values.get(name))
+                if not same(snapshot(values.get(name), name), wanted):
+                    values[name] = restored_value(wanted, values.get(name))
 
 
-def _written(looked: Any) -> Any:
+def _written(seen: Any) -> Any:
     """Return a setting of the config in a form that a checkpoint can store."""
-    return writable(looked, looked, "")
+    return checkpoint_value(seen, seen, "")

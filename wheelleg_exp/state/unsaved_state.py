@@ -19,7 +19,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.object_graph import PACKAGE, PLAIN, walk
-from wheelleg_exp.state.saved_values import NOTHING, Kept, Unsaveable, look, same
+from wheelleg_exp.state.saved_values import NOTHING, Kept, Unsaveable, same, snapshot
 from wheelleg_exp.state.stateful import Stateful, attributes
 
 
@@ -63,7 +63,7 @@ class Outside:
                         key=key,
                         expected="a class term with a number on self, set in __init__",
                     )
-                yield (key, name), _looked(item, name)
+                yield (key, name), _contents(item, name)
         for key, value in self._parts.items():
             own = key in self._own
             for name, item in vars(value).items():
@@ -121,9 +121,9 @@ def _defaults(function: Any) -> Iterator[tuple[str, Any]]:
             yield f"the default argument '{name}' of '{function.__qualname__}'", item
 
 
-def _looked(item: Any, name: str) -> Any:
+def _contents(item: Any, name: str) -> Any:
     try:
-        return look(item, name)
+        return snapshot(item, name)
     except (Unsaveable, RecursionError):
         return {n: part if isinstance(part, PLAIN) else "there" for n, part in getattr(item, "__dict__", {}).items()}
 

@@ -54,7 +54,7 @@ from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.state.saved_values import made_again
+from wheelleg_exp.state.saved_values import restored_value
 
 _BIAS = "wheelleg_exp.mdp.events.randomize_encoder_bias"
 _RESET = "wheelleg_exp.mdp.events.reset_joints_by_scale"
@@ -279,7 +279,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
         term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
         changed = (term.get("object") or {}).get("ranges")
-        found[name] = ranges if changed is None else made_again(changed)
+        found[name] = ranges if changed is None else restored_value(changed)
     return found
 
 
