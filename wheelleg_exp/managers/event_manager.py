@@ -164,12 +164,12 @@ class EventManager(ManagerBase):
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        for own, kept in (
+        for own, values in (
             (self._time_left, saved["time_left"]),
             (self._last_step, saved["last_step"]),
             (self._fired_once, saved["fired_once"]),
         ):
-            for name, value in kept.items():
+            for name, value in values.items():
                 own[name].copy_(value)
         self.fired = {name: value.clone() for name, value in saved["fired"].items()}
 

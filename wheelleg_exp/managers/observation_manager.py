@@ -120,7 +120,7 @@ class ObservationManager(Kept):
             only: environments (N,) bool to observe; None means all. Observations, modifiers, and histories of the
                 remaining environments do not change.
         """
-        kept = None if only is None else self.state_dict()
+        before = None if only is None else self.state_dict()
         first = self._first_ids()
         values = Values()
         for group in [group for group in self._beginnings if not self._is_beginning(group)]:
@@ -131,7 +131,7 @@ class ObservationManager(Kept):
             self._is_first.fill_(False)
             self._any_first = False
         if only is not None:
-            self.load_state_dict(merged(kept, self.state_dict(), only))
+            self.load_state_dict(merged(before, self.state_dict(), only))
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:

@@ -143,11 +143,11 @@ class ObservationTerm(Kept):
     def peek(self) -> torch.Tensor:
         """Return the sample without noise and without changing any state."""
         owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
-        kept = [owner.state_dict() for owner in owners]
+        states = [owner.state_dict() for owner in owners]
         stream = None if self.term.generator is None else self.term.generator.get_state()
         value = self.term(self._env)
         value = self._processed(value if self.delay is None else self.delay.peek(value), draw=False).clone()
-        for owner, state in zip(owners, kept, strict=True):
+        for owner, state in zip(owners, states, strict=True):
             owner.load_state_dict(state)
         if self.term.generator is not None and stream is not None:
             self.term.generator.set_state(stream)

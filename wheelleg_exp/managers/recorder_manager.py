@@ -69,9 +69,9 @@ class Rows:
 
     def _make_room(self, value: np.ndarray) -> None:
         first = int(self._starts.min())
-        kept = self._rows[first : self._count]
-        grown = np.empty((max(_FIRST_ROOM, 2 * len(kept)), *value.shape), value.dtype)
-        grown[: len(kept)] = kept if len(kept) else 0
+        present = self._rows[first : self._count]
+        grown = np.empty((max(_FIRST_ROOM, 2 * len(present)), *value.shape), value.dtype)
+        grown[: len(present)] = present if len(present) else 0
         self._rows, self._count = grown, self._count - first
         self._starts -= first
 
@@ -194,13 +194,13 @@ class RecorderManager(ManagerBase):
     def record_post_step(self) -> None:
         """Record after rewards and terminations, before the resets; see ``reads_observations``."""
         manager = self._env.observation_manager
-        kept = manager.obs_buf
+        present = manager.obs_buf
         if self._reads:
             manager.obs_buf = manager.peek()
         try:
             self._append("record_post_step")
         finally:
-            manager.obs_buf = kept
+            manager.obs_buf = present
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> None:
         """Finish the episodes of ``env_ids`` that had at least one step and whose start was recorded."""
@@ -252,8 +252,8 @@ class RecorderManager(ManagerBase):
     def state_dict(self) -> dict[str, Any]:
         """Return the states of user-defined recorders; the stock recorders have none."""
         states = {name: term.state_dict() for name, term in self._terms.items()}
-        kept = {name: state for name, state in states.items() if state["settings"] or state["object"]}
-        return {"terms": kept} if kept else {}
+        present = {name: state for name, state in states.items() if state["settings"] or state["object"]}
+        return {"terms": present} if present else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""

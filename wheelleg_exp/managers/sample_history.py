@@ -74,7 +74,7 @@ class RowHistory:
         sizes = [width * count for width, count in zip(widths, slots, strict=True)]
         ends = list(itertools.accumulate(sizes))
         self._spans = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
-        self._kept = [slice(s.start + width, s.stop) for s, width in zip(self._spans, widths, strict=True)]
+        self._older = [slice(s.start + width, s.stop) for s, width in zip(self._spans, widths, strict=True)]
         self._widths = list(widths)
         firsts = zip(itertools.accumulate(widths), widths, slots, strict=True)
         columns = [torch.arange(end - width, end, device=device).repeat(count) for end, width, count in firsts]
@@ -95,9 +95,9 @@ class RowHistory:
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
         """Return the row after ``append`` without storing it. With fewer samples, only the first terms are included."""
         pieces = []
-        for kept, sample in zip(self._kept, samples, strict=False):
-            if kept.start < kept.stop:
-                pieces.append(self.values[:, kept])
+        for older, sample in zip(self._older, samples, strict=False):
+            if older.start < older.stop:
+                pieces.append(self.values[:, older])
             pieces.append(sample)
         after = torch.cat(pieces, dim=1)
         if first is not None and self.remembers and first.dtype == torch.bool:

@@ -30,12 +30,12 @@ def torchscript(policy: MLPModel) -> bytes:
 
 def _without_places(archive: io.BytesIO) -> bytes:
     """Drop the records with source paths on this computer."""
-    kept = io.BytesIO()
-    with zipfile.ZipFile(archive) as source, zipfile.ZipFile(kept, "w", zipfile.ZIP_STORED) as target:
+    copy = io.BytesIO()
+    with zipfile.ZipFile(archive) as source, zipfile.ZipFile(copy, "w", zipfile.ZIP_STORED) as target:
         for name in source.namelist():
             if not name.endswith(_PLACES):
                 target.writestr(zipfile.ZipInfo(name), source.read(name))
-    return kept.getvalue()
+    return copy.getvalue()
 
 
 def onnx(policy: MLPModel) -> bytes:

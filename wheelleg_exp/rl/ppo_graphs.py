@@ -34,11 +34,11 @@ def is_plain_ppo(algorithm: Any) -> bool:
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
     symmetry = algorithm.symmetry
-    beside = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_mirror_loss_only(symmetry))
+    extras = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_mirror_loss_only(symmetry))
     networks = (algorithm.actor, algorithm.critic)
     others = any(type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
-    return not (beside or others or compiled)
+    return not (extras or others or compiled)
 
 
 def captured_ppo(algorithm: Any) -> Any:
@@ -95,13 +95,13 @@ class CapturedUpdate:
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
         self._sums.zero_()
-        kept = self._lend_the_optimizer()
+        settings = self._lend_the_optimizer()
         self._minibatches(order)
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
             _normalize(network, observations)
         rate, *sums = torch.cat([self._rate.view(1), self._sums]).tolist()
-        self._take_back(kept, rate)
+        self._take_back(settings, rate)
         storage.clear()
         updates = algorithm.num_learning_epochs * count
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
@@ -142,13 +142,13 @@ class CapturedUpdate:
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
         networks = (algorithm.actor, algorithm.critic)
         parameters = [v for network in networks for v in (*network.parameters(), *network.buffers())]
-        beside = [storage.returns, storage.values, *(storage.distribution_params or ())]
-        return tuple(v.data_ptr() for v in (*states, *parameters, *beside) if isinstance(v, torch.Tensor))
+        extras = [storage.returns, storage.values, *(storage.distribution_params or ())]
+        return tuple(v.data_ptr() for v in (*states, *parameters, *extras) if isinstance(v, torch.Tensor))
 
     def _lend_the_optimizer(self) -> list[dict[str, Any]]:
         """Make Adam one kernel that reads its learning rate from the GPU; return its previous settings."""
         optimizer = self._algorithm.optimizer
-        kept = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
+        settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
         for group in optimizer.param_groups:
             group["lr"] = self._rate
             if self._on_gpu:
@@ -157,11 +157,11 @@ class CapturedUpdate:
             for parameter, state in optimizer.state.items():
                 if isinstance(state.get("step"), torch.Tensor):
                     state["step"] = state["step"].to(parameter.device)
-        return kept
+        return settings
 
-    def _take_back(self, kept: list[dict[str, Any]], rate: float) -> None:
+    def _take_back(self, settings: list[dict[str, Any]], rate: float) -> None:
         self._algorithm.learning_rate = rate
-        for group, own in zip(self._algorithm.optimizer.param_groups, kept, strict=True):
+        for group, own in zip(self._algorithm.optimizer.param_groups, settings, strict=True):
             group.update(own, lr=rate)
 
     def _minibatch(self) -> None:

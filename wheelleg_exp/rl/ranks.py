@@ -85,17 +85,17 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
 
 
-def error_from_facts(rank: int, told: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
+def error_from_facts(rank: int, received: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
     """Return the error of another rank.
 
     Args:
         rank: number of the other rank.
-        told: what ``plain`` gave there.
+        received: the result of ``error_facts`` on the other rank.
         evidence: arrays that describe the failure.
     """
-    fields = {name: told[name] for name in ("key", "where", "expected", "nearest")}
-    message = f"{told['message']} [in process {rank}]"
-    if told["failed"]:
+    fields = {name: received[name] for name in ("key", "where", "expected", "nearest")}
+    message = f"{received['message']} [in process {rank}]"
+    if received["failed"]:
         return SimulationFailure(message, evidence=evidence, **fields)
     return ConfigError(message, **fields)
 
@@ -246,8 +246,8 @@ class Ranks:
             self._fail(mine)
 
     def _fail(self, mine: WheellegError | None) -> None:
-        told = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
-        rank, found = next(((rank, found) for rank, found in enumerate(told) if found["error"]), (0, {}))
+        received = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
+        rank, found = next(((rank, found) for rank, found in enumerate(received) if found["error"]), (0, {}))
         keeps = self.said_by_first(bool(found.get("evidence")))
         if not self.first:
             raise FirstRankFailed(keeps) from mine
@@ -261,10 +261,10 @@ class Ranks:
         """
         if not self.together:
             return
-        told = self.tell_all(dict(values))
+        received = self.tell_all(dict(values))
         with self.agreed():
-            for rank, other in enumerate(told):
-                for name in (name for name in values if other[name] != told[0][name]):
+            for rank, other in enumerate(received):
+                for name in (name for name in values if other[name] != received[0][name]):
                     raise ConfigError(
                         f"process {rank} has another than the first", key=name, expected="the same files everywhere"
                     )
@@ -278,11 +278,11 @@ class Ranks:
         """
         if not self.together:
             return dict(scalars)
-        told = self.tell_all(dict(scalars))
+        received = self.tell_all(dict(scalars))
         if not self.first:
             return dict(scalars)
-        keys = dict.fromkeys(key for one in told for key in one)
-        return {key: _put_together(key, times)([one[key] for one in told if key in one]) for key in keys}
+        keys = dict.fromkeys(key for one in received for key in one)
+        return {key: _put_together(key, times)([one[key] for one in received if key in one]) for key in keys}
 
 
 ALONE = Ranks()
@@ -361,6 +361,6 @@ def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, st
         return mine, True
     own = digests.of_state({key: state[key] for key in OWN_KEYS_OF_A_RANK if key in state})
     shared = {name: digest for name, digest in mine.items() if name not in own}
-    told = ranks.tell_all({"own": own, "shared": shared})
-    equal = all(one["shared"] == told[0]["shared"] for one in told)
-    return digests.joined(told[0]["shared"] | told[0]["own"], [one["own"] for one in told[1:]]), equal
+    received = ranks.tell_all({"own": own, "shared": shared})
+    equal = all(one["shared"] == received[0]["shared"] for one in received)
+    return digests.joined(received[0]["shared"] | received[0]["own"], [one["own"] for one in received[1:]]), equal

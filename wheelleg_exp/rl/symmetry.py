@@ -122,8 +122,8 @@ class Mirror:
         path, rule = term.term.path, self._rule(group, name, term)
         width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
-            told = rule if isinstance(rule, str) else list(rule)
-            message = f"the mirror rule {told} has {len(turned)} numbers, and the term has {width}"
+            shown = rule if isinstance(rule, str) else list(rule)
+            message = f"the mirror rule {shown} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
         self._require_even(term, turned, path)
         return turned
@@ -227,13 +227,13 @@ def _apply_signs(values: torch.Tensor, sources: torch.Tensor, factors: torch.Ten
 
 def _offset_and_scale(term: ActionTerm) -> tuple[list[float], list[float]]:
     """Return the offset and the scale of an action term, for each action, without changing its state."""
-    kept = term.state_dict()
+    saved = term.state_dict()
     zeros = torch.zeros_like(term.raw_actions)
     term.process_actions(zeros)
     offset = term.processed_actions[0].clone()
     term.process_actions(zeros + 1.0)
     scale = term.processed_actions[0] - offset
-    term.load_state_dict(kept)
+    term.load_state_dict(saved)
     return offset.tolist(), scale.tolist()
 
 
