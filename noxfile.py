@@ -64,7 +64,7 @@ def typecheck(session: nox.Session) -> None:
 def gpu(session: nox.Session) -> None:
     """Run on a GPU the tests of the engine on mujoco-warp and of PPO's CUDA graphs; say what is lacking."""
     _require_gpu(session)
-    _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", "tests/rl/test_graphed_update.py", *session.posargs)
+    _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", "tests/rl/test_ppo_graphs.py", *session.posargs)
 
 
 def _require_gpu(session: nox.Session) -> None:

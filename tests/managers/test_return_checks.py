@@ -13,7 +13,7 @@ from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
 from wheelleg_exp.managers import ActionTerm, CommandTerm, Env
 from wheelleg_exp.mdp.modifiers import Modifier
 
-HERE = "managers.test_returned."
+HERE = "managers.test_return_checks."
 N = 4
 STILL = torch.zeros(N, 4)
 
@@ -145,7 +145,7 @@ def _told(make_env, section) -> ConfigError:
     error = caught.value
     assert error.key == SECTIONS[section][1]
     assert error.where is not None
-    assert error.where.split(":")[0].endswith("managers/test_returned.py")
+    assert error.where.split(":")[0].endswith("managers/test_return_checks.py")
     return error
 
 
