@@ -230,7 +230,7 @@ def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
         (torch.zeros(4, 1), "returns a tensor of shape (4, 1) ("),
         (("k", torch.zeros(4).numpy()), "a numpy array of shape (4,)"),
         (("k", {"a": [1.0]}), "'k/a'"),
-        (("episode/env", torch.zeros(4)), "the episodes themselves"),
+        (("episode/env", torch.zeros(4)), "reserved for facts about episodes"),
         (("after", torch.zeros(4)), "is already recorded by"),
     ],
 )
@@ -253,5 +253,5 @@ def test_a_shape_that_changes_is_told(make):
 
 
 def test_a_term_that_is_no_recorder_is_told(make_env):
-    with pytest.raises(ConfigError, match=r"env\.recorders\.x.*no recorder"):
+    with pytest.raises(ConfigError, match=r"env\.recorders\.x.*not a recorder"):
         make_env(recorders={"x": {"_target_": spies.HERE + "CountingObservation"}})
