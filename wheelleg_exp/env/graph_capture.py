@@ -25,7 +25,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 import torch
 
@@ -54,14 +54,10 @@ _WINDOW = 1024  # last runs of a part in which the capture counts how often a co
 _MANY = 256  # more runs without a graph than with one, before a warning
 _MOST_MISMATCHES = 64
 
-Params = ParamSpec("Params")
-Result = TypeVar("Result")
-Self = TypeVar("Self")
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-def captured_part(
-    *, to_caller: bool = False
-) -> Callable[[Callable[Concatenate[Self, Params], Result]], Callable[Concatenate[Self, Params], Result]]:
+def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment as a part of the step that may be captured.
 
     Args:
@@ -69,38 +65,35 @@ def captured_part(
             graph, and the settings are checked before the next part, because the caller may change them.
     """
 
-    def decorate(method: Callable[Concatenate[Self, Params], Result]) -> Callable[Concatenate[Self, Params], Result]:
+    def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def run(env: Self, *args: Params.args, **kwargs: Params.kwargs) -> Result:
-            capture: GraphCapture | None = getattr(env, "graph_capture", None)
-            if capture is None:
-                return method(env, *args, **kwargs)
-            found: Result = capture.run(method, args, to_caller=to_caller)
-            return found
+        def run(env: Any, *args: Any) -> Any:
+            if env.graph_capture is None:
+                return method(env, *args)
+            return env.graph_capture.run(method, args, to_caller=to_caller)
 
-        return run
+        return cast(Method, run)
 
     return decorate
 
 
-def host_part(method: Callable[Concatenate[Self, Params], Result]) -> Callable[Concatenate[Self, Params], Result]:
+def host_part(method: Method) -> Method:
     """Mark a method that is never captured and that may change settings, for example because it calls user code.
 
     A method that returns False has changed nothing.
     """
 
     @functools.wraps(method)
-    def run(env: Self, *args: Params.args, **kwargs: Params.kwargs) -> Result:
-        capture: GraphCapture | None = getattr(env, "graph_capture", None)
-        if capture is None:
+    def run(env: Any, *args: Any, **kwargs: Any) -> Any:
+        if env.graph_capture is None:
             return method(env, *args, **kwargs)
-        is_checked = capture.values.is_checked
-        capture.values.is_checked = False
+        values = env.graph_capture.values
+        was_checked, values.is_checked = values.is_checked, False
         found = method(env, *args, **kwargs)
-        capture.values.is_checked = is_checked and found is False
+        values.is_checked = was_checked and found is False
         return found
 
-    return run
+    return cast(Method, run)
 
 
 class Graph(Protocol):
