@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import torch
 from sim.small_envs import ASSETS
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -11,6 +13,7 @@ from env.composed import composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.captured_values import Values
 from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 # Operations that a CUDA graph cannot hold: the host waits for a number, or sends one.
 WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
@@ -49,11 +52,13 @@ class Tape(TorchDispatchMode):
 def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> ManagerBasedRLEnv:
     """Return a reset environment with 16 simulations and short episodes; ``captured``: with tapes for graphs."""
     words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5", *overrides]
-    env = ManagerBasedRLEnv(composed(*words).config["env"], ASSETS / "legged.xml", 0)
+    with (
+        mock.patch.object(BatchEngine, "is_captured", captured),
+        mock.patch("wheelleg_exp.env.env.GraphCapture", lambda env: GraphCapture(env, Tape)),
+    ):
+        env = ManagerBasedRLEnv(composed(*words).config["env"], ASSETS / "legged.xml", 0)
+    env._ended.answers_late = captured
     env.reset(seed=0)
-    if captured:
-        env.graph_capture = GraphCapture(env, Tape)
-        env._ended.answers_late = True
     return env
 
 

@@ -62,6 +62,27 @@ def test_a_captured_step_equals_the_step_through_resets_and_a_changed_weight():
     assert not any(part.fails for part in parts.values())
 
 
+def test_a_captured_environment_saves_and_loads_its_state():
+    """In the middle of a training: after resets of several sizes, with a curriculum that has changed a weight."""
+    plain, captured = pair("walk")
+    actions = random_actions(plain, 60)
+    for action in actions[:40]:
+        captured.step(action)
+    captured.reward_manager.get_term_cfg("alive").weight = 3.0
+    captured.step(actions[40])
+    plain.load_state_dict(captured.state_dict())
+    for action in actions[41:50]:
+        ours, theirs = captured.step(action), plain.step(action)
+        assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
+        assert torch.equal(ours[1], theirs[1])
+    captured.load_state_dict(plain.state_dict())
+    for action in actions[50:]:
+        ours, theirs = captured.step(action), plain.step(action)
+        assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
+        assert torch.equal(captured.scene.sim.state, plain.scene.sim.state)
+    assert captured.state_dict().keys() == plain.state_dict().keys()
+
+
 def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
     """Make someone clip observed angular velocities within the tenth step; return the step, once it has run."""
     terms = [terms["base_ang_vel"] for terms in env.observation_manager._groups.values()]

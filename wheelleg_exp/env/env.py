@@ -114,11 +114,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
         self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
-        self.graph_capture: GraphCapture | None = None
-        self._attributes = EnvAttributes(self, self.managers, cfg)
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms  # recorders wait for the GPU
-        if captures:
-            self.graph_capture = GraphCapture(self)
+        self.graph_capture = GraphCapture(self) if captures else None
+        self._attributes = EnvAttributes(self, self.managers, cfg)  # last: attributes that appear later are state
 
     @property
     def managers(self) -> dict[str, Any]:
