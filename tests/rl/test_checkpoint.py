@@ -198,7 +198,7 @@ def test_a_flipped_byte_is_read_or_told_and_never_anything_else(file):
 @pytest.mark.parametrize("key", ["format_version", "iter", "actor_state_dict", "critic_state_dict"])
 def test_a_checkpoint_of_another_program_is_told(tmp_path, key):
     foreign = {name: value for name, value in state().items() if name != key}
-    check(written(tmp_path / "model_1.pt", foreign), f"no '{key}'", "model_<iteration>.pt")
+    check(written(tmp_path / "model_1.pt", foreign), f"lacks '{key}'", "model_<iteration>.pt")
 
 
 @pytest.mark.parametrize("value", [[1, 2], torch.ones(2), "text", None, 3])

@@ -114,5 +114,5 @@ def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
 def test_a_mean_that_is_none_is_no_checkpoint(averaged, tmp_path):
     path = tmp_path / "model_2.pt"
     path.write_bytes(checkpoint.serialize({**averaged[-1], "averaged_state_dict": 3}))
-    with pytest.raises(RunDirectoryError, match="it has no 'averaged_state_dict'"):
+    with pytest.raises(RunDirectoryError, match="it lacks 'averaged_state_dict'"):
         checkpoint.load(path)
