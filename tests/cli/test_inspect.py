@@ -14,7 +14,7 @@ from inspection.synthetic import Writer, drive, play, training
 from inspection.test_summary import late
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.recording.reading import messages
+from wheelleg_exp.recording.rrd_file import RrdFile
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_lock import RunLock
@@ -29,7 +29,7 @@ def spoil(path, entity=b"base/height"):
 
 
 def message_places(path):
-    return [(span.begin, span.end) for span in messages.spans(messages.File(path))]
+    return [(message.begin, message.end) for message in RrdFile(path).messages()]
 
 
 @pytest.fixture
@@ -73,11 +73,9 @@ def test_the_summary_of_a_damaged_recording_is_printed(inspect, tmp_path):
     spoil(play(tmp_path / "r.rrd"))
     status, out, err = inspect("r.rrd")
     assert (status, err) == (0, "")
-    assert re.search(r"health +not whole; damaged from byte \d+ to \d+: ", out)
+    assert re.search(r"health +not whole; 1 of \d+ messages are damaged", out)
     assert "feet.left" in out
-    damaged = json.loads(inspect("r.rrd", "--json")[1])["summary"]["health"]["damaged"]
-    assert len(damaged) == 1
-    assert damaged[0]["begin"] < damaged[0]["end"]
+    assert json.loads(inspect("r.rrd", "--json")[1])["summary"]["health"]["damaged"] == 1
 
 
 def test_what_happened_to_the_recording_is_told(inspect):
@@ -242,7 +240,7 @@ def test_names_are_listed(inspect):
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--play"], "is not a run"),
-        (["text.rrd"], "no rerun recording"),
+        (["text.rrd"], "is not a rerun recording"),
         (["gone.rrd"], "'gone.rrd' is a broken link"),
         (["r.rrd", "--viewer"], "--viewer: the option has no effect here; expected also --screenshot"),
         (["r.rrd", "--at", "1s"], "expected also --screenshot"),
@@ -284,11 +282,11 @@ def test_environments_of_a_training(inspect):
     assert json.loads(out)["summary"]["base"]["height"]["mean"] == pytest.approx(1.1)
 
 
-def test_it_needs_neither_torch_nor_mujoco_nor_rerun(tmp_path):
+def test_it_needs_neither_torch_nor_mujoco(tmp_path):
     play(tmp_path / "r.rrd")
     code = (
         "import sys; from wheelleg_exp.cli.main import main; status = main(['inspect', sys.argv[1]]);"
-        "print(status, [m for m in ('torch', 'mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
+        "print(status, [m for m in ('torch', 'mujoco', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "r.rrd"], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "0 []"

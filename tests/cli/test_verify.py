@@ -82,14 +82,14 @@ def test_a_recording_that_could_not_be_put_together_is_told_and_the_run_is_sound
         said = wheelleg("train", *SHORT, f"run.root={tmp_path / 'runs'}")
     assert said.status == 0
     (warning,) = [line for line in (said.out + said.err).splitlines() if line.startswith("warning: the recording")]
-    assert "rerun's program is not there" in warning
+    assert "rerun's program is missing" in warning
     (path,) = (tmp_path / "runs" / "stand").iterdir()
-    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] == "rerun's program is not there"
+    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] == "rerun's program is missing"
     status, found = verify(path)
     assert (status, found["verdict"]) == (0, "sound")
     (check,) = [check for check in found["checks"] if check["name"] == "recording"]
     assert check["state"] == "note"
-    assert "(rerun's program is not there)" in check["notes"][0]
+    assert "(rerun's program is missing)" in check["notes"][0]
     assert wheelleg("inspect", path, "--repair").status == 0  # as it advises
     again = wheelleg("resume", path, "agent.max_iterations=3")
     assert again.status == 0, again.err

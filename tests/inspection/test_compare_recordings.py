@@ -84,18 +84,3 @@ def test_a_killed_recording_compares_equal_to_a_whole_one_that_holds_the_same(tm
     writer = Writer(tmp_path / "k.rrd")
     drive(writer)
     assert compare(Recording(play(tmp_path / "r.rrd")), Recording(writer.kill())).is_equal
-
-
-def test_scalars_that_a_killed_training_has_in_its_journal_alone_count(tmp_path):
-    def write(name, written, last):
-        writer = Writer(tmp_path / name)
-        writer.numbers("training/loss", [5.0, 4.0, 3.0][:written], [10, 20, 30][:written], None, [0, 1, 2][:written])
-        writer.static("__journal/training", keys=["loss"])
-        for i, value in enumerate([5.0, 4.0, last]):
-            writer.numbers("__journal/training", [[value]], [10 * (i + 1)], None, [i])
-        return Recording(writer.kill())
-
-    whole = write("whole.rrd", 3, 3.0)
-    assert compare(whole, write("killed.rrd", 2, 3.0)).is_equal
-    (number,) = compare(whole, write("other.rrd", 2, 3.5)).numbers
-    assert (number.name, number.parting.step, number.largest) == ("training.loss", 30, 0.5)

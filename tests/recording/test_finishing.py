@@ -21,10 +21,10 @@ def path(tmp_path: Path) -> Path:
     ("script", "why"),
     [
         ("echo first >&2; echo 'no such chunk' >&2; exit 1", "no such chunk"),
-        ("exit 3", "rerun ended with status 3"),
-        ("exit 0", "rerun ended with status 0"),  # and has written nothing
-        ('echo "no recording" > "$5"', "rerun ended with status 0"),
-        ("sleep 600", "rerun did not end within 0 s"),
+        ("exit 3", "rerun exited with status 3"),
+        ("exit 0", "rerun wrote nothing"),
+        ('echo "no recording" > "$5"', "rerun wrote nothing"),
+        ("sleep 600", "rerun did not finish within 0 s"),
     ],
 )
 def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, script, why):
@@ -44,5 +44,5 @@ def test_a_disk_without_room_for_the_copy_is_named(path, monkeypatch):
 
     monkeypatch.setattr(rerun_program, "rerun_program", lambda: "false")
     monkeypatch.setattr(rerun_program.shutil, "disk_usage", lambda folder: Usage)
-    assert rerun_program.optimize_recording(path) == "there is no room for a second copy on the disk"
+    assert rerun_program.optimize_recording(path) == "the disk has no room for a second copy"
     assert path.read_bytes() == b"as it is"

@@ -6,7 +6,6 @@ import rerun as rr
 from inspection.synthetic import STEP_DT, Writer, play, training
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.reading.number_groups import Number
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
@@ -119,21 +118,6 @@ def test_purpose_and_step_are_known_without_properties_and_said_by_them(tmp_path
     assert said.entities() == ["base/height"]
 
 
-def test_the_last_scalars_of_a_killed_training_come_from_its_journal(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    writer.numbers("training/loss", [5.0, 4.0], [10, 20], None, [0, 1])
-    writer.static("__journal/training", keys=["loss", "new"])
-    for i, row in enumerate([[5.0], [4.0], [3.0, np.nan], [2.0, 8.0]]):
-        writer.numbers("__journal/training", [row], [10 * (i + 1)], None, [i])
-    recording = Recording(writer.kill())
-    table = recording.table("training")
-    assert table.column("iteration").to_pylist() == [0, 1, 2, 3]
-    assert table.column("loss").to_pylist() == [5.0, 4.0, 3.0, 2.0]
-    np.testing.assert_array_equal(table.column("new"), [np.nan, np.nan, np.nan, 8.0])
-    assert recording.count("training/new") == 1
-    assert recording.entities() == ["training/loss", "training/new"]
-
-
 def test_a_file_that_grows_is_read_as_it_was_when_it_was_opened(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("a", [1.0])
@@ -145,27 +129,3 @@ def test_a_file_that_grows_is_read_as_it_was_when_it_was_opened(tmp_path):
     assert not recording.health.is_whole
     assert Recording(writer.path).table("a").num_rows == 2
     assert Recording(writer.close()).health.lines() == ["whole"]
-
-
-def test_more_than_the_limit_is_told_and_not_read(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    for part in range(4):
-        writer.numbers("large", np.zeros(5000), steps=np.arange(5000) + 5000 * part)
-    writer.numbers("small", [1.0])
-    recording = Recording(writer.close(), limit=200_000)
-    with pytest.raises(RunDirectoryError, match=r"'large' of .* take more than"):
-        recording.table("large")
-    with pytest.raises(RunDirectoryError, match=r"40000 numbers of .* take more than"):
-        recording.columns_of(40_000 * [Number("small", "small", 0)])
-    assert recording.table("small").num_rows == 1
-    assert recording.count("large") == 20_000
-
-
-def test_many_entities_do_not_stay_in_memory(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    for i in range(20):
-        writer.numbers(f"a/{i}", np.full(2000, float(i)))
-    recording = Recording(writer.close(), limit=100_000)
-    for i in range(20):
-        assert recording.values(f"a/{i}")[-1, 0] == i
-        assert sum(table.nbytes for table in recording._tables.values()) < 300_000

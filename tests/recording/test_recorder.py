@@ -290,7 +290,7 @@ def test_an_existing_file_is_refused_and_left_as_it_is(recorded, tmp_path):
 def test_a_file_that_is_no_recording_is_not_gone_on_with(recorded, tmp_path):
     path = tmp_path / "r.rrd"
     path.write_bytes(b"precious" * 9)
-    with pytest.raises(RunDirectoryError, match="cannot go on"):
+    with pytest.raises(RunDirectoryError, match="is not a rerun recording"):
         Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play", keep_until=3)
     assert path.read_bytes() == b"precious" * 9
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
@@ -373,6 +373,6 @@ def test_a_recording_that_cannot_be_finished_stays_as_it_is(recorded, tmp_path, 
     path = tmp_path / "r.rrd"
     path.write_bytes(recorded[0].read_bytes())
     monkeypatch.setattr("wheelleg_exp.recording.rerun_program.rerun_program", lambda: str(tmp_path / "none"))
-    assert optimize_recording(path) == "rerun's program is not there"
+    assert optimize_recording(path) == "rerun's program is missing"
     assert path.read_bytes() == recorded[0].read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

@@ -8,25 +8,20 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
-from wheelleg_exp.recording.reading import messages
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.rerun_program import optimize_recording, rerun_program
-from wheelleg_exp.recording.writing.encoding import Ids, timeline
-from wheelleg_exp.recording.writing.recording_file import APPLICATION, RecordingFile
+from wheelleg_exp.recording.rrd_file import APPLICATION, BLUEPRINT_ACTIVATION, RrdFile
+from wheelleg_exp.recording.writing.recording_file import RecordingFile
 
 STEPS = np.array([1, 2, 3])
 TIMES = [
-    timeline("step", pa.array(STEPS)),
-    timeline("sim_time", pa.array(STEPS * 1_000_001, pa.int64()).view(pa.duration("ns"))),
-]
-RERUNS_TIMES = [
     rr.TimeColumn("step", sequence=STEPS),
     rr.TimeColumn("sim_time", duration=(STEPS * 1_000_001).astype("timedelta64[ns]")),
 ]
@@ -79,7 +74,7 @@ def written_by_rerun(path: Path) -> Path:
     for entity, archetypes in STATIC.items():
         stream.log(entity, *archetypes, static=True)
     for entity, found in columns().items():
-        stream.send_columns(entity, RERUNS_TIMES, found)
+        stream.send_columns(entity, TIMES, found)
     stream.send_blueprint(layout())
     stream.flush()
     stream.disconnect()
@@ -111,28 +106,15 @@ def test_rerun_finds_nothing_wrong_with_it(both):
 
 
 def test_the_layout_is_the_one_that_rerun_writes(both):
-    def rows(path: Path) -> list[tuple[str, dict[str, pa.Array]]]:
-        file, found = messages.File(path), []
-        for span in messages.spans(file):
-            if span.kind == messages.ROWS:
-                decoded = messages.decode_rows(span.payload(file))
-                if decoded.store[0] == messages.BLUEPRINT:
-                    names = [n for n in decoded.batch.schema.names if ":" in n]
-                    values = {name: str(decoded.batch.column(name).type) for name in names}
-                    found.append((decoded.entity.split("/")[0], values))
-        return sorted(found, key=str)
+    def rows(path: Path) -> list[tuple[str, list[tuple[str, str]]]]:
+        reader = RrdReader(path)
+        chunks = reader.stream(store=reader.blueprints()[0])
+        columns = [(chunk.entity_path.split("/")[1], chunk.to_record_batch().schema) for chunk in chunks]
+        return sorted((root, [(f.name, str(f.type)) for f in schema if ":" in f.name]) for root, schema in columns)
 
     assert rows(both[0]) == rows(both[1])
-    kinds = [[span.kind for span in messages.spans(messages.File(path))] for path in both]
-    assert [found.count(messages.BLUEPRINT_ACTIVATION) for found in kinds] == [1, 1]
-
-
-def test_identities_rise_within_a_file_and_differ_between_two():
-    ids = Ids()
-    found = np.concatenate([ids.take(3), ids.take(), ids.take(2)]).tolist()
-    assert found == sorted(found)
-    assert len({tuple(row) for row in found}) == 6
-    assert Ids().take()[0, 1] != found[0][1]
+    activations = [sum(m.kind == BLUEPRINT_ACTIVATION for m in RrdFile(path).messages()) for path in both]
+    assert activations == [1, 1]
 
 
 def test_columns_of_different_lengths_are_refused(tmp_path):
@@ -190,16 +172,15 @@ def resident() -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 def test_closed_recordings_leave_no_thread_and_no_memory(tmp_path, monkeypatch):
-    """A stream of rerun's leaves two threads and up to 3 MB each time."""
+    """A stream of rerun's leaves two threads and up to 3 MB each time; only a blueprint still needs one."""
     monkeypatch.setattr("wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None)
     values = np.zeros(20_000)
-    times = [timeline("step", pa.array(np.arange(len(values))))]
+    times = [rr.TimeColumn("step", sequence=np.arange(len(values)))]
 
     def record(number: int) -> None:
         sink = RecordingFile(tmp_path / f"{number}.rrd", recording_id=f"r{number}", name="n")
         for i in range(10):
             sink.columns(f"a/{i}", times, rr.Scalars.columns(scalars=values))
-        sink.blueprint(layout())
         sink.close()
 
     for number in range(3):

@@ -1,4 +1,4 @@
-"""The recording of a training: samples, bound, journal, and going on after a checkpoint or a sudden end."""
+"""The recording of a training: samples, bound, and resuming after a checkpoint or a sudden end."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import torch
 from wheelleg_exp.inspection.recording_summary import summarize
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
-from wheelleg_exp.recording.reading.messages import File, spans
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.recording_options import RecordingOptions
+from wheelleg_exp.recording.rrd_file import RrdFile
 from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.run.manifest import FORMAT
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -234,7 +234,7 @@ def test_going_on_twice_is_going_on_once(env, straight, directory):
 def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, straight, stopped, tmp_path):
     """As after a kill at any moment: what stood there at the checkpoint is all that counts."""
     path, kept = stopped
-    data, later = path.read_bytes(), [span for span in spans(File(path)) if span.begin >= kept["bytes"]]
+    data, later = path.read_bytes(), [span for span in RrdFile(path).messages() if span.begin >= kept["bytes"]]
     ends = [later[0].begin + 7, later[0].begin + 16, (later[1].begin + later[1].end) // 2, later[-2].end - 1]
     for number, end in enumerate([kept["bytes"], *ends, len(data) - 1]):
         directory = a_directory(tmp_path / str(number))
@@ -245,7 +245,7 @@ def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, str
 
 def test_a_file_that_ends_before_the_checkpoint_keeps_what_it_has_or_is_moved_aside(env, stopped, tmp_path):
     path, kept = stopped
-    data, there = path.read_bytes(), [span for span in spans(File(path)) if span.end <= kept["bytes"]]
+    data, there = path.read_bytes(), [span for span in RrdFile(path).messages() if span.end <= kept["bytes"]]
     early, half, late = there[2], there[len(there) // 2], there[-1]
     for number, end in enumerate([0, 11, 13, early.end, half.begin + 9, (half.begin + half.end) // 2, late.end - 1]):
         directory = a_directory(tmp_path / str(number))
@@ -281,7 +281,7 @@ def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, direc
 @pytest.mark.parametrize("offset", [0, 8, 16, 40], ids=["kind", "length", "payload", "rows"])
 def test_damage_in_the_middle_is_kept_beside(env, stopped, directory, offset):
     path, kept = stopped
-    data, found = bytearray(path.read_bytes()), list(spans(File(path)))
+    data, found = bytearray(path.read_bytes()), list(RrdFile(path).messages())
     hit = found[len(found) // 3].begin + offset
     data[hit : hit + 200] = bytes(200)
     directory.recording.write_bytes(data)
@@ -304,24 +304,6 @@ def test_an_interrupted_rewriting_leaves_the_old_file_and_its_rest_is_removed(en
     go_on(env, directory, stopped[1], 4, 7)
     assert not left.exists()
     assert entity_digests(directory.recording) == entity_digests(straight)
-
-
-def test_scalars_outlast_a_sudden_end_in_the_journal(env, stopped, directory):
-    """The file as it is after the last iteration's write, before anything is closed."""
-    env.common_step_counter = 0
-    env.reset(seed=4)
-    recording = TrainingRecording(directory, env, options(), {})
-    with recording, torch.inference_mode():
-        for iteration in range(2):
-            for action in ACTIONS[:ROLLOUT]:
-                env.step(action)
-            recording.write(scalars(iteration), iteration)
-        data = directory.recording.read_bytes()
-    path = directory.path / "killed.rrd"
-    path.write_bytes(data)
-    table = Recording(path).table("training/Loss/value")
-    assert table.column("iteration").to_pylist() == [0, 1]
-    assert rows(path)[-1] == (2 * ROLLOUT, 1)
 
 
 @pytest.fixture(scope="module")

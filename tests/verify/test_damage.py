@@ -159,7 +159,7 @@ SEALED_AGAIN = {
     "patch": (lambda run: synthetic.flip(run.source / "source.patch"), "source/source.patch is not the patch"),
     "no patch": (lambda run: (run.source / "source.patch").unlink(), "source/source.patch is missing"),
     "checkpoint": (lambda run: run.checkpoint(4).unlink(), "last checkpoint is model_4.pt"),
-    "recording": (lambda run: synthetic.flip(run.recording), "damaged from byte"),
+    "recording": (lambda run: synthetic.flip(run.recording), "messages are damaged"),
 }
 
 

@@ -14,7 +14,7 @@ import torch
 
 from verify import synthetic
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.reading.recording_contents import Contents
+from wheelleg_exp.recording.rrd_file import RrdFile
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run import file_inventory
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -294,8 +294,8 @@ def test_a_run_that_ends_earlier_than_its_results_say_is_wrong(run):
 
 def unfinished(run):
     """A recording whose writer could not put it together in the end: everything but the index."""
-    contents = Contents(run.recording)
-    kept = b"".join(contents.kept())
+    file = RrdFile(run.recording)
+    kept = file.header + b"".join(file.body())
     run.recording.write_bytes(kept)
     return kept
 

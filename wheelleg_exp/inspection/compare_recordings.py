@@ -88,20 +88,13 @@ def compare(first: Recording, second: Recording) -> RecordingComparison:
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
     numbers = dict(_number_differences(first, second, set(different)))
-    completed = _completed(first, second, set(different)) - {entity for entity, _ in numbers}
     return RecordingComparison(
-        equal=[entity for entity in a if entity in b and (a[entity] == b[entity] or entity in completed)],
-        different=[entity for entity in different if entity not in completed],
-        only_first=[entity for entity in a if entity not in b and not second.has_rows(entity)],
-        only_second=[entity for entity in b if entity not in a and not first.has_rows(entity)],
+        equal=[entity for entity in a if entity in b and a[entity] == b[entity]],
+        different=different,
+        only_first=[entity for entity in a if entity not in b],
+        only_second=[entity for entity in b if entity not in a],
         numbers=sorted(numbers.values(), key=_earliest),
     )
-
-
-def _completed(first: Recording, second: Recording, entities: set[str]) -> set[str]:
-    """Return the entities whose last rows can be in the journal of one of the two."""
-    in_journal = first.journal_entities | second.journal_entities
-    return {e for e in entities & in_journal if first.static(e) == second.static(e)}
 
 
 def _number_differences(

@@ -96,17 +96,12 @@ def print_comparison(found: RecordingComparison, first: Recording, second: Recor
 
 
 def print_repaired(done: Repaired) -> None:
-    """Print what was repaired and what is lost."""
+    """Print what is lost, and where the repaired file is."""
     if done.output is None:
         print(f"{shown(done.path.absolute())} is complete; nothing was written")
         return
     for line in done.health.lines()[1:]:
         print(line)
-    print(f"lost: {done.health.lost} of {done.health.size} bytes")
-    if done.incomplete:
-        print(f"rerun could not copy every row of: {_some(done.incomplete)}")
-    if done.complaint:
-        print(f"rerun's own check still reports: {done.complaint}")
     print(f"repaired: {shown(done.output.absolute())}\nopen it: {tool('rerun')} {shown(done.output.absolute())}")
 
 

@@ -9,71 +9,7 @@ import pyarrow as pa
 
 from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP
 
-LONGEST_TEXT = 4096  # letters of a word, or of what is told in words, that are read
-MOST_VALUES = 1 << 21  # values that are made into Python's own at a time
-
-
-def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
-    """Return values as Python's, None for what Python has nothing for and for what are too many.
-
-    Times of every kind are whole numbers of their unit, which is nanoseconds in rerun's files: Python's own times have
-    microseconds and a smaller range, and Arrow asks for pandas where these do not do.
-    """
-    nothing = [None] * len(array)
-    if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in nested_types(array.type)):
-        return nothing
-    if values_in(array) > MOST_VALUES:
-        return nothing
-    try:
-        return array.cast(_times_as_integers(array.type)).to_pylist()
-    except ValueError:  # two fields of one name
-        return nothing
-
-
-def as_number(value: Any) -> float | None:
-    """Return a value as a number, None when it is none."""
-    return float(value) if isinstance(value, int | float) else None
-
-
-def values_in(array: pa.Array | pa.ChunkedArray) -> int:
-    """Return how many values there are on all levels of lists and structures."""
-    if isinstance(array, pa.ChunkedArray):
-        return sum(map(values_in, array.chunks))
-    kind = array.type
-    if is_list(kind):
-        return len(array) + values_in(array.flatten())
-    if pa.types.is_struct(kind):
-        return len(array) + sum(map(values_in, array.flatten()))
-    return len(array)
-
-
-def nested_types(kind: pa.DataType) -> Iterator[pa.DataType]:
-    """Yield a type and all within it."""
-    yield kind
-    for i in range(kind.num_fields):
-        yield from nested_types(kind.field(i).type)
-
-
-def is_list(kind: pa.DataType) -> bool:
-    """Return whether a type's values are lists."""
-    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
-
-
-def _times_as_integers(kind: pa.DataType) -> pa.DataType:
-    """Return a type with whole numbers in place of times."""
-    if pa.types.is_fixed_size_list(kind):
-        return pa.list_(_times_as_integers(kind.value_type), kind.list_size)
-    if pa.types.is_list(kind):
-        return pa.list_(_times_as_integers(kind.value_type))
-    if pa.types.is_large_list(kind):
-        return pa.large_list(_times_as_integers(kind.value_type))
-    if pa.types.is_struct(kind):
-        return pa.struct([pa.field(field.name, _times_as_integers(field.type)) for field in kind])
-    if pa.types.is_temporal(kind) and not pa.types.is_interval(kind):
-        return pa.int32() if kind.bit_width == 32 else pa.int64()
-    return kind
-
-
+LONGEST_TEXT = 4096  # letters of a name or of an event's text that are read
 TIMELINES = (STEP, SIM_TIME, ITERATION)
 _TIMELINE_TYPES = {STEP: pa.int64(), SIM_TIME: pa.duration("ns"), ITERATION: pa.int64()}
 
@@ -94,8 +30,32 @@ _COMPONENT_TYPES: dict[str, pa.DataType] = {
 }
 
 
+def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
+    """Return values as Python values; None for values of a type that Python does not have.
+
+    Times become whole numbers of their unit, which is nanoseconds in rerun's files. Python's own times have only
+    microseconds, and Arrow requires pandas for nanoseconds.
+    """
+    if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in _nested_types(array.type)):
+        return [None] * len(array)
+    try:
+        return array.cast(_times_as_integers(array.type)).to_pylist()
+    except ValueError:  # two fields of a structure have one name
+        return [None] * len(array)
+
+
+def as_number(value: Any) -> float | None:
+    """Return a value as a float; None when it is not a number."""
+    return float(value) if isinstance(value, int | float) else None
+
+
+def is_list(kind: pa.DataType) -> bool:
+    """Return whether the values of a type are lists."""
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+
+
 def is_component(field: pa.Field) -> bool:
-    """Return whether a column of a batch holds data."""
+    """Return whether a column of a batch contains data."""
     return (field.metadata or {}).get(b"rerun:kind") == b"data"
 
 
@@ -105,24 +65,22 @@ def is_index(field: pa.Field) -> bool:
 
 
 def short_name(name: str) -> str:
-    """Return a column's name without its archetype: ``Scalars:scalars`` is ``scalars``."""
+    """Return a column's name without its archetype: ``Scalars:scalars`` becomes ``scalars``."""
     return name.rsplit(":", 1)[-1]
 
 
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return a batch's timelines and components, each of the kind that its name means.
+    """Return a batch's timelines and components, each of the type that its name implies.
 
-    A column by a known name that is of another kind is left out, and so is the second of two by one short name.
+    A column is left out when its type cannot be converted to that of its name, and when an earlier column has the same
+    short name.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))
     for field, array in fields:
         if is_index(field) or (is_component(field) and short_name(field.name) not in found):
-            values = (
-                _timeline_values(field.name, array)
-                if is_index(field)
-                else _component_values(short_name(field.name), array)
-            )
+            is_time = is_index(field)
+            values = _timeline_values(field.name, array) if is_time else _component_values(field.name, array)
             if values is not None:
                 found[short_name(field.name)] = (field.with_type(values.type), values)
     arrays = [array for _, array in found.values()]
@@ -135,14 +93,14 @@ def _timeline_values(name: str, array: pa.Array) -> pa.Array:
 
 
 def _component_values(name: str, array: pa.Array) -> pa.Array | None:
-    wanted = _COMPONENT_TYPES.get(name)
+    wanted = _COMPONENT_TYPES.get(short_name(name))
     if wanted is None or array.type == wanted:
         return array
     return array.cast(wanted, safe=False) if _is_convertible(array.type, wanted) else None
 
 
 def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
-    """Return whether values of a kind are those of another, at another precision perhaps."""
+    """Return whether two types differ in precision at most."""
     if pa.types.is_null(kind):
         return True
     if is_list(wanted):
@@ -151,3 +109,25 @@ def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
     if pa.types.is_string(wanted):
         return pa.types.is_string(kind) or pa.types.is_large_string(kind)
     return pa.types.is_integer(kind) or pa.types.is_floating(kind)
+
+
+def _nested_types(kind: pa.DataType) -> Iterator[pa.DataType]:
+    """Yield a type and all types inside it."""
+    yield kind
+    for i in range(kind.num_fields):
+        yield from _nested_types(kind.field(i).type)
+
+
+def _times_as_integers(kind: pa.DataType) -> pa.DataType:
+    """Return a type with whole numbers in place of times."""
+    if pa.types.is_fixed_size_list(kind):
+        return pa.list_(_times_as_integers(kind.value_type), kind.list_size)
+    if pa.types.is_list(kind):
+        return pa.list_(_times_as_integers(kind.value_type))
+    if pa.types.is_large_list(kind):
+        return pa.large_list(_times_as_integers(kind.value_type))
+    if pa.types.is_struct(kind):
+        return pa.struct([pa.field(field.name, _times_as_integers(field.type)) for field in kind])
+    if pa.types.is_temporal(kind) and not pa.types.is_interval(kind):
+        return pa.int32() if kind.bit_width == 32 else pa.int64()
+    return kind

@@ -199,7 +199,7 @@ class Recording(EntityRows):
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
         """Return the numbers of an entity or a group as ``table`` returns those of a group (raises as that)."""
         path = self._resolved(name, env_id)
-        return self._kept("numbers", path, lambda path: self.columns_of(self._names.numbers_of(path)))
+        return self.columns_of(self._names.numbers_of(path))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
         """Return every number of an environment, and those of none, by its name with dots: ``rewards.alive``."""
@@ -207,7 +207,6 @@ class Recording(EntityRows):
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
         """Return numbers as ``table`` returns those of a group (RunDirectoryError when they are too many)."""
-        self._require_small(8 * sum(self.count(number.entity) for number in numbers), f"{len(numbers)} numbers")
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:

@@ -13,18 +13,17 @@ import sys
 import tempfile
 import threading
 import time
-import weakref
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rerun as rr
-from rerun.chunk import Chunk
+from rerun.chunk import Chunk, RrdReader
 
 from wheelleg_exp.recording.blueprint import blueprint
-from wheelleg_exp.recording.reading.messages import HEADER_SIZE, RECORDING, ROWS, Rows, decode_rows
 from wheelleg_exp.recording.rerun_program import rerun_program
-from wheelleg_exp.recording.writing.recording_file import APPLICATION
+from wheelleg_exp.recording.rrd_file import APPLICATION, HEADER_SIZE, STORE_INFO, RrdFile
 
 if TYPE_CHECKING:  # the recorder loads torch and mujoco, which `wheelleg inspect` does not need
     from wheelleg_exp.recording.writing.recorder import Recorder
@@ -32,8 +31,7 @@ if TYPE_CHECKING:  # the recorder loads torch and mujoco, which `wheelleg inspec
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_TOGETHER = 1_000_000  # bytes that are passed on before the viewer has to have taken them
-_HEAD = 16
+_CHUNKS_PER_FLUSH = 500  # chunks that are sent before the viewer must have received them
 _NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, on which nothing listens
 
 
@@ -58,31 +56,37 @@ def viewer_environment() -> dict[str, str]:
 
 
 class Follower:
-    """Reads the whole messages of a growing file, each once; also when its name is given to another file.
+    """Reads the whole messages of a growing file, each once; also when the file's name is given to another file.
 
     Args:
         path: the file.
     """
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_RDONLY)
-        weakref.finalize(self, os.close, self._descriptor)
+        self._file = RrdFile(path)
         self._place = HEADER_SIZE
+        self._announced = b""  # the messages that announce a recording, without which its rows cannot be read
 
-    def rows(self) -> Iterator[tuple[Rows, int]]:
-        """Yield the rows that have become whole since the last call, with the bytes that they take."""
-        size = os.fstat(self._descriptor).st_size
-        while self._place + _HEAD <= size:
-            head = os.pread(self._descriptor, _HEAD, self._place)
-            kind, length = (int.from_bytes(part, "little") for part in (head[:8], head[8:]))
-            begin = self._place + _HEAD
-            if begin + length > size:
-                return
-            self._place = begin + length
-            if kind == ROWS:
-                rows = decode_rows(memoryview(os.pread(self._descriptor, length, begin)))
-                if rows.store[0] == RECORDING:
-                    yield rows, length
+    def chunks(self) -> Iterator[tuple[str, Chunk]]:
+        """Yield the id of the recording and the chunks that have become whole since the last call."""
+        self._file.refresh()
+        begin = self._place
+        for message in self._file.messages(begin):
+            self._place = message.end
+            if message.kind == STORE_INFO:
+                self._announced += self._file.read(message.begin, message.end)
+        if self._place == begin:
+            return
+        with tempfile.NamedTemporaryFile(suffix=".rrd") as segment:
+            segment.write(self._file.header + self._announced)
+            segment.writelines(self._file.body(begin))
+            segment.flush()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # rerun warns of a file without an index
+                reader = RrdReader(segment.name)
+                for entry in reader.recordings():
+                    for chunk in reader.stream(store=entry):
+                        yield entry.recording_id, chunk
 
 
 class Feed:
@@ -108,14 +112,10 @@ class Feed:
         Raises:
             ViewerLostError: the viewer does not take it.
         """
-        waiting = 0
-        for rows, size in self._follower.rows():
-            stream = self._connected(rows.store[1])
-            stream.send_chunks(Chunk.from_record_batch(rows.batch))
-            waiting += size
-            if waiting >= _TOGETHER:
+        for number, (recording_id, chunk) in enumerate(self._follower.chunks(), start=1):
+            self._connected(recording_id).send_chunks(chunk)
+            if number % _CHUNKS_PER_FLUSH == 0:
                 self._flush()
-                waiting = 0
         self._send_layout()
         self._flush()
 

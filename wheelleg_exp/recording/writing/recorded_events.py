@@ -1,12 +1,11 @@
 """What is recorded between frames: ends of episodes, interval events, messages, and the scalars of a training.
 
-Every iteration's scalars are written at once as one row of a hidden journal. A chunk of one row takes about
-1.3 kB, whatever it contains, so the plots' own entities are written several iterations at a time.
+A chunk of one row takes about 1.5 kB, whatever it contains, so the scalars of several iterations are written at a time.
+A killed training loses the last of them here. ``iterations.jsonl`` contains the scalars of every iteration.
 """
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -114,63 +113,39 @@ class EventLog:
         self._fired.clear()
 
 
-_TOGETHER = 10  # iterations that a plot's chunk holds
+_ITERATIONS_PER_CHUNK = 10
 
 Point = tuple[Stamp, float]
-Piece = tuple[str, list[Stamp], Any]
 
 
 class TrainingScalars:
     """The scalars that are not in the file yet.
 
     Attributes:
-        keys: every key so far, in the order in which they came.
+        keys: every key so far, in the order of appearance.
     """
 
-    def __init__(self) -> None:
-        self.keys: list[str] = []
+    def __init__(self, keys: Sequence[str] = ()) -> None:
+        self.keys = list(keys)
         self._points: dict[str, list[Point]] = defaultdict(list)
-        self._row: tuple[Stamp, list[float]] | None = None
-        self._waiting = 0
+        self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Take up an iteration's scalars and return whether there was a new key."""
+        """Add the scalars of an iteration and return whether one of the keys is new."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():
             self._points[key].append((stamp, float(value)))
-        self._row = (stamp, [float(values.get(key, math.nan)) for key in self.keys])
-        self._waiting += 1
+        self._iterations += 1
         return bool(new)
 
-    def restore(self, keys: list[str], points: Mapping[str, list[Point]]) -> None:
-        """Go on with what is already in a file.
-
-        Args:
-            keys: the journal's keys.
-            points: what stands in the journal alone.
-        """
-        self.keys = list(keys)
-        for key, found in points.items():
-            self._points[key] += found
-            self._waiting = max(self._waiting, len(found))
-
-    def row(self) -> Piece | None:
-        """Return the last iteration's row, once."""
-        if self._row is None:
-            return None
-        stamp, values = self._row
-        self._row = None
-        columns = rr.Scalars.columns(scalars=np.array(values)).partition([len(values)])
-        return layout.JOURNAL, [stamp], columns
-
-    def pieces(self, *, everything: bool) -> Iterator[Piece]:
-        """Yield the columns of the plots' entities when there is enough for a chunk, or in any case, once."""
-        if self._waiting < _TOGETHER and not everything:
+    def pieces(self, *, everything: bool) -> Iterator[Columns]:
+        """Yield the columns of each key once: when there are enough iterations for a chunk, or ``everything``."""
+        if self._iterations < _ITERATIONS_PER_CHUNK and not everything:
             return
         for key, points in self._points.items():
             values = np.array([value for _, value in points])
             entity = layout.join_key(layout.TRAINING, key)
             yield entity, [stamp for stamp, _ in points], rr.Scalars.columns(scalars=values)
         self._points.clear()
-        self._waiting = 0
+        self._iterations = 0

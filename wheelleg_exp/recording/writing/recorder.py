@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
 from wheelleg_exp.config.checking.check_terms import recorded_errors
@@ -20,7 +19,6 @@ from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.blueprint import EnvLayout, Purpose, blueprint
 from wheelleg_exp.recording.layout import EnvPaths
 from wheelleg_exp.recording.writing import recorded_environment
-from wheelleg_exp.recording.writing.encoding import Column, timeline
 from wheelleg_exp.recording.writing.recorded_environment import RecordedEnvironment
 from wheelleg_exp.recording.writing.recorded_events import EventLog, TrainingScalars
 from wheelleg_exp.recording.writing.recorded_frames import Stamp
@@ -165,7 +163,6 @@ class Recorder:
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
         """Take up the scalars of a training iteration; ``a/b`` stands at ``training/a/b``."""
         if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
-            self._sink.static(layout.JOURNAL, rr.AnyValues(keys=self._scalars.keys))
             self._stale = True
 
     def say(self, text: str, level: str = "WARN") -> None:
@@ -199,8 +196,7 @@ class Recorder:
         for track in self._tracks:
             if everything or len(track.stamps) >= ROWS_TOGETHER:
                 self._send_frames(track)
-        row = self._scalars.row()
-        for piece in (*self._marks.pieces(), *([row] if row else []), *self._scalars.pieces(everything=everything)):
+        for piece in (*self._marks.pieces(), *self._scalars.pieces(everything=everything)):
             entity, stamps, columns = piece
             self._sink.columns(entity, times(stamps), columns)
         if self._stale:
@@ -247,7 +243,7 @@ class Recorder:
     def _open(self, earlier: EarlierRecording | None) -> None:
         """Write what an earlier file keeps, and what never changes: properties, shapes, names, the layout."""
         if earlier is not None:
-            self._sink.rows(earlier.batches())
+            self._sink.chunks(earlier.chunks)
             self._restore(earlier)
         self._sink.property(layout.OWN, self._about)
         self._sink.property(
@@ -267,10 +263,7 @@ class Recorder:
     def _restore(self, earlier: EarlierRecording) -> None:
         self._about["started"] = earlier.started
         self._documents = list(earlier.documents)
-        keys = earlier.known_keys()
-        self._scalars.restore(keys, earlier.journal_alone())
-        if keys:
-            self._sink.static(layout.JOURNAL, rr.AnyValues(keys=keys))
+        self._scalars = TrainingScalars(earlier.keys)
         for track in self._tracks:
             number, step = (earlier.last.get(track.paths.data("episode", name)) for name in ("number", "step"))
             if number is not None and step is not None:
@@ -303,11 +296,15 @@ class Recorder:
         track.clear()
 
 
-def times(stamps: Sequence[Stamp]) -> list[Column]:
-    """Return the timelines of frames; the iteration stands there when every frame has one."""
-    steps, moments, iterations = (pa.array(values, pa.int64()) for values in zip(*map(astuple, stamps), strict=True))
-    columns = [timeline(layout.STEP, steps), timeline(layout.SIM_TIME, moments.view(pa.duration("ns")))]
-    return [*columns, timeline(layout.ITERATION, iterations)] if all(s.iteration >= 0 for s in stamps) else columns
+def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
+    """Return the timelines of frames; the iteration is among them when every frame has one."""
+    steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
+    columns = [
+        rr.TimeColumn(layout.STEP, sequence=steps),
+        rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]")),
+    ]
+    with_iteration = all(stamp.iteration >= 0 for stamp in stamps)
+    return [*columns, rr.TimeColumn(layout.ITERATION, sequence=iterations)] if with_iteration else columns
 
 
 def _require_unique(entities: Sequence[str], seen: set[str]) -> None:

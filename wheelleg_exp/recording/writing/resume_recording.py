@@ -10,55 +10,37 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from rerun.chunk import Chunk
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.reading.arrow_values import python_values
-from wheelleg_exp.recording.reading.messages import (
-    BLUEPRINT_ACTIVATION,
-    END,
-    FOOTER_SIZE,
-    HEADER_SIZE,
-    MAGIC,
-    RECORDING,
-    ROWS,
-    DamagedMessageError,
-    File,
-    Rows,
-    decode_rows,
-    spans,
-)
-from wheelleg_exp.recording.writing.recorded_events import Point
-from wheelleg_exp.recording.writing.recorded_frames import Stamp
+from wheelleg_exp.recording.reading.recording_contents import Contents
 
 _PROPERTIES = f"{layout.PROPERTIES}/{layout.OWN}"
 _SCALARS = "Scalars:scalars"
 
 
-class NotResumable(RunDirectoryError):
-    """A recording cannot be gone on with; ``reason`` says why."""
-
-    def __init__(self, path: Path, reason: str, expected: str) -> None:
-        super().__init__(f"cannot go on with the recording '{path}': {reason}", expected=expected)
-        self.reason = reason
-
-
 class EarlierRecording:
-    """The rows of an earlier recording up to a control step, and what a recorder needs to go on after them.
+    """The rows of an earlier recording up to a control step, and what a recorder needs to continue after them.
 
-    A last message that was cut off by a sudden end is left out; nothing of the file is changed.
+    A last message that is cut off is left out. The file does not change.
 
     Args:
         path: the file.
         until: last control step whose rows are kept.
 
     Attributes:
-        documents: names of the texts, filled by ``batches`` like all below.
+        chunks: the kept rows and texts.
+        documents: names of the texts.
         keys: keys of the training's scalars.
-        started: when the recording began.
-        last: the last value of each entity that numbers episodes and their steps, with its control step.
+        started: when the recording started.
+        last: the control step and the last value of each entity that counts episodes or their steps.
         steps: the control steps of the frames, by the same entities.
+
+    Raises:
+        RunDirectoryError: the file is not a recording of the present layout, or is damaged.
     """
 
     def __init__(self, path: Path, until: int) -> None:
@@ -68,142 +50,73 @@ class EarlierRecording:
         self.started: str | None = None
         self.last: dict[str, tuple[int, float]] = {}
         self.steps: defaultdict[str, list[int]] = defaultdict(list)
-        self._plotted: dict[str, int] = {}
-        self._rows: list[tuple[Stamp, list[float]]] = []
-
-    def batches(self) -> Iterator[pa.RecordBatch]:
-        """Yield what is kept: rows up to the step, and texts.
-
-        Raises:
-            RunDirectoryError: the file is no recording of this layout, or is damaged.
-        """
-        problem = self._problem_of_head()
-        if problem is None:
-            for rows in self._messages():
-                try:
-                    yield from self._kept(rows)
-                except (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError) as error:
-                    raise self._damaged(f"its '{rows.entity}' is not as this program writes it") from error
-            problem = None if self.started is not None else "it is of another program or layout"
-        if problem is not None:
-            expected = "a recording of this program's present layout, or no file at this place"
-            raise NotResumable(self._path, problem, expected)
-
-    def journal_alone(self) -> dict[str, list[Point]]:
-        """Return the training scalars that stand in the journal and not yet in the plots' entities."""
-        found: dict[str, list[Point]] = defaultdict(list)
-        for stamp, values in sorted(self._rows, key=lambda row: row[0].step):
-            for key, value in zip(self.keys, values, strict=False):
-                if not np.isnan(value) and stamp.step > self._plotted.get(key, -1):
-                    found[key].append((stamp, value))
-        return found
-
-    def known_keys(self) -> list[str]:
-        """Return the keys that the kept rows of the journal have."""
-        return self.keys[: max((len(values) for _, values in self._rows), default=0)]
-
-    def _problem_of_head(self) -> str | None:
+        contents = Contents(path)
+        if contents.health.damaged:
+            raise self._problem(f"{contents.health.damaged} of its messages are damaged", "an undamaged recording")
         try:
-            file = File(self._path)
-        except OSError as error:
-            return str(error)
-        head = file.read(0, HEADER_SIZE)
-        if not head:
-            return "it is empty"
-        return None if head.startswith(MAGIC) and len(head) == HEADER_SIZE else "it is no rerun recording"
+            self.chunks = [
+                chunk
+                for entity, pieces in contents.pieces.items()
+                for piece in pieces
+                for chunk in (self._static(entity, piece.batch) if piece.is_static else self._rows(entity, piece.batch))
+            ]
+        except (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError) as error:
+            raise self._problem("its rows are not those of this program", "an undamaged recording") from error
+        if self.started is None:
+            expected = "a recording in the present layout of this program, or no file at this path"
+            raise self._problem("another program or layout wrote it", expected)
 
-    def _messages(self) -> Iterator[Rows]:
-        file, last = File(self._path), None
-        for span in spans(file):
-            if last is not None and last.kind == END:
-                raise self._damaged(f"it is damaged at byte {last.begin}: it goes on behind its end")
-            last = span
-            if span.kind != ROWS:
-                continue
-            try:
-                rows = decode_rows(span.payload(file))
-            except DamagedMessageError as error:
-                raise self._damaged(f"it is damaged at byte {span.begin}: {error}") from error
-            if rows.store[0] == RECORDING:
-                yield rows
-        if last is not None and last.kind == END and file.size - last.end <= FOOTER_SIZE:  # which may be cut off
-            return
-        end = HEADER_SIZE if last is None else last.end
-        kind = int.from_bytes(file.read(end, end + 8), "little")
-        if (kind > BLUEPRINT_ACTIVATION and file.size - end >= 8) or (last is not None and last.kind == END):
-            raise self._damaged(f"it is damaged at byte {end}")
+    def _problem(self, reason: str, expected: str) -> RunDirectoryError:
+        return RunDirectoryError(f"cannot resume the recording '{self._path}': {reason}", expected=expected)
 
-    def _damaged(self, reason: str) -> NotResumable:
-        return NotResumable(self._path, reason, "a recording that was not changed")
-
-    def _kept(self, rows: Rows) -> Iterator[pa.RecordBatch]:
-        entity, batch = rows.entity.strip("/"), rows.batch
-        if layout.STEP not in batch.schema.names:
-            yield from self._kept_static(entity, batch)
+    def _rows(self, entity: str, batch: pa.RecordBatch) -> Iterator[Chunk]:
+        if entity.startswith(layout.HIDDEN) or layout.STEP not in batch.schema.names:
             return
         steps = np.asarray(batch.column(layout.STEP))
         if len(steps) and steps.max() > self._until:
             batch = batch.filter(pc.less_equal(batch.column(layout.STEP), self._until))
         if len(batch):
             self._note(entity, batch)
-            yield batch
+            yield from Chunk.from_record_batch(batch)
 
-    def _kept_static(self, entity: str, batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
+    def _static(self, entity: str, batch: pa.RecordBatch) -> Iterator[Chunk]:
         name = layout.key_below(layout.DOCUMENTS, entity)
         if name is not None:
             if name not in self.documents:
                 self.documents.append(name)
-            yield batch
-        elif entity == layout.JOURNAL and "keys" in batch.schema.names:
-            self.keys = [str(key) for key in python_values(batch.column("keys"))[-1] or []]
-        elif entity == _PROPERTIES and self._is_ours(batch):
+            yield from Chunk.from_record_batch(batch)
+        elif entity == _PROPERTIES and "started" in batch.schema.names and _is_present_format(batch):
             self.started = str((python_values(batch.column("started"))[-1] or [""])[0])
-
-    def _is_ours(self, batch: pa.RecordBatch) -> bool:
-        names = batch.schema.names
-        if "format_version" not in names or "started" not in names:
-            return False
-        return bool(python_values(batch.column("format_version"))[-1] == [layout.FORMAT_VERSION])
 
     def _note(self, entity: str, batch: pa.RecordBatch) -> None:
         if _SCALARS not in batch.schema.names:
             return
         steps = np.asarray(batch.column(layout.STEP))
         step = int(steps.max())
-        if entity == layout.JOURNAL:
-            self._rows += zip(_stamps(batch), batch.column(_SCALARS).to_pylist(), strict=True)
-        elif (key := layout.key_below(layout.TRAINING, entity)) is not None:
-            self._plotted[key] = max(step, self._plotted.get(key, -1))
+        if (key := layout.key_below(layout.TRAINING, entity)) is not None:
+            if key not in self.keys:
+                self.keys.append(key)
         elif entity.endswith(("episode/number", "episode/step")):
             self.steps[entity] += steps.tolist()
             if step > self.last.get(entity, (-1, 0.0))[0]:
                 self.last[entity] = (step, float(batch.column(_SCALARS)[int(steps.argmax())].as_py()[0]))
 
 
-def resume_problem(path: Path) -> str | None:
-    """Return why a file cannot be gone on with, None when it can."""
-    try:
-        for _ in EarlierRecording(path, until=-1).batches():
-            pass
-    except NotResumable as error:
-        return error.reason
-    return None
-
-
-def _stamps(batch: pa.RecordBatch) -> list[Stamp]:
-    columns = (batch.column(n).cast(pa.int64()).to_pylist() for n in (layout.STEP, layout.SIM_TIME, layout.ITERATION))
-    return [Stamp(*values) for values in zip(*columns, strict=True)]
+def _is_present_format(batch: pa.RecordBatch) -> bool:
+    if "format_version" not in batch.schema.names:
+        return False
+    return bool(python_values(batch.column("format_version"))[-1] == [layout.FORMAT_VERSION])
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
-    """Move an earlier recording aside unless it can be gone on with, and remove what an interrupted resume left.
+    """Move an earlier recording aside unless it can be resumed, and remove the files of an interrupted resume.
 
     Args:
         path: the recording.
-        go_on: whether the recording is to be gone on with; otherwise nothing stands there yet.
+        go_on: whether the recording is to be resumed; otherwise no file exists yet.
 
     Returns:
-        What became of it, in words, None when there is nothing to tell.
+        What became of the earlier recording; None when there is nothing to report.
     """
     if not go_on:
         return None
@@ -211,14 +124,15 @@ def move_aside(path: Path, *, go_on: bool) -> str | None:
         left.unlink(missing_ok=True)
     if not path.exists():
         return "the earlier part of this recording is missing"
-    problem = resume_problem(path)
-    if problem is None:
-        return None
-    return f"the earlier part of this recording stands in {_renamed(path).name}: {problem}"
+    try:
+        EarlierRecording(path, until=-1)
+    except RunDirectoryError as error:
+        return f"the earlier part of this recording is now {_renamed(path).name}: {error.message}"
+    return None
 
 
 def _renamed(path: Path) -> Path:
-    """Give a file a name that nothing else has."""
+    """Rename a file to the first free name of ``<name>.damaged``, ``<name>.damaged-2``, and so on."""
     number = 1
     while True:
         target = path.with_name(f"{path.name}.damaged" + (f"-{number}" if number > 1 else ""))
