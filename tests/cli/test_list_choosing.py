@@ -95,9 +95,9 @@ def test_json_says_of_which_sweep_a_run_is(root):
     ("words", "told"),
     [
         (("--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
-        (("--filter", "finished"), ["'finished' is no condition", "KEY=VALUE"]),
-        (("--filter", "return>high"), ["'high' is no number"]),
-        (("--filter", "status<5"), ["'status' is text, such as 'finished', and 5 a number", "expected status=TEXT"]),
+        (("--filter", "finished"), ["'finished' is not a condition", "KEY=VALUE"]),
+        (("--filter", "return>high"), ["'high' is not a number"]),
+        (("--filter", "status<5"), ["'status' is text, such as 'finished', and 5 is a number", "expected status=TEXT"]),
         (("--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
         (("--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
     ],

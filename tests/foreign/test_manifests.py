@@ -117,7 +117,7 @@ def test_times_that_are_none_are_told(trial, moment):
         trial.manifest(**changes)
         trial.try_("list", 0)
         trial.try_("json", 0)
-        trial.try_("verify", 2, "is no time")
+        trial.try_("verify", 2, "is not a time")
 
 
 @pytest.mark.parametrize(

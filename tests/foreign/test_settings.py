@@ -162,7 +162,7 @@ def test_no_variable_of_this_machine_gets_into_anything(trial, text):
     trial.yaml(CONFIG, lambda config: config["run"].update(name=text, note=text))
     trial.yaml(CONFIG, lambda config: config["recording"].update(interval=text))
     trial.record()
-    missing = f"asks for the environment variable {VARIABLE}, which was not stored with the run"
+    missing = f"requests the environment variable {VARIABLE}, which was not stored with the run"
     told = [CONFIG, missing] if ",x" not in text else []
     trial.try_("resume", 2, *told)
     trial.try_("diff", (0, 1))
@@ -247,7 +247,7 @@ def test_no_recorded_word_leads_hydra_anywhere(trial, word, monkeypatch):
 def test_overrides_that_are_no_list_are_told(trial, text):
     trial.write(".hydra/overrides.yaml", text)
     trial.record()
-    trial.try_("resume", 2, "holds no list", ".hydra/overrides.yaml")
+    trial.try_("resume", 2, "is not a list", ".hydra/overrides.yaml")
 
 
 def test_no_recorded_task_or_folder_leads_a_report_to_files_of_the_user(trial):

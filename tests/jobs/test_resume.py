@@ -422,7 +422,7 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
         with pytest.raises(KeyboardInterrupt):
             Manifest.load(run).restart(command=[], threads={}, texts={"params/agent.yaml": "max_iterations: 9\n"})
     assert "max_iterations: 4" in (run / "params" / "agent.yaml").read_text()
-    Manifest.load(run).settle()
+    Manifest.load(run).write_pending()
     assert (run / "params" / "agent.yaml").read_text() == "max_iterations: 9\n"
     assert not [f for f in RunDirectory.open(run, run.parents[1]).manifest().compare_files().changed]
 
@@ -564,7 +564,7 @@ def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
     change_manifest(run)
     message = refuse(run, "agent.max_iterations=5")
     assert "variable MY_TOKEN, which was not stored with the run" in message
-    assert "expected MY_TOKEN set to what it was" in message
+    assert "expected MY_TOKEN set to its value at the start of the run" in message
     assert "KeyError" not in message
 
 

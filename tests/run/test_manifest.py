@@ -43,7 +43,7 @@ def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
 
 def test_a_second_run_cannot_begin_in_the_same_directory(tmp_path):
     begin(tmp_path)
-    with pytest.raises(RunDirectoryError, match="holds a run already"):
+    with pytest.raises(RunDirectoryError, match="already contains a run"):
         begin(tmp_path)
 
 

@@ -94,7 +94,7 @@ def test_a_missing_part_is_an_error(tmp_path):
 
 
 def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
-    with pytest.raises(RunDirectoryError, match=r"there is no '.*params/env\.yaml'"):
+    with pytest.raises(RunDirectoryError, match=r"'.*params/env\.yaml' is missing"):
         load_params(tmp_path)
     write_params(tmp_path, PARAMS)
     (tmp_path / "params" / "agent.yaml").write_text("a: 1\nb: ]\n")

@@ -147,7 +147,7 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
 
     checkpoint = _checkpoint_named(directory, asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
-    if own and not directory.manifest().vouches_for(checkpoint):
+    if own and not directory.manifest().matches_record(checkpoint):
         text = f"{checkpoint.name} differs from its run's record; see 'wheelleg verify {shown(directory.path)}'"
         print(hanging(printable(f"warning: {text}"), 4), file=sys.stderr)
     return checkpoint

@@ -20,7 +20,7 @@ import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
 from wheelleg_exp.run.git_commands import without_credentials
 
-# The distributions whose version can change a number or a file of a run.
+# Distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
     "wheelleg_exp",
     "mujoco",
@@ -37,7 +37,7 @@ _DISTRIBUTIONS = (
     "onnx",
 )
 
-# Variables on which numbers and threads depend; then those that choose devices, which code is found, or how it runs.
+# Prefixes of variables that change numbers or threads; then of those that choose devices, code, or how code runs.
 _NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
@@ -60,7 +60,7 @@ _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of Python and of the distributions that matter, None for one that is absent."""
+    """Return the versions of Python and of the relevant distributions; None for a missing distribution."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
@@ -74,8 +74,8 @@ def versions() -> dict[str, str | None]:
 def hardware() -> dict[str, Any]:
     """Return the CPU's model, its vector instructions, cores and memory, and the platform.
 
-    ``cores_usable`` are those that this process may run on, no more than a container's limit pays.
-    ``torch_cpu_capability`` is there only when torch has been imported already.
+    ``cores_usable`` is the number of cores that this process can use, within the limit of a container.
+    ``torch_cpu_capability`` exists only if torch is already imported.
     """
     facts: dict[str, Any] = {
         "cpu": platform.processor() or platform.machine(),
@@ -97,8 +97,8 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
     """Return the environment variables that can change results, sorted; a variable named like a secret is left out.
 
     Args:
-        environ: the variables, by default the process's own.
-        also: names that count as well, such as those that a config asks for.
+        environ: the variables; those of the process by default.
+        also: more names, such as those that a config requests.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -109,20 +109,20 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
 def replay_environ(
     recorded: Mapping[str, str], environ: Mapping[str, str] | None = None, also: Collection[str] = ()
 ) -> dict[str, str]:
-    """Return the environment of a process that computes as a run did.
+    """Return the environment for a process that must compute the same numbers as a run.
 
-    Variables on which numbers depend are those of the run, and are unset where it had none. All others stay: paths,
-    devices, what is preloaded.
+    Variables that change numbers have the run's values, and are unset where the run did not have them. Other variables
+    keep their present values: paths, devices, preloaded libraries.
 
     Args:
-        recorded: the variables that the run's manifest names.
-        environ: the present environment, by default this process's own.
-        also: names that are taken from the run as well, such as those that its config asks for.
+        recorded: the variables in the run's manifest.
+        environ: the present environment; that of this process by default.
+        also: more names whose values are taken from the run, such as those that its config requests.
     """
     present = dict(os.environ if environ is None else environ)
-    kept = {name: value for name, value in present.items() if not _is_numeric(name, value)}
+    unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
     taken = {name: value for name, value in recorded.items() if _is_numeric(name, value) or name in also}
-    return kept | taken
+    return unchanged | taken
 
 
 def _is_numeric(name: str, value: str) -> bool:
@@ -130,28 +130,28 @@ def _is_numeric(name: str, value: str) -> bool:
 
 
 def requested_variables(texts: Iterable[str]) -> list[str]:
-    """Return the names of the environment variables that configs ask for with ``${oc.env:NAME}``, sorted."""
+    """Return the sorted names of the environment variables that configs request with ``${oc.env:NAME}``."""
     return sorted({name for text in texts for name in _REQUESTED.findall(text)})
 
 
 def distributions() -> list[str]:
-    """Return ``name==version`` of every installed distribution, sorted, local versions kept.
+    """Return ``name==version`` of every installed distribution, sorted, including local version labels.
 
-    One that was not installed from an index carries a comment that says from where.
+    A distribution that was not installed from an index has a comment with its origin.
     """
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
         name, version = _name_and_version(distribution)
         if not name:
-            continue  # remains of a broken installation: a folder without metadata
+            continue  # a folder without metadata, left by a broken installation
         key = re.sub(r"[-_.]+", "-", name).lower()
-        # The first on the path is the one that is imported.
+        # Python imports the first one on the path.
         found.setdefault(key, f"{name}=={version}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
 
 
 def _name_and_version(distribution: metadata.Distribution) -> tuple[str, str]:
-    """Return both from the head of the metadata: reading a hundred descriptions as messages takes a second."""
+    """Return both from the head of the metadata; parsing the descriptions of 100 distributions would take a second."""
     text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
     head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
     return head.get("Name", ""), head.get("Version", "")
@@ -160,7 +160,7 @@ def _name_and_version(distribution: metadata.Distribution) -> tuple[str, str]:
 def environment_text(threads: Mapping[str, Any]) -> str:
     """Return the text of ``environment.txt``: the machine's facts as comments, then the distributions.
 
-    pip reads it as a requirements file. Equal environments give equal texts.
+    pip can read the text as a requirements file. Equal environments give equal texts.
 
     Args:
         threads: the thread policy of the run.
@@ -184,7 +184,7 @@ def _one_line(value: Any) -> str:
 
 
 def _origin(distribution: metadata.Distribution) -> str:
-    """Return a comment for a distribution that came from a folder, an archive or a repository (PEP 610)."""
+    """Return a comment for a distribution installed from a folder, an archive or a repository (PEP 610)."""
     text = distribution.read_text("direct_url.json")
     if not text:
         return ""

@@ -18,7 +18,7 @@ _OWN_FILES = {MANIFEST_NAME, RUN_LOCK, MANIFEST_LOCK}
 
 
 class FileRecord(TypedDict):
-    """What the manifest says of a file: content digest and size in bytes."""
+    """The manifest's record of a file: digest of the content, and size in bytes."""
 
     sha256: str
     size: int
@@ -26,9 +26,9 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """How a run's files differ from what its manifest recorded, as sorted relative paths.
+    """The differences between a run's files and its manifest, as sorted relative paths.
 
-    ``links`` are symbolic links that the manifest does not name; one in place of a recorded file is ``missing``.
+    ``links`` are symbolic links that the manifest does not name. A recorded file replaced by a link is ``missing``.
     """
 
     missing: list[str] = field(default_factory=list)
@@ -54,19 +54,19 @@ def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord
     """Return the records of ``paths``, sorted by relative path.
 
     Raises:
-        RunDirectoryError: a path is no file, or is not below ``directory``.
+        RunDirectoryError: a path is not a file, or is not below ``directory``.
     """
     names = {relative_name(directory, path) for path in paths}
     return {name: _record(directory / name) for name in sorted(names)}
 
 
 def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
-    """Hold the files of ``directory`` against their records."""
+    """Compare the files of ``directory`` with their records."""
     present = {relative_name(directory, path) for path in _files(directory)}
     found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
     for name in sorted(present & set(recorded)):
         try:
-            if not _is_as_recorded(directory / name, recorded[name]):
+            if not _matches_record(directory / name, recorded[name]):
                 found.changed.append(name)
         except RunDirectoryError:
             found.unreadable.append(name)
@@ -75,16 +75,16 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 
 
 def odd_entries(directory: Path) -> dict[str, str]:
-    """Return what below ``directory`` is neither a folder nor an ordinary file, by relative name: what it is instead.
+    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name.
 
-    A link may lead anywhere, and reading from a pipe or a device may never end. A file that goes meanwhile is none.
+    A link can lead anywhere, and reading from a pipe or a device may never end. Files that disappear are ignored.
     """
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):
             try:
                 mode = path.lstat().st_mode
-            except FileNotFoundError:  # as temporary files of a run that is being written do
+            except FileNotFoundError:  # a temporary file of a running training
                 continue
             if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
                 name = path.relative_to(directory).as_posix()
@@ -95,17 +95,16 @@ def odd_entries(directory: Path) -> dict[str, str]:
 def relative_name(directory: Path, path: Path) -> str:
     """Return ``path`` relative to ``directory``, with forward slashes.
 
-    A relative path counts from the working directory when that leads below ``directory``, else from
-    ``directory`` itself.
+    A relative path starts at the working directory if that leads below ``directory``, else at ``directory``.
 
     Raises:
-        RunDirectoryError: the path lies outside.
+        RunDirectoryError: the path is outside.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):
         if full.is_relative_to(base):
             return full.relative_to(base).as_posix()
-    raise RunDirectoryError(f"'{path}' lies outside the run directory", expected=f"a path below '{directory}'")
+    raise RunDirectoryError(f"'{path}' is outside the run directory", expected=f"a path below '{directory}'")
 
 
 def is_inside(name: str) -> bool:
@@ -114,7 +113,7 @@ def is_inside(name: str) -> bool:
     return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
 
 
-def _is_as_recorded(path: Path, record: FileRecord) -> bool:
+def _matches_record(path: Path, record: FileRecord) -> bool:
     with for_people(path, "read"):
         size = path.stat().st_size
     return size == record["size"] and sha256(path) == record["sha256"]

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Wall-clock times: the only scalars of which two equal runs differ.
+# Wall-clock times: the only scalars that differ between two equal runs.
 _TIMES = "Perf/"
 
 
@@ -21,8 +21,8 @@ class Line:
     Attributes:
         iteration: its number, from 0.
         digests: short digests by name.
-        scalars: what is compared: numbers by name, without wall-clock times.
-        digest_format: the definition of the digests; None when the line does not say.
+        scalars: numbers by name, without wall-clock times.
+        digest_format: number of the digests' definition; None when the line does not contain it.
         content: the whole line, wall-clock times included.
         end: the position in the file at which it ends.
     """
@@ -37,12 +37,12 @@ class Line:
 
 @dataclass(frozen=True)
 class IterationLog:
-    """A run's iterations as far as they follow each other from 0.
+    """The consecutive iterations of a run from 0 on.
 
     Attributes:
         lines: the iterations, ``lines[i].iteration == i``.
-        problems: what is wrong with the file, with line numbers.
-        cut_off: whether the last line has no end, as after a crash.
+        problems: the problems of the file, with line numbers.
+        cut_off: whether the last line has no newline, as after a crash.
     """
 
     lines: list[Line] = field(default_factory=list)
@@ -51,7 +51,7 @@ class IterationLog:
 
 
 def read_log(path: Path) -> IterationLog:
-    """Read a log as far as it is whole; a missing file is no iterations.
+    """Read a log up to its first problem; a missing file has no iterations.
 
     Raises:
         RunDirectoryError: the file cannot be read.
@@ -72,12 +72,12 @@ def read_log(path: Path) -> IterationLog:
             continue
         else:
             log.problems.append(_out_of_order(number, line.iteration, expected))
-        break  # what follows could be taken for another iteration
+        break  # later lines could belong to another iteration
     return log
 
 
 def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
-    """Return how long iterations took, s; building, exporting and pauses before a resume are not counted."""
+    """Return the duration of iterations in s, without building, exporting, and the pauses before a resume."""
     times = [line["scalars"].get(_TIMES + key) for line in lines for key in ("collection_time", "learning_time")]
     return float(sum(value for value in times if isinstance(value, (int, float))))
 

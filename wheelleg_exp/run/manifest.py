@@ -1,7 +1,7 @@
-"""``manifest.json``: what a run is, how it went, and the digest of every file that it wrote.
+"""``manifest.json``: what a run is, how it ended, and the digest of every file that it wrote.
 
-The last key of the file, ``sha256``, is the digest of the file's own bytes, so that a changed byte is noticed.
-Every value is checked for its type before it is used.
+The last key of the file, ``sha256``, is the digest of the file's own bytes, so that a changed byte is detected.
+The type of every value is checked before the value is used.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """A kind of value that may be missing or null."""
+    """The type of a value that can be missing or null."""
 
     kind: Any
 
 
 def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
-    """Yield the keys at or below ``path`` whose values are not of their kind.
+    """Yield the keys at or below ``path`` whose values have the wrong type.
 
     Args:
         value: a plain value.
-        kind: a type; ``[kind]`` for a list; ``{str: kind}`` for a mapping with any keys, else the kinds by key. Keys of
-            which nothing is said may hold anything.
+        kind: a type; ``[kind]`` for a list; ``{str: kind}`` for a mapping with any keys, else the types by key. A key
+            without a type can have any value.
         path: the key of the value.
     """
     if isinstance(kind, Optional):
@@ -70,7 +70,7 @@ def _is_instance(value: Any, kind: type) -> bool:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # the format whose digest is of the values and not of the bytes, if it has one
+FORMAT_WITH_VALUE_DIGEST = 1  # its digest, if any, is of the values and not of the bytes
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 
@@ -130,13 +130,13 @@ _MANIFEST = {
 
 
 def require_manifest(data: Any, path: Path) -> None:
-    """Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of the format known here."""
+    """Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of a known format."""
     where = os.fspath(path)
     if not isinstance(data, dict) or "format" not in data:
         raise RunDirectoryError("this is not a run's manifest", where=where, expected="a mapping with 'format'")
     if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
         raise RunDirectoryError(
-            f"manifest format {data['format']!r} is not known here",
+            f"manifest format {data['format']!r} is unknown",
             where=where,
             expected=f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it",
         )
@@ -160,7 +160,7 @@ def _require_times(data: dict[str, Any], where: str) -> None:
         try:
             parse_utc(text)
         except ValueError:
-            raise RunDirectoryError(f"broken manifest: {text!r} is no time", where=where) from None
+            raise RunDirectoryError(f"broken manifest: {text!r} is not a time", where=where) from None
 
 
 def _require_inside(data: dict[str, Any], where: str) -> None:
@@ -169,7 +169,7 @@ def _require_inside(data: dict[str, Any], where: str) -> None:
         tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
     for name in (name for table in tables for name in table):
         if not is_inside(name):
-            raise RunDirectoryError(f"the manifest names {name!r}, outside its directory", where=where)
+            raise RunDirectoryError(f"the manifest names {name!r}, which is outside its directory", where=where)
 
 
 DIGEST_KEY = "sha256"
@@ -180,11 +180,11 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
     """Return the document as JSON whose last key, ``sha256``, is the digest of all bytes of the text.
 
-    What is digested has 64 zeros in the digest's place. An earlier digest is replaced.
+    The digest is computed of the text with 64 zeros in place of the digest. An earlier digest is replaced.
 
     Args:
-        document: what is written.
-        broken: write a digest that does not hold, because the document was changed by others before.
+        document: the content.
+        broken: whether to write zeros as the digest, because the old document did not match its digest.
     """
     text = dump_json({**_without_digest(document), DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -193,7 +193,7 @@ def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> st
 
 
 def bytes_match_digest(data: bytes) -> bool:
-    """Return whether these are, byte for byte, what ``sealed_text`` returned."""
+    """Return whether bytes are, byte for byte, a text that ``text_with_digest`` returned."""
     found = _END.search(data)
     if found is None:
         return False
@@ -202,9 +202,9 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether a document holds the values that were digested, as format 1 did; None when it has no digest.
+    """Return whether the values of a document of format 1 match its digest; None when it has no digest.
 
-    Other bytes of the same value, such as the last digits of a number that rounds alike, go unseen.
+    A change that keeps the values is not detected, such as other last digits of a number that round alike.
     """
     if DIGEST_KEY not in document:
         return None
@@ -218,11 +218,11 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# What is written before the first step and never again; everything else may grow while the run goes on.
+# Files that are written before the first step and never again; all other files can grow during the run.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# What a resume replaces, and keeps beside.
-_OF_ONE_PROCESS = (
+# Keys that a resume replaces; their old values are stored in ``resumes``.
+_PROCESS_KEYS = (
     "status",
     "error",
     "ended",
@@ -235,16 +235,16 @@ _OF_ONE_PROCESS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
-_PENDING = "files_to_write"  # of a resume that has not written its changed files yet
+_PENDING = "files_to_write"  # the key of a resume that has not yet written its changed files
 
 
 @dataclass
 class Manifest:
-    """The manifest of one run directory. Every change reads, changes and replaces the file under a lock.
+    """The manifest of one run directory. Every change reads, modifies and replaces the file under a lock.
 
     Args:
         path: the manifest file.
-        data: its content as last read or written.
+        data: the content that was last read or written.
     """
 
     path: Path
@@ -261,14 +261,14 @@ class Manifest:
         threads: Mapping[str, Any],
         now: datetime | None = None,
     ) -> Manifest:
-        """Write the first manifest of a run, with status ``running`` and the files that are there by now.
+        """Write the first manifest of a run, with status ``running`` and the present files.
 
         Raises:
-            RunDirectoryError: the directory has a manifest already.
+            RunDirectoryError: the directory already has a manifest.
         """
         path = directory / MANIFEST_NAME
         if path.exists():
-            raise RunDirectoryError(f"'{directory}' holds a run already", expected="a new run directory")
+            raise RunDirectoryError(f"'{directory}' already contains a run", expected="a new run directory")
         manifest = cls(path)
         manifest.data = {
             "format": FORMAT,
@@ -300,7 +300,7 @@ class Manifest:
         """Read the manifest of a run directory.
 
         Raises:
-            RunDirectoryError: there is none, it is broken, or its format is not known here.
+            RunDirectoryError: the manifest is missing or broken, or its format is unknown.
         """
         path = Path(directory) / MANIFEST_NAME
         if not path.is_file():
@@ -316,7 +316,7 @@ class Manifest:
 
     @property
     def status(self) -> str:
-        """One of ``STATUSES``, as recorded; a run that was killed still says ``running`` here."""
+        """The recorded status, one of ``STATUSES``; that of a killed run is still ``running``."""
         return str(self.data["status"])
 
     @property
@@ -329,8 +329,8 @@ class Manifest:
         """The run's results."""
         return self.data["results"]
 
-    def seal_holds(self) -> bool | None:
-        """Return whether the file is what was written; None when it has no digest of itself, as format 1 may.
+    def matches_digest(self) -> bool | None:
+        """Return whether the file matches its own digest; None for a file of format 1 without a digest.
 
         Raises:
             RunDirectoryError: the file cannot be read.
@@ -341,7 +341,7 @@ class Manifest:
             return bytes_match_digest(self.path.read_bytes())
 
     def snapshot_taken(self, source: Mapping[str, Any]) -> None:
-        """Record that all that decides the run is written: the source, and the files there are now."""
+        """Record that the snapshot is complete: the source, and the present files."""
 
         def change(data: dict[str, Any]) -> None:
             data["source"] = dict(source)
@@ -357,19 +357,19 @@ class Manifest:
         *,
         now: datetime | None = None,
     ) -> None:
-        """Write how the run ended, and the digests of all its files. Close the growing ones before.
+        """Write how the run ended, and the digests of all its files, which must be closed.
 
         Args:
             status: ``finished``, ``interrupted`` or ``failed``.
-            results: added to the results there are.
-            error: why the run failed.
-            now: the time of the end, by default the present.
+            results: added to the present results.
+            error: the reason of a failure.
+            now: the time of the end; the current time by default.
 
         Raises:
             ValueError: the status is not one of the three.
         """
         if status not in STATUSES[1:]:
-            raise ValueError(f"a run does not end as '{status}'")
+            raise ValueError(f"a run cannot end as '{status}'")
 
         def change(data: dict[str, Any]) -> None:
             data["status"] = status
@@ -389,22 +389,21 @@ class Manifest:
         texts: Mapping[str, str] | None = None,
         **facts: Any,
     ) -> None:
-        """Write that the run goes on: status ``running``, in this process, with this machine's facts.
+        """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        What the run was before stands in ``resumes``: status, error, end, process, versions, hardware,
-        threads and digests.
+        ``resumes`` stores the old values: status, error, end, process, versions, hardware, threads and digests.
 
         Args:
-            command: the command line that resumes it.
+            command: the command line of the resume.
             threads: the thread policy of this process.
-            now: the time of the resume, by default the present.
-            texts: files of the snapshot that the resume's overrides change, by relative name: their new content.
-            facts: what else the resume knows, such as the iteration that it starts from.
+            now: the time of the resume; the current time by default.
+            texts: the new content of the snapshot's files that the resume's overrides change, by relative name.
+            facts: more facts about the resume, such as the iteration at which it starts.
         """
         texts = dict(texts or {})
 
         def change(data: dict[str, Any]) -> None:
-            before = {key: data.get(key) for key in _OF_ONE_PROCESS}
+            before = {key: data.get(key) for key in _PROCESS_KEYS}
             before |= {"failure": data.pop("failure")} if "failure" in data else {}
             entry = {"when": utc_text(now or utc_now()), "command": list(command), **json_plain(facts)}
             entry |= {"before": before, **({_PENDING: texts} if texts else {})}
@@ -416,10 +415,10 @@ class Manifest:
             data["files"] |= {name: _text_record(text) for name, text in texts.items()}
 
         self._update(change)
-        self.settle()
+        self.write_pending()
 
-    def settle(self) -> None:
-        """Write the changed files of the last resume, unless that has been done: a crash may have come between."""
+    def write_pending(self) -> None:
+        """Write the changed files of the last resume, unless they were written; a crash may have prevented that."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -427,11 +426,11 @@ class Manifest:
             self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
 
     def amend_resume(self, **facts: Any) -> None:
-        """Record what the last resume has learnt since it began."""
+        """Add facts to the entry of the last resume."""
         self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
 
     def record(self, **facts: Any) -> None:
-        """Record what a command knows about the whole run, by key, such as the run that it repeats."""
+        """Record facts about the whole run by key, such as the run that it repeats."""
         self._update(lambda data: data.update(facts))
 
     def add(
@@ -443,17 +442,17 @@ class Manifest:
         command: Sequence[str] | None = None,
         now: datetime | None = None,
     ) -> dict[str, Any]:
-        """Record what a later command adds to the run, and return the entry.
+        """Record the files and results that a later command adds to the run, and return the entry.
 
         Args:
-            kind: what it is, such as ``play``, ``evaluation`` or ``export``.
-            files: the files that it wrote, below the run directory.
-            results: what it found.
-            command: its command line, by default this process's.
-            now: the time of the addition, by default the present.
+            kind: such as ``play``, ``evaluation`` or ``export``.
+            files: the new files, below the run directory.
+            results: the results.
+            command: the command line; that of this process by default.
+            now: the time of the addition; the current time by default.
 
         Raises:
-            RunDirectoryError: a file is missing or lies outside the run directory.
+            RunDirectoryError: a file is missing or outside the run directory.
         """
         entry: dict[str, Any] = {
             "kind": kind,
@@ -466,7 +465,7 @@ class Manifest:
         return self.data["additions"][-1]
 
     def recorded_files(self) -> dict[str, FileRecord]:
-        """Return the newest record of every file, those of additions included."""
+        """Return the newest record of every file, including files of additions."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
         records: dict[str, FileRecord] = {}
@@ -479,21 +478,21 @@ class Manifest:
                 records.update(entry["files"])
         return records
 
-    def vouches_for(self, path: Path) -> bool:
-        """Whether a file that lies in the run itself is what its newest record says; one without a record is."""
+    def matches_record(self, path: Path) -> bool:
+        """Return whether a file of the run matches its newest record, or has no record."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 
     def compare_files(self) -> FileFindings:
-        """Hold the files on the disk against their newest records."""
+        """Compare the files on the disk with their newest records."""
         return compare_files(self.directory, self.recorded_files())
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[dict[str, Any]]:
-        """Write the end of the run however the body ends; the body fills the yielded results.
+        """Record the end of the run after the body; the body fills the yielded results.
 
-        Ctrl-C gives ``interrupted``, any other exception ``failed``; both go on to the caller, even when the
-        manifest itself can no longer be written.
+        Ctrl-C gives the status ``interrupted``, any other exception ``failed``. The exception is raised again, even
+        when the manifest cannot be written.
         """
         results: dict[str, Any] = {}
         with self.failing(results):
@@ -502,7 +501,7 @@ class Manifest:
 
     @contextlib.contextmanager
     def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
-        """Write the end of the run only when the body raises (see ``finishing``)."""
+        """Record the end of the run only when the body raises (see ``finishing``)."""
         try:
             yield
         except BaseException as error:
@@ -510,13 +509,13 @@ class Manifest:
             try:
                 self.finish(status, results, error)
             except Exception as second:
-                error.add_note(f"the manifest could not be finished: {second}")
+                error.add_note(f"the manifest could not be written: {second}")
             raise
 
     def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
             before = Manifest.load(self.directory)
-            was_changed = before.seal_holds() is False  # and stays so: a new digest would hide it
+            was_changed = before.matches_digest() is False  # a new digest would hide the change
             data = before.data
             change(data)
             data["format"] = FORMAT

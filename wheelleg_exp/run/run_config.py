@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 
 PARTS = ("env", "agent")
-# Keys of ``agent`` that a trained policy depends on; all others are of the training.
+# Keys of ``agent`` that a trained policy depends on; the remaining keys concern the training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
-    """Raise RunDirectoryError, with the key, where a value holds ``${``: parameters are what a run was made with.
+    """Raise RunDirectoryError with the key of a value that contains ``${``; parameters must be plain values.
 
     Args:
         params: ``env`` and ``agent``, or one of them.
-        where: the file that they stand in.
+        where: the file that contains the parameters.
     """
     for key in _unresolved(params, ""):
         raise RunDirectoryError(
-            "holds '${', and parameters are not resolved again", key=key, where=where, expected="a plain value"
+            "contains '${', but parameters are not resolved again", key=key, where=where, expected="a plain value"
         )
 
 
@@ -60,7 +60,7 @@ def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
     """Write both files below ``directory/params``.
 
     Raises:
-        RunDirectoryError: a part is missing or holds something that is not plain (nothing is written then).
+        RunDirectoryError: a part is missing, or a value is not plain. Nothing is written then.
     """
     if set(params) != set(PARTS):
         raise RunDirectoryError(f"parameters for {sorted(params)}", expected=" and ".join(PARTS))
@@ -73,8 +73,8 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
     """Return the environment's and the agent's parameters of a run directory.
 
     Raises:
-        RunDirectoryError: a file is missing or is not the YAML of a mapping, with file and line; or a value in it holds
-            ``${``.
+        RunDirectoryError: a file is missing, is not the YAML of a mapping, or contains ``${``. The error names file and
+            line.
     """
     paths = {part: Path(directory) / "params" / f"{part}.yaml" for part in PARTS}
     params = {part: _load_mapping(path) for part, path in paths.items()}
@@ -84,13 +84,13 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters, perhaps an older version's, as this one writes them.
+    """Return an environment's parameters in the present format; an older version may have written them.
 
-    Until 0.1 the ground was a plane whose material stood in ``scene.ground``, and there was one engine.
+    Until 0.1, the ground was a plane whose material was in ``scene.ground``, and there was only one engine.
     """
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # who checks it tells
+        return dict(env)  # the config check reports the mistake
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -101,47 +101,54 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with MuJoCo's own engine.
 
-    What is evaluated, played and exported is simulated on it wherever a policy was trained, unless an override says
-    otherwise: then figures compare, and a machine without a GPU has them.
+    Evaluations, plays and exports simulate on this engine by default, wherever the policy was trained. So their figures
+    can be compared, and no GPU is needed.
     """
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # who checks it tells
+        return dict(env)  # the config check reports the mistake
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
 def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the config that a run was composed to, its interpolations as written (raises as ``load_params``)."""
+    """Return a run's composed config, with unresolved interpolations; raises as ``load_params``."""
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
 
 def _load_mapping(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise RunDirectoryError(f"there is no '{path}'", expected="the parameters that the run was made with")
+        raise RunDirectoryError(f"'{path}' is missing", expected="the parameters of the run")
     return require_mapping(read_yaml(path), path)
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")  # of which a run keeps no resolved copy
+SECTIONS = (
+    "seed",
+    "task",
+    "recording",
+    "run",
+    "init_from",
+    "init_from_what",
+)  # sections without a resolved copy in the run
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
-_STEPS, _LETTERS = 10_000, 100_000  # most interpolations that are resolved, and most letters of all that hold one
+_STEPS, _LETTERS = 10_000, 100_000  # limits: resolved interpolations, and letters of texts that contain one
 _NO_DEFAULT = object()
 _REACHING = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)  # options, Hydra's own settings, resolvers
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the sections of a run's config of which it keeps no resolved copy, resolved; None for one that is absent.
+    """Return the resolved sections of a run's config of which the run has no resolved copy; None for a missing one.
 
     Args:
         directory: the run directory.
-        variables: the environment variables that its config may ask for.
+        variables: the environment variables that the config can request.
 
     Raises:
-        RunDirectoryError: it cannot be read or resolved, or asks for another variable.
+        RunDirectoryError: the config cannot be read or resolved, or requests another variable.
     """
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
-        raise RunDirectoryError("holds no mapping", key=str(path), expected="the config of the run")
+        raise RunDirectoryError("is not a mapping", key=str(path), expected="the config of the run")
     asked: list[str] = []
 
     def not_kept(name: str) -> Any:
@@ -158,7 +165,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
 
 
 def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's config, its interpolations as written; empty where none can be read."""
+    """Return a run's config with unresolved interpolations; empty when it cannot be read."""
     try:
         config = read_yaml(Path(directory) / CONFIG)
     except RunDirectoryError:
@@ -167,23 +174,23 @@ def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
 
 
 def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
-    """Return the overrides that a run was composed with, none where none are kept.
+    """Return the overrides that a run was composed with; empty when none are stored.
 
     Raises:
-        RunDirectoryError: they cannot be read, or are no list.
+        RunDirectoryError: the overrides cannot be read, or are not a list.
     """
     path = Path(directory) / OVERRIDES
     found = read_yaml(path) if path.is_file() else []
     if not isinstance(found, list):
-        raise RunDirectoryError("holds no list", key=str(path), expected="the overrides of the run")
+        raise RunDirectoryError("is not a list", key=str(path), expected="the overrides of the run")
     return [str(word) for word in found]
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Refuse recorded words that are composed again unless each is an override of the config and nothing more.
+    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config.
 
-    Refused are options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers
-    (environment variables of this machine). The RunDirectoryError names ``path``, the record.
+    Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
+    variables of this machine) are refused, because the words are composed again.
     """
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _REACHING.match(word):
@@ -192,15 +199,17 @@ def require_overrides(words: Iterable[Any], path: Path) -> None:
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return what a run's robot is: ``sources``, sha256 by file, and ``model_sha256``.
+    """Return the identity of a run's robot: ``sources``, the sha256 of each file, and ``model_sha256``.
 
     Raises:
-        RunDirectoryError: it is not kept, or broken.
+        RunDirectoryError: the record is missing or broken.
     """
     path = Path(directory) / ROBOT
     identity = read_json(path)
     for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):
-        raise RunDirectoryError(f"'{wrong}' is missing or wrong", key=str(path), expected="what the run's robot is")
+        raise RunDirectoryError(
+            f"'{wrong}' is missing or wrong", key=str(path), expected="the identity of the run's robot"
+        )
     return dict(identity)
 
 
@@ -211,12 +220,12 @@ def resolved(
 
     Args:
         tree: the plain config.
-        variables: what ``${oc.env:NAME}`` stands for.
-        absent: the value of a variable that is not among them and has no default.
+        variables: the values of ``${oc.env:NAME}``.
+        absent: returns the value of another variable without a default.
         sections: keys; all by default.
 
     Raises:
-        RunDirectoryError: something in it cannot be resolved.
+        RunDirectoryError: a value cannot be resolved.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
@@ -249,7 +258,7 @@ def _strings(node: Any) -> Iterator[str]:
 
 @contextmanager
 def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
-    """Let OmegaConf know no resolvers but those that only look at the config, and bound how often it resolves."""
+    """Restrict OmegaConf to resolvers that only read the config, and limit the number of resolutions."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
     from omegaconf.basecontainer import BaseContainer
@@ -280,8 +289,8 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
 
 def _missing_variable(name: str, path: Path) -> RunDirectoryError:
     return RunDirectoryError(
-        f"asks for the environment variable {name}, which was not stored with the run",
+        f"requests the environment variable {name}, which was not stored with the run",
         key=str(path),
-        expected=f"{name} set to what it was when the run began, and 'wheelleg replay': nothing else that reads a run "
-        "takes it from this environment",
+        expected=f"{name} set to its value at the start of the run, and 'wheelleg replay': no other command that "
+        "reads a run uses this environment",
     )

@@ -20,18 +20,18 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
-NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', beginning with a letter or digit"
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # a part of a folder's name
+NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
 
 @dataclass
 class RunOptions:
-    """Where a run is written, and how much of the source tree it keeps.
+    """The config section ``run``: where a run is written, and how much of the source tree it stores.
 
     Args:
-        root: folder in which run directories are made; a relative one is below the working directory.
+        root: folder of the run directories; a relative path starts at the working directory.
         name: last part of the run directory's name; letters, digits, ``.``, ``_`` and ``-``.
-        max_patch_mb: largest source patch that is kept, in megabytes (10^6 bytes).
+        max_patch_mb: largest source patch that is stored, in megabytes (10^6 bytes).
     """
 
     root: str = "runs"
@@ -43,12 +43,12 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder is a pipeline's: a run directory is not, whatever else someone has put into it."""
+    """Return whether a folder belongs to a pipeline; a run directory never does, whatever files it contains."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return what to tell of a folder that is a pipeline's: the runs of its phases; None of any other folder."""
+    """Return the error for a pipeline named as a run: it lists the runs of the phases; None for any other folder."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
@@ -58,12 +58,12 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
     runs = [f"{_relative_to_here(path.parent / phase['run'])} (phase '{phase['name']}')" for phase in begun]
     return RunDirectoryError(
         f"'{path.parent.name}' is a pipeline, and each of its phases is a run",
-        expected=" or ".join(runs) if runs else "a run of it, once its first phase has begun",
+        expected=" or ".join(runs) if runs else "a run of the pipeline, after its first phase has started",
     )
 
 
 def _relative_to_here(path: Path) -> str:
-    """Return a path as one would type it from here."""
+    """Return a path relative to the working directory if it is below that."""
     found, here = path.resolve(), Path.cwd()
     return str(found.relative_to(here)) if found.is_relative_to(here) else str(found)
 
@@ -75,9 +75,9 @@ REPLAYS = "replays"
 PIPELINES = "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
-FAILURE = "failure.npz"  # what a training failed with
+FAILURE = "failure.npz"  # the state that made a training fail
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
-# What a run directory must hold for its run to be built from it.
+# The files from which a run can be built again.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 
 _NAME = re.compile(NAME)
@@ -104,18 +104,20 @@ class RunDirectory(os.PathLike[str]):
         *,
         section: str | None = None,
     ) -> RunDirectory:
-        """Make ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``, in local time, for this caller alone.
+        """Create ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` exclusively; the time is local.
 
-        A taken name gets ``-2``, ``-3``. With ``section`` (``agents``, ``replays``) it is made below that folder of the
-        root, where ``latest`` and the listing do not look.
+        If the name is taken, ``-2``, ``-3``, … is added. With ``section`` (``agents``, ``replays``), the directory is
+        created below that folder of the root, which ``latest`` and the list of runs ignore.
 
         Raises:
-            ConfigError: the task or the name has characters that a folder should not have, or is a key or a token.
-            RunDirectoryError: the folder cannot be made.
+            ConfigError: the task or the name contains characters that are not allowed in a folder's name.
+            RunDirectoryError: the folder cannot be created.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
-            raise ConfigError(f"a task cannot be called '{task}'", key="task.name", expected="another name")
+            raise ConfigError(
+                f"'{task}' is reserved and cannot be the name of a task", key="task.name", expected="another name"
+            )
         parts = [folder_text(now or datetime.now()), str(int(seed))]
         if name is not None:
             _require_name(name, "run.name")
@@ -125,25 +127,25 @@ class RunDirectory(os.PathLike[str]):
 
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
-        """Return the run directory that ``run`` names.
+        """Return the run directory with a path, an id, or the name ``latest``.
 
         Args:
-            run: a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest``, the newest by start time.
+            run: a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest`` for the run that started last.
             root: the folder of all runs.
-            odd: whether it may hold links, pipes and devices, because the caller tells of them and opens none.
+            odd: whether links, pipes and devices are accepted, because the caller reports them and opens none.
 
         Raises:
-            RunDirectoryError: it names none (with the nearest that there is), two, or a damaged one; or it holds
-                something else than folders and files.
+            RunDirectoryError: the run does not exist (the error names the nearest id), the id is ambiguous, the run is
+                damaged, or the directory contains something other than folders and files.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
         if not odd:
             for name, what in odd_entries(directory.path).items():
                 raise RunDirectoryError(
-                    f"is {what}, which is not followed in a run directory",
+                    f"is {what}, which is not allowed in a run directory",
                     key=str(directory.path / name),
-                    expected="nothing but files and folders",
+                    expected="only files and folders",
                 )
         return directory
 
@@ -154,7 +156,7 @@ class RunDirectory(os.PathLike[str]):
 
     @property
     def root(self) -> Path:
-        """The folder of all runs that this one stands in."""
+        """The folder of all runs that contains this run."""
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
@@ -190,12 +192,12 @@ class RunDirectory(os.PathLike[str]):
 
     @property
     def videos(self) -> Path:
-        """The folder of films made while training."""
+        """The folder of the films of the training."""
         return self.path / "videos"
 
     @property
     def dataset(self) -> Path:
-        """The folder of the episodes that recorders noted while training."""
+        """The folder of the episodes that recorders saved during the training."""
         return self.path / "dataset"
 
     @property
@@ -219,23 +221,23 @@ class RunDirectory(os.PathLike[str]):
         return self.path / "environment.txt"
 
     def manifest(self) -> Manifest:
-        """Read the manifest (RunDirectoryError when it is missing or damaged)."""
+        """Read the manifest; raise RunDirectoryError when it is missing or damaged."""
         return Manifest.load(self.path)
 
     def inside(self, name: str) -> Path:
-        """Return the path of a relative name (RunDirectoryError when it leaves the directory)."""
+        """Return the path of a relative name; raise RunDirectoryError when the path leaves the directory."""
         if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
-            raise RunDirectoryError(f"'{name}' lies outside the run directory", expected="a path below it")
+            raise RunDirectoryError(f"'{name}' is outside the run directory", expected="a path below it")
         return self.path / name
 
     def checkpoints(self) -> list[Path]:
-        """Return the checkpoints, by rising iteration."""
+        """Return the checkpoints, sorted by iteration."""
         with for_people(self.path, "read"):
             found = [p for p in self.path.iterdir() if CHECKPOINT.fullmatch(p.name) and p.is_file()]
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the checkpoint of the highest iteration (RunDirectoryError when there is none)."""
+        """Return the checkpoint of the last iteration; raise RunDirectoryError when there is no checkpoint."""
         found = self.checkpoints()
         if not found:
             raise RunDirectoryError(f"run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
@@ -245,7 +247,7 @@ class RunDirectory(os.PathLike[str]):
         """Return the checkpoint of one iteration.
 
         Raises:
-            RunDirectoryError: there is none, with the nearest iteration that has one.
+            RunDirectoryError: the iteration has no checkpoint; the error names the nearest checkpoint.
         """
         found = {checkpoint_iteration(path): path for path in self.checkpoints()}
         if iteration in found:
@@ -259,7 +261,7 @@ class RunDirectory(os.PathLike[str]):
 
 
 def checkpoint_iteration(path: Path) -> int:
-    """Return the iteration in a checkpoint's file name (RunDirectoryError when it is none)."""
+    """Return the iteration in a checkpoint's file name; raise RunDirectoryError for another name."""
     match = CHECKPOINT.fullmatch(path.name)
     if match is None:
         raise RunDirectoryError(f"'{path.name}' is not a checkpoint's name", expected="model_<iteration>.pt")
@@ -267,10 +269,10 @@ def checkpoint_iteration(path: Path) -> int:
 
 
 def create_exclusively(parent: Path, name: str) -> Path:
-    """Make and return the folder ``parent/name``, or ``name-2``, ``name-3``, … when that is taken.
+    """Create and return the folder ``parent/name``, or ``name-2``, ``name-3``, … if the name is taken.
 
     Raises:
-        RunDirectoryError: the folder cannot be made.
+        RunDirectoryError: the folder cannot be created.
     """
     with for_people(parent / name):
         parent.mkdir(parents=True, exist_ok=True)
@@ -280,16 +282,16 @@ def create_exclusively(parent: Path, name: str) -> Path:
             except FileExistsError:
                 continue
             return path.resolve()
-    raise AssertionError("the numbers do not end")
+    raise AssertionError("unreachable: the numbers do not end")
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Return the folders below ``root`` that have a manifest, over all tasks, by name."""
+    """Return the folders of all tasks below ``root`` that have a manifest, sorted by path."""
     return sorted(path.parent for task in task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
 
 
 def start_moment(folder: Path) -> datetime:
-    """Return when a run started: from its manifest, else from its name, else the beginning of time."""
+    """Return the start of a run: from its manifest, else from its folder's name, else the earliest possible time."""
     try:
         return Manifest.load(folder).started
     except RunDirectoryError:
@@ -305,7 +307,7 @@ def _numbered(parent: Path, name: str) -> Iterator[Path]:
 
 
 def task_folders(root: Path) -> list[Path]:
-    """Return the folders below ``root`` that hold the runs of one task each."""
+    """Return the folders below ``root`` that contain the runs of one task each."""
     if not root.is_dir():
         return []
     with for_people(root, "read"):
@@ -324,7 +326,7 @@ def _found(run: str | Path, root: Path) -> Path:
 def _latest(root: Path) -> Path:
     folders = run_folders(root)
     if not folders:
-        raise RunDirectoryError(f"there is no run below '{root}'", expected="a finished or running training")
+        raise RunDirectoryError(f"there is no run below '{root}'", expected="a training that was started")
     return max(folders, key=lambda folder: (start_moment(folder), folder.name))
 
 

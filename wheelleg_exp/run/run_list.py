@@ -33,8 +33,8 @@ DAMAGED = "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # of which the last whole line is one iteration
-# What is told of a training, by the names of its scalars.
+_TAIL_BYTES = 65536  # more than one line of iterations.jsonl
+# The figures of a training and their scalars.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -44,32 +44,32 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """One line of the list of runs.
+    """One run of the list.
 
     Attributes:
         id: the folder's name.
         task: the task's name.
-        status: the manifest's (``running``, ``finished``, ``interrupted``, ``failed``), or ``crashed`` (it says
-            running, and its process is gone), or ``damaged`` (the manifest cannot be read; ``problem`` says why).
+        status: the manifest's status (``running``, ``finished``, ``interrupted``, ``failed``), or ``crashed`` (recorded
+            as running, but its process has ended), or ``damaged`` (the manifest cannot be read).
         path: the folder.
-        started: when it began.
-        ended: when it ended, as text; None while it runs, and where nobody wrote it down.
-        seeds: its seeds.
+        started: the start.
+        ended: the end as text; None when it is not recorded.
+        seeds: the seeds.
         results: the manifest's results.
-        problem: why it failed or is damaged, or which episodes of it ended because a number was not finite.
-        failure: what it keeps of its failure: file, config key, iteration; None where it keeps nothing.
+        problem: why the run failed or is damaged, or the number of episodes that ended because a value was not finite.
+        failure: the recorded failure: message, config key, iteration; None when no failure is recorded.
         name: ``run.name``.
-        iterations: how many are done.
-        max_iterations: how many it shall have.
+        iterations: number of finished iterations.
+        max_iterations: number of iterations that the training should reach.
         checkpoint: iteration of the last checkpoint.
-        resumable: whether ``resume`` can go on: from the last checkpoint or, without one, from the beginning.
-        resumes: how often it has been resumed.
-        figures: mean return and length of the last episodes, share of them that ran to their time limit.
+        resumable: whether ``resume`` can continue, from the last checkpoint or from the start.
+        resumes: how often the run was resumed.
+        figures: mean return and length of the last episodes, and the share of episodes that reached the time limit.
         played: results of the last play.
         evaluated: results of the last evaluation.
-        bundles: folders in it that were exported for deployment.
-        seconds: how long it took, or has taken up to its last iteration, without the pauses before a resume.
-        bytes: size of the files in its folder's top, without later additions.
+        bundles: folders that were exported for deployment.
+        seconds: duration up to the last iteration, without the pauses before a resume.
+        bytes: size of the files directly in the run directory.
     """
 
     id: str
@@ -97,13 +97,13 @@ class RunSummary:
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
-    """Return a summary of every run below ``root``, the newest first; no root is no runs."""
+    """Return a summary of every run below ``root``, the newest first; empty when ``root`` does not exist."""
     folders = [*run_folders(Path(root)), *_folders_without_manifest(Path(root))]
     return sorted(map(summarize, folders), key=lambda s: (s.started, s.id), reverse=True)
 
 
 def summarize(folder: Path) -> RunSummary:
-    """Return the summary of one run directory; a damaged one is said to be so, not raised."""
+    """Return the summary of one run directory; a damaged run gets the status ``damaged``."""
     try:
         manifest = Manifest.load(folder)
     except RunDirectoryError as error:
@@ -139,14 +139,14 @@ def summarize(folder: Path) -> RunSummary:
 
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
-    """Return a line on the episodes that ended because a number was not finite; None when there were none."""
+    """Return a line that counts the episodes that ended because a value was not finite; None without such episodes."""
     counts = results.get("non_finite") or {}
-    told = ", ".join(f"{key} {count}" for key, count in counts.items())
-    return f"episodes that ended because a number was not finite: {told}" if told else None
+    listed = ", ".join(f"{key} {count}" for key, count in counts.items())
+    return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
 def effective_status(manifest: Manifest) -> str:
-    """Return the manifest's status, or ``crashed`` when it says running and its process is gone."""
+    """Return the manifest's status, or ``crashed`` when it is ``running`` and its process has ended."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
@@ -154,7 +154,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """One line of the list of sweeps; ``jobs`` counts the jobs by status."""
+    """One sweep of the list; ``jobs`` counts the jobs by status."""
 
     id: str
     status: str
@@ -188,7 +188,7 @@ def _sweep(folder: Path) -> SweepSummary:
 
 
 def _folders_without_manifest(root: Path) -> Iterator[Path]:
-    """Yield the folders that are named like runs and have no manifest: they were killed as they began."""
+    """Yield the folders that are named like runs but have no manifest, because the run was killed at its start."""
     for task in task_folders(root):
         for folder in task.iterdir():
             if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
@@ -196,15 +196,15 @@ def _folders_without_manifest(root: Path) -> Iterator[Path]:
 
 
 def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
-    """Return whether ``resume`` can go on with a run, as far as is seen without reading its files."""
+    """Return whether ``resume`` can continue a run, judged without reading the run's files."""
     if status == "running" or total is None:
         return False
-    if checkpoint is None:  # it begins again, unless it was killed before all was there that this needs
+    if checkpoint is None:  # the resume starts from the beginning, for which it needs these files
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # its log would have a gap
+    if (done or 0) < computed:  # the log would have a gap
         return False
-    return computed < total or (computed == total and status != "finished")  # all computed: what is left is the export
+    return computed < total or (computed == total and status != "finished")  # only the export is left
 
 
 def _name(folder: str) -> str | None:
@@ -213,7 +213,7 @@ def _name(folder: str) -> str | None:
 
 
 def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
-    """Return the iteration of the last checkpoint, and the size of the files in the folder's top."""
+    """Return the iteration of the last checkpoint, and the size of the files directly in the folder."""
     newest, size = None, 0
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -226,7 +226,7 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
 
 
 def _progress(folder: Path, results: Mapping[str, Any]) -> tuple[int | None, Mapping[str, Any]]:
-    """Return how many iterations are done and the scalars of the last one."""
+    """Return the number of finished iterations and the scalars of the last iteration."""
     last = _last_line(folder / "iterations.jsonl")
     if last is not None:
         return last["iteration"] + 1, last["scalars"]
@@ -235,12 +235,12 @@ def _progress(folder: Path, results: Mapping[str, Any]) -> tuple[int | None, Map
 
 
 def _last_line(path: Path) -> dict[str, Any] | None:
-    """Return the last whole line of ``iterations.jsonl``, without reading what stands before."""
+    """Return the last whole line of ``iterations.jsonl``; only the end of the file is read."""
     try:
         with open_file(path) as file:
             end = file.seek(0, os.SEEK_END)
             file.seek(max(0, end - _TAIL_BYTES))
-            lines = file.read().split(b"\n")[:-1]  # what no newline ends was cut off
+            lines = file.read().split(b"\n")[:-1]  # text without a newline was cut off
     except RunDirectoryError:
         return None
     for line in reversed(lines):
@@ -277,7 +277,7 @@ def _bundles(additions: list[dict[str, Any]]) -> tuple[str, ...]:
 
 
 def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
-    if manifest.data["resumes"]:  # nobody knows when a killed process stopped
+    if manifest.data["resumes"]:  # the end of a killed process is not recorded
         try:
             return seconds_of(line.content for line in read_log(folder / "iterations.jsonl").lines)
         except RunDirectoryError:
@@ -307,7 +307,7 @@ def _figure(name: str, run: RunSummary) -> float | None:
     return run.figures.get(name)
 
 
-# What is told of every run, beside the keys of its config.
+# The columns of the list. The keys of a run's config are accepted in addition.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     "id": lambda run: run.id,
     "task": lambda run: run.task,
@@ -326,14 +326,14 @@ _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
 
 @dataclass(frozen=True)
 class SweptRun:
-    """What a sweep says of one of its runs: the sweep's id, and the values in which its runs differ, by key."""
+    """A run of a sweep: the sweep's id, and the run's swept values by key."""
 
     sweep: str
     values: Mapping[str, str]
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the runs of all sweeps below ``root``, by folder; a damaged index has none."""
+    """Return the runs of all sweeps below ``root`` by folder; a damaged index is ignored."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -344,7 +344,7 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
 
 
 def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
-    """Return the runs of a sweep, by folder."""
+    """Return the runs of a sweep by folder."""
     found = {}
     for job in index.jobs:
         folder = index.run_of(job)
@@ -355,10 +355,10 @@ def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
 
 
 def find_sweep(name: str, root: Path) -> SweepIndex | None:
-    """Return the sweep that a path, an id or ``latest`` names; None where none is named so.
+    """Return the sweep with a path, an id, or the name ``latest``; None when it does not exist.
 
     Raises:
-        RunDirectoryError: its index is broken.
+        RunDirectoryError: the index of the sweep is broken.
     """
     known = sorted(path.parent for path in (root / SWEEPS).glob(f"*/{SWEEP_NAME}"))
     if name == "latest" and known:
@@ -368,21 +368,23 @@ def find_sweep(name: str, root: Path) -> SweepIndex | None:
 
 
 def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSummary]:
-    """Return the runs for which every condition holds.
+    """Return the runs that meet every condition.
 
     Args:
-        runs: all of them.
-        conditions: ``KEY=VALUE``, in which ``*`` stands for anything, and ``!=``, ``<``, ``<=``, ``>``, ``>=``; a key
-            is a column of the list or one of the run's config.
+        runs: the runs.
+        conditions: ``KEY=VALUE`` with ``*`` as a wildcard, or with ``!=``, ``<``, ``<=``, ``>``, ``>=``.
+            A key is a column of the list or a key of the run's config.
 
     Raises:
-        WheellegError: one is no condition, or no run has its key, or it compares text with a number.
+        WheellegError: a condition has a wrong form or an unknown key, or compares a text with a number.
     """
     kept = list(runs)
     for text in conditions:
         match = _CONDITION.fullmatch(text)
         if match is None:
-            raise WheellegError(f"'{text}' is no condition", key="--filter", expected="KEY=VALUE, or !=, <, <=, >, >=")
+            raise WheellegError(
+                f"'{text}' is not a condition", key="--filter", expected="KEY=VALUE, or !=, <, <=, >, >="
+            )
         values = _values(runs, match["key"].strip(), "--filter")
         wanted = match["value"].strip()
         if match["sign"] in _ORDERED and _number(wanted) is not None:
@@ -392,12 +394,12 @@ def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[R
 
 
 def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) -> list[RunSummary]:
-    """Return runs by a key, the largest or latest first; those without it at the end.
+    """Return the runs sorted by a key, the largest or latest first, and runs without the key last.
 
     Args:
-        runs: all of them.
+        runs: the runs.
         key: a column of the list, or a key of the run's config.
-        reverse: whether the smallest comes first.
+        reverse: whether the smallest is first.
 
     Raises:
         WheellegError: no run has the key.
@@ -409,10 +411,10 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
 
 
 def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]:
-    """Return what each run has at a key, None for what it has not."""
-    told = _COLUMNS.get(key.replace("_", "-"))
-    if told is not None:
-        return {run.path: told(run) for run in runs}
+    """Return the value of each run at a key; None where a run does not have the key."""
+    column = _COLUMNS.get(key.replace("_", "-"))
+    if column is not None:
+        return {run.path: column(run) for run in runs}
     found = {run.path: _config_value(written_config(run.path), key) for run in runs}
     if found and all(value is None for value in found.values()):
         names = ", ".join(_COLUMNS)
@@ -428,15 +430,15 @@ def _config_value(config: Any, key: str) -> Any:
 
 
 def _require_ordered(key: str, known: Sequence[Any], wanted: str) -> None:
-    """Raise where all values are words, and so neither smaller nor larger than a number."""
-    if known and all(isinstance(value, str) and not _begins_with_digit(value) for value in known):
+    """Raise when all values are texts, which cannot be compared with a number."""
+    if known and all(isinstance(value, str) and not _starts_with_digit(value) for value in known):
         raise WheellegError(
-            f"'{key}' is text, such as '{known[0]}', and {wanted} a number", key="--filter", expected=f"{key}=TEXT"
+            f"'{key}' is text, such as '{known[0]}', and {wanted} is a number", key="--filter", expected=f"{key}=TEXT"
         )
 
 
-def _begins_with_digit(text: str) -> bool:
-    """Return whether a text is a date, an id or the like, of which a number such as a year is a beginning."""
+def _starts_with_digit(text: str) -> bool:
+    """Return whether a text starts with a digit, as a date or an id does; a year is then a prefix of the text."""
     return text[:1].isdigit()
 
 
@@ -444,9 +446,9 @@ def _holds(value: Any, sign: str, wanted: str) -> bool:
     if sign in _ORDERED:
         number = _number(wanted)
         if isinstance(value, str):
-            return (number is None or _begins_with_digit(value)) and _ORDERED[sign](value, wanted)
+            return (number is None or _starts_with_digit(value)) and _ORDERED[sign](value, wanted)
         if number is None:
-            raise WheellegError(f"'{wanted}' is no number", key="--filter", expected=f"KEY{sign}NUMBER")
+            raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
     return _same(value, wanted) == (sign == "=")
 

@@ -20,19 +20,19 @@ _PROC = Path("/proc")
 
 
 def this_process() -> dict[str, Any]:
-    """Return what names this process beyond doubt: pid, host, boot id, and its start in clock ticks.
+    """Return what identifies this process: pid, host, boot id, and its start in clock ticks.
 
-    A pid alone is used again by later processes; with the boot and the start it is not. Where the system
-    does not tell, the last two are None.
+    A later process can have the same pid, but not the same boot and start. The last two are None on systems that do not
+    report them.
     """
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
 
 def is_alive(recorded: Mapping[str, Any]) -> bool | None:
-    """Return whether the process that ``this_process`` described lives, or None when it cannot be told.
+    """Return whether a process described by ``this_process`` still runs; None when unknown.
 
-    It cannot be told from another host, and on systems that do not show processes.
+    It is unknown on another host, and on systems that do not show processes.
     """
     pid = recorded.get("pid")
     if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
@@ -63,12 +63,12 @@ def _boot_id() -> str | None:
 
 
 def _start_ticks(pid: int) -> int | None:
-    """Return field 22 of ``/proc/<pid>/stat``; None when there is no such process, or only its remains."""
+    """Return field 22 of ``/proc/<pid>/stat``; None when the process does not exist or is a zombie."""
     try:
         text = (_PROC / str(pid) / "stat").read_text(errors="replace")
     except OSError:
         return None
-    # The name in parentheses may hold anything, so count from the last parenthesis (proc(5)).
+    # The name in parentheses can contain anything, so fields are counted from the last parenthesis (proc(5)).
     fields = text.rpartition(")")[2].split()
     return None if fields[0] in "ZX" else int(fields[19])
 
@@ -78,14 +78,14 @@ MANIFEST_LOCK = ".manifest.lock"
 
 
 class RunLock:
-    """Hold a run directory for writing, as a context manager.
+    """Lock a run directory for writing, as a context manager.
 
-    The kernel's lock (``flock``) goes with its process, so nothing is left behind by one that was killed.
+    The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock.
 
     Args:
         directory: the run directory.
         name: the lock file's name; a run and its manifest have one each.
-        timeout_s: seconds to wait for another holder.
+        timeout_s: seconds to wait while another process has the lock.
     """
 
     def __init__(self, directory: os.PathLike[str], *, name: str = RUN_LOCK, timeout_s: float = 0.0) -> None:
@@ -97,7 +97,7 @@ class RunLock:
         """Take the lock.
 
         Raises:
-            RunDirectoryError: another process holds it (named by its pid), or the file cannot be made.
+            RunDirectoryError: another process has the lock (the error names its pid), or the file cannot be created.
         """
         if self._descriptor is not None:
             raise RuntimeError("this lock is already held")
@@ -108,17 +108,17 @@ class RunLock:
             time.sleep(0.02)
 
     def release(self) -> None:
-        """Give the lock back; nothing happens when it is not held."""
+        """Release the lock; do nothing if it is not acquired."""
         if self._descriptor is None:
             return
-        # The file stays: unlinking it would let two processes lock two files of one name.
+        # The file stays: if it was unlinked, two processes could lock two files of one name.
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the lock while the body runs; one that was taken before is given back behind it as well."""
+        """Keep the lock while the body runs, and release it afterwards, even if it was acquired before."""
         if self._descriptor is None:
             self.acquire()
         try:
@@ -148,7 +148,7 @@ class RunLock:
         return True
 
     def _open_and_flock(self) -> int | None:
-        # Never through a link: what it leads to would be emptied.
+        # O_NOFOLLOW, because the target of a link would be truncated.
         descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -172,5 +172,5 @@ class RunLock:
         who = f"process {holder['pid']} on {holder.get('host')}" if "pid" in holder else "another process"
         return RunDirectoryError(
             f"'{self.path.parent}' is being written by {who}",
-            expected="one writer at a time: wait for it, or end it first",
+            expected="one writer at a time: wait for that process, or end it",
         )

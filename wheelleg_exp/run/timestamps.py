@@ -1,4 +1,4 @@
-"""Points in time: UTC in the manifest, local time in the names of folders."""
+"""Times: UTC in the manifest, local time in the names of folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FOLDER_PATTERN = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d")
 
 
 def utc_now() -> datetime:
-    """Return the present moment."""
+    """Return the current time."""
     return datetime.now(UTC)
 
 
@@ -21,23 +21,23 @@ def utc_text(moment: datetime) -> str:
 
 
 def parse_utc(text: str) -> datetime:
-    """Return the moment that ``utc_text`` wrote (ValueError for other text)."""
+    """Return the time in a text of ``utc_text``; raise ValueError for other text."""
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError(f"'{text}' has no time zone")
-    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # beyond these no time zone can be changed
-        raise ValueError(f"'{text}' is in no year of a computer")
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # outside this range, datetime cannot convert between time zones
+        raise ValueError(f"'{text}' is outside the years that a computer's clock has")
     return moment
 
 
 def folder_text(moment: datetime) -> str:
-    """Return ``moment`` in local time as a folder's name, ``2026-01-31_17-05-09``; a naive one is local."""
+    """Return a time as the name of a folder in local time, ``2026-01-31_17-05-09``; a naive time is local."""
     local = moment if moment.tzinfo is None else moment.astimezone()
     return local.strftime(_FOLDER)
 
 
 def folder_moment(name: str) -> datetime | None:
-    """Return the moment that a run folder's name begins with, or None."""
+    """Return the time at the start of a run folder's name; None for another name."""
     match = _FOLDER_PATTERN.match(name)
     if match is None:
         return None

@@ -135,7 +135,7 @@ def manifest(subject: Subject) -> Check:
     """Check that nobody changed the manifest after it was written, and note what it records about the run."""
     data = subject.data
     notes: list[str] = []
-    holds = subject.manifest.seal_holds()
+    holds = subject.manifest.matches_digest()
     failures = [f"{MANIFEST_NAME} {_FORGED}"] if holds is False else []
     if holds is None:
         notes.append("it has no digest of itself, so a change in it cannot be detected")
@@ -180,7 +180,7 @@ def files(subject: Subject) -> Check:
 
 def damage(subject: Subject) -> dict[str, str]:
     """Return the problem of each file that differs from its record in the manifest, the manifest included."""
-    wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.seal_holds() is False else {}
+    wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.matches_digest() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
 

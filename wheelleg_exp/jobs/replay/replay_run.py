@@ -65,7 +65,7 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
         RunDirectoryError: a file is missing, changed, or not in the manifest; the manifest was changed; or several
             processes trained the run.
     """
-    if manifest.seal_holds() is False:
+    if manifest.matches_digest() is False:
         raise RunDirectoryError(
             "the manifest is not what the run wrote", where=str(run.path / MANIFEST_NAME), expected="an unchanged run"
         )

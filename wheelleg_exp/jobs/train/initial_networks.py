@@ -281,7 +281,7 @@ def _find(named: str, root: str) -> _Source:
 
 def _require_recorded(source: _Source) -> _Source:
     """Refuse a checkpoint that differs from what its run recorded."""
-    if source.run is not None and not source.run.manifest().vouches_for(source.path):
+    if source.run is not None and not source.run.manifest().matches_record(source.path):
         raise RunDirectoryError(
             "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
         )

@@ -181,7 +181,7 @@ def _prepare(
         lock.acquire()
         manifest = run.manifest()
         _require_ended(manifest, display)
-        manifest.settle()
+        manifest.write_pending()
         _require_snapshot(run, manifest)
         require_same_world_size(manifest, ranks)
         recorded = manifest.data.get("config_dirs") or _config_dirs_of_command(manifest)
