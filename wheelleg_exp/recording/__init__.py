@@ -1,15 +1,15 @@
-"""Recordings for rerun: what one holds, how it grows while the environment steps, and how it is read back.
+"""Recordings for rerun: what a recording contains, how it grows, and how it is read back.
 
 | module | offers |
 |---|---|
-| ``layout`` | where things stand in a recording |
-| ``blueprint`` | what the viewer shows |
-| ``options``, ``sample`` | its config ``recording.``, and which episodes of a training are kept |
-| ``programs`` | where rerun's own program is |
+| ``layout`` | the entity paths of a recording |
+| ``blueprint`` | the layout of the viewer |
+| ``recording_options`` | the config section ``recording``, and the choice of the recorded episodes |
+| ``rrd_file``, ``rerun_program`` | the frame of an rrd file, and rerun's command-line program |
 | ``writing``, ``reading`` | from the environment into a file, and back |
 """
 
 import os
 
-# Read by rerun when it is imported. A growing file has no index on purpose, of which rerun would warn each time.
+# rerun reads the variable at its import. A growing file has no index on purpose; rerun would warn of it each time.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")

@@ -1,7 +1,7 @@
-"""Where things stand in a recording: entity paths by environment and subject.
+"""The entity paths of a recording, by environment and subject.
 
-With one recorded environment paths are plain (``base/height``, ``world/<body>``); with several, each has its own
-branch (``env_3/base/height``, ``world/env_3/<body>``).
+One recorded environment has plain paths (``base/height``, ``world/<body>``). Of several environments, each has a
+branch of its own (``env_3/base/height``, ``world/env_3/<body>``).
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
 LOG = "log"
-HIDDEN = "__"  # what begins so is hidden by rerun: properties and the journal
-JOURNAL = f"__journal/{TRAINING}"
+HIDDEN = "__"  # prefix of entities that rerun hides, such as properties
 PROPERTIES = "__properties"
-OWN = "wheelleg"  # this program's properties
+OWN = "wheelleg"  # the name of this program's properties
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
 FORMAT_VERSION = 2  # 1 had no properties, and one vector for each observation group
@@ -45,8 +44,8 @@ _UNITS: dict[tuple[str, ...], str] = {
 
 
 def join(*parts: str) -> str:
-    """Return an entity path whose parts are taken literally, whatever characters they hold."""
-    import rerun as rr  # not at the top: reading a recording needs no more of rerun than this, and not always
+    """Return the entity path of literal parts; special characters are escaped."""
+    import rerun as rr  # lazy, because importing rerun takes 0.25 s
 
     return "/".join(rr.escape_entity_path_part(part) for part in parts if part)
 
@@ -58,10 +57,10 @@ def join_key(root: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """Paths of one recorded environment.
+    """The paths of one recorded environment.
 
     Attributes:
-        branch: the environment's branch, empty when it is the only one.
+        branch: the environment's branch; empty for a single environment.
     """
 
     branch: str
@@ -71,16 +70,16 @@ class EnvPaths:
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:
-        """Return the path of a body, or of something fixed to it."""
+        """Return the path of a body, or of a part that is fixed to the body."""
         return join(WORLD, self.branch, name, *parts)
 
     def overlay(self, *parts: str) -> str:
-        """Return the path of something drawn over the world: arrows, colliders."""
+        """Return the path of an overlay of the world: arrows, colliders."""
         return join(OVERLAY, self.branch, *parts)
 
 
 def unit(entity: str) -> str | None:
-    """Return the unit of an entity's numbers, None where they have none or several."""
+    """Return the unit of an entity's numbers; None when they have no unit or several units."""
     parts = entity.strip("/").split("/")
     if parts[0].startswith("env_") and len(parts) > 2:
         parts = parts[1:]
@@ -91,6 +90,6 @@ def unit(entity: str) -> str | None:
 
 
 def key_below(root: str, entity: str) -> str | None:
-    """Return the key that ``join_key(root, key)`` puts at ``entity``, None for an entity elsewhere."""
+    """Return the key whose path ``join_key(root, key)`` is ``entity``; None for an entity outside ``root``."""
     head = f"{root}/"
     return entity.removeprefix(head).replace("\\", "") if entity.startswith(head) else None

@@ -9,17 +9,17 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """What goes into the recording of a training.
+    """The config section ``recording``. Options that runs of all versions have get no default.
 
     Attributes:
-        enabled: whether a recording is written at all.
+        enabled: whether a recording is written.
         env_ids: environments whose motion is recorded.
-        interval: iterations after which the next sample of whole episodes is due.
-        steps: control steps with which a sample has enough; it ends with that episode.
-        max_mb: size that recorded motion may reach, MB; scalars are written beyond it.
-        live: whether a viewer is opened that shows the run as it goes.
-        video_every: iterations after which the next film of the first of ``env_ids`` is due, ``steps`` control steps
-            long; 0 makes none. Runs of earlier versions do not have it.
+        interval: iterations between the starts of two samples of whole episodes.
+        steps: control steps after which a sample ends with its current episode.
+        max_mb: largest size of the recorded motion, MB; scalars are not limited.
+        live: whether a viewer is opened that shows the run.
+        video_every: iterations between two films of the first of ``env_ids``, ``steps`` control steps long; 0 makes no
+            films. Runs of earlier versions do not have this option.
     """
 
     enabled: bool
@@ -32,13 +32,13 @@ class RecordingOptions:
 
 
 class Sample:
-    """Decides of each control step whether it is taken.
+    """Decides for each control step whether it is recorded.
 
-    A sample begins with the next episode that does, and ends with the episode in which it has enough steps. Nothing of
-    it is state that a checkpoint would have to hold: it follows from the steps that were taken before.
+    A sample starts with the next episode, and ends with the episode in which it has enough steps. A checkpoint need not
+    contain the sample's state, because the state follows from the recorded steps.
 
     Attributes:
-        steps: the control steps that were taken, in order, those in an earlier file included.
+        steps: the recorded control steps in order, including those of an earlier file.
     """
 
     def __init__(self) -> None:
@@ -47,24 +47,24 @@ class Sample:
         self._is_in_episode = False
 
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
-        """Begin a sample, or go on with one.
+        """Start or continue a sample.
 
         Args:
-            enough: control steps with which no further episode is begun; 0 is no sample.
-            most: control steps at which even an episode that goes on is cut off.
-            taken: how many were taken already.
-            is_in_episode: whether the present episode has been taken so far.
+            enough: recorded control steps after which no other episode is started; 0 records nothing.
+            most: recorded control steps after which even the current episode is cut off.
+            taken: number of control steps that are already recorded.
+            is_in_episode: whether the current episode is recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0
 
     def takes(self, episode_step: int) -> bool:
-        """Return whether a control step is taken, by its number within its episode, from 1."""
+        """Return whether a control step is recorded, given its number within its episode, from 1."""
         begins = episode_step == 1 and self._taken < self._enough
         self._is_in_episode = (self._is_in_episode or begins) and self._taken < self._most
         return self._is_in_episode
 
     def took(self, *, ends: bool) -> None:
-        """Count a step that was taken, and whether the episode ended with it."""
+        """Count a recorded step; ``ends`` says whether its episode ended."""
         self._taken += 1
         self._is_in_episode = not ends

@@ -1,17 +1,15 @@
-"""The run directory: one folder that says what produced a policy, and that it is still what it was.
+"""The run directory: one folder that says what produced a policy, and that shows whether a file has changed.
 
 | module | offers |
 |---|---|
-| ``options`` | what may stand under ``run.`` in the config |
-| ``directory`` | making, finding and naming run directories, and the paths inside one |
-| ``begin`` | what is written before the first step: parameters, config, source, environment, manifest |
-| ``manifest``, ``manifest_format``, ``seal`` | ``manifest.json``: status, versions, digests, results |
-| ``params`` | ``params/{env,agent}.yaml``, written and read back |
-| ``recorded`` | what a run has kept, read back: config, overrides, robot, source, installed distributions |
-| ``log`` | ``iterations.jsonl`` read back |
-| ``environment`` | installed distributions, hardware, and the variables that change numbers, here and in a replay |
-| ``inventory``, ``kinds`` | sha256 and size of the files of a run; whether a value that was read has its shape |
-| ``lock``, ``process`` | one writer at a time; whether a recorded process still lives |
-| ``listing``, ``sweep_index``, ``timestamps`` | all the runs there are, the sweeps among them, and when they began |
-| ``source``, ``source_changes`` | the state of the source tree, kept and restored; which files differ between two |
+| ``run_directory`` | the config section ``run``, and the paths of run directories and of their files |
+| ``start_run`` | the files that are written before the first step |
+| ``manifest``, ``file_inventory`` | ``manifest.json``: status, versions, results, and the digest of every file |
+| ``run_config`` | parameters, config, overrides, and robot of a run, read back |
+| ``iteration_log`` | ``iterations.jsonl``, read back |
+| ``environment`` | distributions, hardware, and the variables that change numbers |
+| ``source_snapshot``, ``source_restore``, ``source_changes`` | the source of a run: stored, restored, and compared |
+| ``git_commands`` | git commands that change nothing |
+| ``run_list``, ``run_index`` | all runs of a folder, and the indexes of sweeps and pipelines |
+| ``run_lock``, ``timestamps`` | one writer at a time; times in the manifest and in names |
 """

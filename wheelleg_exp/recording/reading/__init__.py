@@ -1,10 +1,10 @@
-"""A recording read back as tables, damaged ones as far as they go.
+"""Read a recording back as tables, also a damaged one.
 
 | module | offers |
 |---|---|
-| ``reader``, ``groups``, ``statics``, ``events``, ``journal`` | what it holds: numbers, facts, words, curves |
-| ``contents``, ``rows``, ``components``, ``plain`` | rows by entity, and Arrow's values as Python's own |
-| ``messages`` | the format of a file |
-| ``health``, ``repair`` | how whole a file is, and mending it |
-| ``digest`` | the same for every run that did the same |
+| ``recording_reader`` | ``Recording``: tables, names, events, documents, properties |
+| ``number_groups``, ``entity_rows`` | numbers by name and in groups, and the rows of an entity |
+| ``recording_contents``, ``arrow_values`` | the rows of a file, and Arrow values as Python values |
+| ``recording_digest`` | a digest of the content |
+| ``recording_repair`` | a readable copy of a damaged file |
 """

@@ -17,7 +17,11 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-_WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26  # numbers of an entity, of a recording; of the names of its groups
+_WIDEST, _MOST, _LETTERS = (
+    1 << 16,
+    1 << 20,
+    1 << 26,
+)  # limits: numbers of an entity, numbers of a recording, letters of group names
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
 
@@ -26,9 +30,9 @@ class Number:
     """One number of an entity.
 
     Attributes:
-        name: its path below what it was asked for by, with dots.
-        entity: where it stands.
-        index: its place in the entity's row.
+        name: the number's path below the requested group, with dots.
+        entity: the number's entity.
+        index: the number's index in the entity's row.
     """
 
     name: str
@@ -37,7 +41,7 @@ class Number:
 
 
 class NumberNames:
-    """What numbers there are.
+    """The names of a recording's numbers.
 
     Args:
         rows: the recording's rows.
@@ -51,7 +55,7 @@ class NumberNames:
 
     @cached_property
     def groups(self) -> dict[str, list[str]]:
-        """The entities below each path, in the order in which they are read."""
+        """The entities below each path, in the order of the columns."""
         found: dict[str, list[str]] = {}
         room = _LETTERS
         for entity in self._entities:
@@ -64,14 +68,14 @@ class NumberNames:
         return {path: self._ordered(path, entities) for path, entities in found.items()}
 
     def numbers_of(self, path: str) -> list[Number]:
-        """Return the numbers of an entity and of all below it."""
+        """Return the numbers of an entity and of all entities below it."""
         own = [path] if path in self._entities else []
         depth = len(parts_of(path))
         found = (n for entity in (*own, *self.groups.get(path, ())) for n in self._numbers(entity, depth))
         return [_not_a_timeline(number) for number in self._within_bounds(found)]
 
     def all(self, branch: str) -> dict[str, Number]:
-        """Return every number of one environment, and those of none, by names that begin at the top."""
+        """Return every number of one environment, and those that belong to no environment, by full names."""
         if branch not in self._by_branch:
             self._by_branch[branch] = {number.name: number for number in self._within_bounds(self._all(branch))}
         return self._by_branch[branch]
@@ -89,7 +93,7 @@ class NumberNames:
         below = [unescaped(part) for part in parts_of(entity)[depth:]]
         names = self._rows.number_names(entity)
         width = self._rows.width(entity)
-        if width > _WIDEST:  # no vector that anybody reads by the name of each number
+        if width > _WIDEST:  # nobody reads so wide a vector by the name of each number
             return
         if width == 1 and below:
             yield Number(".".join(below), entity, 0)
@@ -104,10 +108,10 @@ class NumberNames:
             yield number
 
     def _too_many(self, what: str) -> RunDirectoryError:
-        return RunDirectoryError(f"'{self._rows.path}' holds too many {what}", expected="a smaller recording")
+        return RunDirectoryError(f"'{self._rows.path}' contains too many {what}", expected="a smaller recording")
 
     def _ordered(self, path: str, entities: list[str]) -> list[str]:
-        """Return entities in the order that the recording gives for the members of their group, else by name."""
+        """Return entities in the recorded order of their group's members, else sorted by name."""
         static = self._rows.static(path)
         order = {str(name): i for i, name in enumerate(static.get("terms") or static.get("names") or [])}
         depth = len(parts_of(path))
@@ -115,7 +119,7 @@ class NumberNames:
 
 
 def _not_a_timeline(number: Number) -> Number:
-    """Return a number whose name is not that of a timeline: ``episode/step`` becomes ``episode.step``."""
+    """Return a number that has no timeline's name: ``step`` of ``episode/step`` becomes ``episode.step``."""
     if number.name not in TIMELINES:
         return number
     name = ".".join(unescaped(part) for part in parts_of(number.entity)[-2:])
@@ -123,7 +127,7 @@ def _not_a_timeline(number: Number) -> Number:
 
 
 def is_numeric(rows: EntityRows, entity: str) -> bool:
-    """Return whether an entity's rows are numbers (and not shapes, poses or words)."""
+    """Return whether an entity's rows are numbers, not shapes, poses or texts."""
     return entity.split("/")[0] not in _NOT_NUMBERS and SCALARS in rows.columns(entity)
 
 
@@ -138,7 +142,7 @@ def unescaped(part: str) -> str:
 
 
 def _dotted(below: list[str], name: str) -> str:
-    """Return a number's name below a group; ``term[3]`` of the entity ``term`` does not say the term twice."""
+    """Return a number's name below a group; ``term[3]`` of the entity ``term`` stays ``term[3]``."""
     if name.startswith("["):
         return ".".join(below) + name
     if below and name.startswith(f"{below[-1]}["):
@@ -147,7 +151,7 @@ def _dotted(below: list[str], name: str) -> str:
 
 
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
-    """Return numbers as columns beside their timelines, by step; NaN where one has no row."""
+    """Return numbers as columns next to their timelines, sorted by step; NaN where a number has no row."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     columns = {name: pa.array(column) for name, column in timeline.columns.items()}
     for number in numbers:
@@ -157,25 +161,25 @@ def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
 
 
 def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
-    """Return numbers as (rows, width), by step; NaN where one has no row."""
+    """Return numbers as (rows, width), sorted by step; NaN where a number has no row."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     return np.stack([timeline.placed(n.entity, rows.matrix(n.entity)[:, n.index]) for n in numbers], axis=1)
 
 
 @dataclass(frozen=True)
 class _Timeline:
-    """The steps of several entities together.
+    """The union of the steps of several entities.
 
     Attributes:
-        columns: ``step``, ``sim_time`` (s), ``iteration`` as far as there are.
-        rows: for each entity the rows in which its own stand; None when they are all of them.
+        columns: ``step``, ``sim_time`` (s), ``iteration``, as far as they exist.
+        rows: the indices of each entity's rows in the union; None for all rows.
     """
 
     columns: dict[str, NDArray]
     rows: dict[str, NDArray[np.int64] | None]
 
     def placed(self, entity: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return an entity's values among all rows."""
+        """Return an entity's values at the rows of the union."""
         rows = self.rows[entity]
         if rows is None:
             return values
@@ -203,7 +207,7 @@ def _timeline(rows: EntityRows, entities: Sequence[str]) -> _Timeline:
 
 
 def _times(rows: EntityRows, entity: str) -> dict[str, NDArray]:
-    """Return an entity's timelines as numbers; one that has gaps is left out."""
+    """Return an entity's timelines as numbers, without timelines that have gaps."""
     table, found = rows.rows(entity), {}
     for name in TIMELINES:
         if name in table.column_names and table.column(name).null_count == 0:
@@ -217,5 +221,5 @@ def _length(times: dict[str, NDArray]) -> int:
 
 
 def _free(name: str, taken: dict[str, pa.Array]) -> str:
-    """Return a name for a column that is not taken."""
+    """Return a free name for a column."""
     return name if name not in taken else f"{name}_"

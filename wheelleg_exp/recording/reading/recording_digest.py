@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from hashlib import _Hash
 
 
-_TOGETHER = 1 << 16  # values that are looked at one by one
+_VALUES_AT_ONCE = 1 << 16  # values that are converted to Python values at a time
 
-# What tells of a run's place and time: texts, and wall-clock times.
+# Entities that depend on the place and time of a run: texts, and wall-clock times.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
 def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, to the last bit of every number.
 
-    The bytes of two files always differ, by row ids and chunk boundaries; neither is part of the content, nor are
-    the recording's name, id, properties and layout. Texts and wall-clock times are left out unless asked for.
+    The bytes of two files always differ, in row ids and chunk boundaries. The digest contains neither, nor the
+    recording's name, id, properties and layout.
 
     Args:
         path: the recording.
-        without: entity paths that are left out, with all below them.
+        without: entity paths that are left out together with all paths below them.
 
     Raises:
-        RunDirectoryError: the file is no recording.
+        RunDirectoryError: the file is not a recording.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -47,10 +47,10 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
 
 
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 of each entity's content, by its path, to tell where two recordings part.
+    """Return a sha256 of each entity's content by its path, to find the entities in which two recordings differ.
 
     Raises:
-        RunDirectoryError: the file is no recording.
+        RunDirectoryError: the file is not a recording.
     """
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
@@ -71,15 +71,15 @@ def _digest(contents: Contents, entity: str) -> str:
 
 
 def _static(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
-    """Yield what holds at all times; what was written last counts."""
+    """Yield the static components, each as it was last written."""
     found = latest(contents.batches(entity, static=True))
     yield from ((f"static {name}", found[name]) for name in sorted(found))
 
 
 def _rows(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
-    """Yield the columns over time, by rising step."""
+    """Yield the columns over time, sorted by step."""
     tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # one name for several kinds, or twice: no program of ours writes that
+    with suppress(pa.ArrowException):  # one name has several types, which this program never writes
         tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
     for table in tables:
         rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table
@@ -88,7 +88,7 @@ def _rows(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
 
 
 def _update(digest: _Hash, array: pa.Array) -> None:
-    """Feed an array's content: which values are there, the lengths of lists, and the bytes of the values."""
+    """Add an array's content to a digest: the valid values, the lengths of lists, and the bytes of the values."""
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks)
     digest.update(np.asarray(array.is_valid()).tobytes())
@@ -106,7 +106,7 @@ def _update(digest: _Hash, array: pa.Array) -> None:
     else:
         known = array.drop_null()
         for data in chain.from_iterable(
-            python_values(known[i : i + _TOGETHER]) for i in range(0, len(known), _TOGETHER)
+            python_values(known[i : i + _VALUES_AT_ONCE]) for i in range(0, len(known), _VALUES_AT_ONCE)
         ):
             text = data if isinstance(data, bytes) else str(data).encode()
             digest.update(len(text).to_bytes(8, "little") + text)

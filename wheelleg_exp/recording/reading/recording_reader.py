@@ -38,14 +38,14 @@ _ENV_PREFIX = re.compile(r"env ([0-9]{1,9}): (.*)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Event:
-    """Something that was told in words.
+    """One line of a recording's log.
 
     Attributes:
         kind: ``episodes``, ``events`` or ``recording``.
-        text: what, without the environment.
-        env_id: of which environment; None when of none.
-        step: control step; None when it is not known.
-        time_s: simulated time; None when it is not known.
+        text: the text without the name of the environment.
+        env_id: the environment; None for all.
+        step: control step; None when unknown.
+        time_s: simulated time; None when unknown.
         iteration: training iteration; None outside of training.
         level: severity by rerun's names.
     """
@@ -67,7 +67,7 @@ def read_events(rows: EntityRows) -> list[Event]:
 
 
 def _kind(entity: str) -> str | None:
-    """Return the kind of words that an entity holds: ``env_3/log/episodes`` holds ``episodes``."""
+    """Return the kind of an entity's events: ``episodes`` for ``env_3/log/episodes``; None for other entities."""
     head, _, kind = BRANCH.sub("", entity, count=1).rpartition("/")
     return kind if head == LOG else None
 
@@ -101,7 +101,7 @@ _MOST_ENVS = 1 << 12
 
 
 def read_properties(rows: EntityRows, entities: Iterable[str]) -> Properties:
-    """Return the properties by name; a list of one stands for itself."""
+    """Return the properties by name; a list of one value becomes the value."""
     found: dict[str, Mapping[str, Any]] = {}
     for entity in entities:
         root, _, name = entity.partition("/")
@@ -112,7 +112,7 @@ def read_properties(rows: EntityRows, entities: Iterable[str]) -> Properties:
 
 
 def _plain_value(value: Any) -> Any:
-    """Return a property's value as words, numbers, lists and mappings."""
+    """Return a property's value as texts, numbers, lists and mappings."""
     if isinstance(value, list):
         return [_plain_value(item) for item in value]
     if isinstance(value, dict):
@@ -121,7 +121,7 @@ def _plain_value(value: Any) -> Any:
 
 
 def read_purpose(properties: Properties, entities: Iterable[str]) -> str | None:
-    """Return what it was recorded for; a recording without properties is of our first format, or another tool's."""
+    """Return the purpose; a recording without properties has the first format, or another tool wrote it."""
     said = properties.get(OWN, {}).get("purpose")
     if isinstance(said, str):
         return said
@@ -158,38 +158,37 @@ def read_step_dt(rows: EntityRows, properties: Properties) -> float | None:
 
 
 def read_branches(entities: Iterable[str]) -> list[int]:
-    """Return the environments that have a branch of their own."""
+    """Return the environments with a branch of their own."""
     matches = [BRANCH.match(f"{entity}/") for entity in entities]
     return sorted({int(match.group(1)) for match in matches if match})[:_MOST_ENVS]
 
 
 class Recording(EntityRows):
-    """A recording, read from its file as far as that is whole; ``health`` says how far that is.
+    """A recording, read from its file as far as possible; ``health`` says how far.
 
-    Opening it reads the file once, to know what it holds; rows are read when they are asked for, and only those of
-    the entities asked for. Arguments and errors are those of ``EntityRows``.
+    Arguments and errors are those of ``EntityRows``.
     """
 
     def groups(self) -> list[str]:
-        """Return the paths above those that hold numbers, as ``table`` takes them: ``rewards``, ``joints``."""
+        """Return the groups of numbers, which ``table`` accepts: ``rewards``, ``joints``."""
         return list(self._names.groups)
 
     def table(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return what was recorded over time at an entity, or at a group of them, sorted by step.
+        """Return the rows of an entity, or of a group of entities, sorted by step.
 
         Args:
             name: an entity, or a group: ``rewards``, ``base``, ``joints/<joint>``, ``training``, …
-            env_id: which recorded environment; by default the first.
+            env_id: the recorded environment; by default the first.
 
         Returns:
-            Of an entity: columns ``step``, ``sim_time`` (duration), ``iteration`` where there is one, and one list
-            column a component, by its short name: ``scalars``, ``translation``, ``quaternion``, ``vectors``, ``text``.
-            Of a group: ``step``, ``sim_time`` (s), ``iteration`` where there is one, and one float64 column a number,
-            whose name is its path below the group with dots; NaN where a number has no row at a step. What has no
-            ``step`` is counted by rows.
+            For an entity: columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one list column
+            for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``vectors``, ``text``.
+            For a group: ``step``, ``sim_time`` (s), ``iteration`` if it exists, and one float64 column for each number.
+            Its name is the path below the group with dots. Steps without a row have NaN. Rows without a ``step`` are
+            numbered.
 
         Raises:
-            RunDirectoryError: there is neither, or it is larger than the limit.
+            RunDirectoryError: neither an entity nor a group has the name.
         """
         path = self._resolved(name, env_id)
         if self.has_rows(path):
@@ -197,29 +196,29 @@ class Recording(EntityRows):
         return self.numbers(name, env_id)
 
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return the numbers of an entity or a group as ``table`` returns those of a group (raises as that)."""
+        """Return the numbers of an entity or a group, as ``table`` does for a group; raises as ``table``."""
         path = self._resolved(name, env_id)
         return self.columns_of(self._names.numbers_of(path))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
-        """Return every number of an environment, and those of none, by its name with dots: ``rewards.alive``."""
+        """Return every number of an environment, and those of no environment, by names such as ``rewards.alive``."""
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
-        """Return numbers as ``table`` returns those of a group (RunDirectoryError when they are too many)."""
+        """Return numbers as columns, as ``table`` does for a group."""
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
         """Return the numbers of an entity or group, (rows, width), sorted by step.
 
         Raises:
-            RunDirectoryError: there are none, or their width changes.
+            RunDirectoryError: the entity or group has no numbers, or their width changes.
         """
         path = self._resolved(name, env_id)
         return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))
 
     def names(self, name: str, env_id: int | None = None) -> list[str]:
-        """Return the names of the numbers of an entity or group; empty when they have none."""
+        """Return the names of the numbers of an entity or group; empty when the numbers have no names."""
         path = self._path(name, env_id)
         own = self.number_names(path)
         if own or self.has_rows(path) or path not in self._names.groups:
@@ -227,11 +226,11 @@ class Recording(EntityRows):
         return [number.name for number in self._names.numbers_of(path)]
 
     def events(self, kind: str | None = None, env_id: int | None = None) -> list[Event]:
-        """Return what was told in words, by step.
+        """Return the events, sorted by step.
 
         Args:
             kind: ``episodes``, ``events`` or ``recording``; by default all.
-            env_id: of which environment; by default of all.
+            env_id: the environment; by default all.
         """
         found = read_events(self)
         return [e for e in found if kind in (None, e.kind) and (env_id is None or e.env_id in (None, env_id))]
@@ -242,13 +241,13 @@ class Recording(EntityRows):
         return [key for key in keys if key is not None]
 
     def document(self, name: str) -> str | None:
-        """Return a text by its name, None when there is none."""
+        """Return a text by its name; None when it does not exist."""
         text = self.static(join(DOCUMENTS, name)).get("text")
         return str(text[0]) if text else None
 
     @cached_property
     def properties(self) -> Mapping[str, Mapping[str, Any]]:
-        """The properties of the recording by name: ``wheelleg``, ``robot``; a list of one stands for itself."""
+        """The properties of the recording by name: ``wheelleg``, ``robot``; a list of one value becomes the value."""
         return read_properties(self, self._contents.pieces)
 
     @cached_property
@@ -258,24 +257,24 @@ class Recording(EntityRows):
 
     @cached_property
     def env_ids(self) -> list[int]:
-        """The recorded environments; [0] when it does not say."""
+        """The recorded environments; [0] when unknown."""
         return read_env_ids(self, self.properties, self.branches)
 
     @cached_property
     def step_dt(self) -> float | None:
-        """Simulated time of a control step, s; None when it is not known."""
+        """Simulated time of a control step, s; None when unknown."""
         return read_step_dt(self, self.properties)
 
     @cached_property
     def branches(self) -> list[int]:
-        """The environments that have a branch of their own, because several were recorded."""
+        """The environments with a branch of their own; empty when one environment was recorded."""
         return read_branches(self.entities())
 
     def branch(self, env_id: int | None = None) -> str:
-        """Return the path in front of an environment's data; empty when one alone was recorded.
+        """Return the path prefix of an environment's data; empty when one environment was recorded.
 
         Raises:
-            RunDirectoryError: that environment was not recorded.
+            RunDirectoryError: the environment was not recorded.
         """
         if env_id is not None and env_id not in self.env_ids:
             raise RunDirectoryError(
@@ -290,7 +289,7 @@ class Recording(EntityRows):
         return NumberNames(self)
 
     def _path(self, name: str, env_id: int | None) -> str:
-        """Return the path that ``name`` stands for: itself, or what it is below the environment's branch."""
+        """Return the full path of ``name``, which may be relative to the environment's branch."""
         path, branch = name.strip("/"), self.branch(env_id)
         below = "/".join(part for part in (branch, path) if part)
         if env_id is None and (path in self._contents.pieces or path in self._names.groups):

@@ -1,12 +1,10 @@
-"""From the environment into a growing rerun file, without touching what is recorded.
+"""Record environments into a growing rerun file, without changing the environments.
 
 | module | offers |
 |---|---|
-| ``recorder``, ``track`` | the file and the environments in it |
-| ``channels``, ``channels_learning``, ``frames`` | what one frame holds, and frames in a row |
-| ``drawing``, ``geometry``, ``kinematics`` | numbers as columns, shapes of the model, poses of its bodies |
-| ``facts``, ``scalars``, ``marks`` | properties, training curves, marked moments and words |
-| ``sink``, ``encoding``, ``finishing``, ``size`` | the file as it grows, its messages, its end, its bound |
-| ``continuing``, ``kept_copy`` | what an earlier recording keeps when a run goes on |
-| ``live``, ``feed`` | a viewer that follows the file |
+| ``recorder`` | ``Recorder``: the file and its environments |
+| ``recorded_environment``, ``recorded_frames``, ``recorded_events`` | one environment, its frames, its events |
+| ``rerun_shapes`` | geoms, poses, arrows and the ground as rerun's shapes |
+| ``recording_file``, ``resume_recording`` | the growing file, and the rows that an earlier file keeps |
+| ``live_view`` | a viewer that follows the file |
 """

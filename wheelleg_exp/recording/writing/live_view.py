@@ -36,7 +36,7 @@ _NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, on which n
 
 
 class ViewerLostError(Exception):
-    """The viewer is not there, or takes nothing."""
+    """The viewer does not run, or receives nothing."""
 
 
 def viewer_command(port: int | str) -> list[str]:
@@ -47,8 +47,8 @@ def viewer_command(port: int | str) -> list[str]:
 def viewer_environment() -> dict[str, str]:
     """Return an environment in which the viewer sends nothing anywhere and leaves the user's settings alone.
 
-    Rerun's analytics are off where ``CI`` is set; the settings file that would turn them off for good is the user's.
-    Its search for updates has no switch, and meets a proxy that is not there.
+    rerun's analytics are off when ``CI`` is set; its settings file is the user's, and is not changed. Its search for
+    updates has no switch, so it gets a proxy that does not exist.
     """
     proxies = {name: _NOWHERE for word in ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY") for name in (word, word.lower())}
     here = dict.fromkeys(("NO_PROXY", "no_proxy"), f"{LOOPBACK},localhost,::1")
@@ -90,13 +90,13 @@ class Follower:
 
 
 class Feed:
-    """Passes a recording on to a viewer.
+    """Sends a growing recording to a viewer.
 
     Args:
         path: the recording.
-        folder: where the run leaves its present layout.
-        port: where the viewer listens.
-        is_open: tells whether the viewer still runs.
+        folder: the folder of the run's present layout.
+        port: the port of the viewer.
+        is_open: returns whether the viewer still runs.
     """
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
@@ -107,10 +107,10 @@ class Feed:
         self._layout_time = -1
 
     def step(self) -> None:
-        """Pass on what is new.
+        """Send the new chunks.
 
         Raises:
-            ViewerLostError: the viewer does not take it.
+            ViewerLostError: the viewer does not receive them.
         """
         for number, (recording_id, chunk) in enumerate(self._follower.chunks(), start=1):
             self._connected(recording_id).send_chunks(chunk)
@@ -146,14 +146,14 @@ class Feed:
                 if not self._is_open():
                     raise ViewerLostError("it was closed") from error
                 if time.monotonic() > end:
-                    raise ViewerLostError("it takes nothing any more") from error
+                    raise ViewerLostError("it receives nothing any more") from error
 
 
 def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
-    """Open a viewer and feed it until standard input ends, which it does when the run does.
+    """Open a viewer and send the recording to it until standard input ends, which happens when the run ends.
 
     Raises:
-        ViewerLostError: the viewer cannot be opened, is closed, or takes nothing.
+        ViewerLostError: the viewer cannot be opened, is closed, or receives nothing.
     """
     port = free_port()
     process = _open([word.replace("{port}", str(port)) for word in viewer] or viewer_command(port))
@@ -196,42 +196,41 @@ def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
 
 
 def free_port() -> int:
-    """Return a port of the loopback address that nothing listens on now."""
+    """Return a free port of the loopback address."""
     with socket.socket() as found:
         found.bind((LOOPBACK, 0))
         return int(found.getsockname()[1])
 
 
 def _ended(wait_s: float) -> bool:
-    """Return whether standard input has ended; wait for that as long as said."""
+    """Return whether standard input ends within a time."""
     ready, _, _ = select.select([sys.stdin.fileno()], [], [], wait_s)
     return bool(ready) and not os.read(sys.stdin.fileno(), 1024)
 
 
 def main(words: list[Any]) -> None:
-    """Follow ``words[0]`` with layouts from ``words[1]``; what follows is the viewer's command, if not rerun's."""
+    """Follow the file ``words[0]`` with layouts from ``words[1]``; more words are the command of another viewer."""
     os.nice(5)
     folder = Path(words[1])
     try:
         follow(Path(words[0]), folder, words[2:])
     except ViewerLostError as error:
-        with contextlib.suppress(OSError):  # the run, which would pass it on, may have ended
+        with contextlib.suppress(OSError):  # the run, which prints the message, may have ended
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    os._exit(0)  # rerun would wait for a viewer that is gone
+    os._exit(0)  # at a normal exit, rerun would wait for a viewer that was closed
 
 
 class LiveView:
-    """Opens a viewer and feeds it from the recording's file, in a process of its own.
+    """Opens a viewer, and sends the recording's file to it from a process of its own.
 
-    The run itself does nothing but write its file, as without a viewer: the feeding process follows that file, so that
-    a viewer that is slow, hangs, dies or cannot be opened costs the run neither time nor memory. It ends with the run;
-    the viewer stays open.
+    The run only writes its file, as without a viewer. A viewer that is slow, hangs, dies or cannot be opened costs the
+    run neither time nor memory. The process ends with the run. The viewer stays open.
 
     Args:
         recorder: the recording, open and flushed.
-        viewer: the viewer's command, in which ``{port}`` stands for the port that it is to listen on; None is rerun's.
+        viewer: the viewer's command with ``{port}`` in place of the port; None for rerun's viewer.
     """
 
     def __init__(self, recorder: Recorder, viewer: Sequence[str] | None = None) -> None:
@@ -253,11 +252,11 @@ class LiveView:
             threading.Thread(target=_attend, args=(self._process,), daemon=True).start()
 
     def show(self) -> None:
-        """Let the viewer's layout follow what is recorded by now."""
+        """Update the viewer's layout for the data recorded so far."""
         self._write_layout()
 
     def close(self) -> None:
-        """Tell the feeding process that the file is finished; it shows the rest and ends."""
+        """Tell the process that the file is closed; it sends the remaining chunks and ends."""
         if self._process is not None and self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
@@ -274,7 +273,7 @@ class LiveView:
 
 
 def _attend(process: subprocess.Popen[bytes]) -> None:
-    """Pass on what the feeding process has to say, as long as the run lasts."""
+    """Print the messages of the process during the run."""
     if process.stdout is not None:
         with process.stdout as words:
             for line in words:

@@ -38,13 +38,13 @@ ROBOT = "robot"
 
 
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the property ``wheelleg``: what the recording is of, and the steps and times to read it with.
+    """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
     Args:
         env: the environment.
         env_ids: the recorded environments.
-        purpose: what was done.
-        given: what the caller knows besides (run id, task, checkpoint); it goes before what is found here.
+        purpose: training, play or evaluation.
+        given: more values (run id, task, checkpoint), which replace values of the same name.
     """
     found: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -65,7 +65,7 @@ def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: M
 
 
 def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
-    """Return the property ``robot``: its bodies and joints, its weight (N) and how tall it stands (m)."""
+    """Return the property ``robot``: its bodies and joints, its weight (N) and its height (m)."""
     robot, model = env.scene.robot, env.scene.model
     root = int(model.body(robot.body_names[0]).id)
     facts: dict[str, Any] = {
@@ -80,13 +80,13 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield the terms of each manager in their order, with what their numbers are read with."""
+    """Yield the terms of each manager in their order, with weights and widths."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
         yield paths.data("observations", group), [rr.AnyValues(terms=terms, widths=widths)]
     rewards = env.reward_manager.active_terms
-    # As configured: curricula change them on the way.
+    # The configured weights, because curricula change the present ones.
     weights = [float(env.cfg["rewards"][name]["weight"]) for name in rewards]
     yield from _listed(paths.data("rewards"), rewards, weights=weights)
     ends = env.termination_manager.active_terms
@@ -97,7 +97,7 @@ def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
 
 
 def interval_terms(env: ManagerBasedRLEnv) -> list[str]:
-    """Return the names of the events that happen in the middle of an episode."""
+    """Return the names of the interval events."""
     manager = env.event_manager
     return manager.active_terms.get("interval", [])
 
@@ -138,19 +138,19 @@ def _drives(env: ManagerBasedRLEnv, env_id: int) -> dict[str, tuple[float, float
 
 
 MEGABYTE = 1_000_000
-# Bytes: a chunk's own description and its place in the file's index, measured; the three times of a row, a transform.
+# Measured bytes: metadata of a chunk plus its index entry; the three times of a row; a transform; a number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 _FACE, _CELL, _TEXTS = 150, 40, 2 * MEGABYTE
 
 
 @dataclass(frozen=True)
 class Cost:
-    """An estimate from above of what frames take, without the compression.
+    """An upper estimate of the size of frames, without compression.
 
     Attributes:
-        entities: entities that get a row a frame.
-        numbers: numbers of a frame.
-        bodies: bodies whose pose is in a frame.
+        entities: number of entities with one row in each frame.
+        numbers: number of numbers in a frame.
+        bodies: number of bodies whose pose is in a frame.
     """
 
     entities: int
@@ -158,7 +158,7 @@ class Cost:
     bodies: int
 
     def frame(self, rows_together: int) -> float:
-        """Return the bytes of a frame when so many rows are written at a time."""
+        """Return the bytes of a frame, given the number of rows that are written at a time."""
         entities = self.entities + self.bodies
         content = _NUMBER * self.numbers + _TRANSFORM * self.bodies + _TIMES * entities
         return content + _CHUNK * entities / rows_together
@@ -171,11 +171,11 @@ def total_cost(costs: Iterable[Cost]) -> Cost:
 
 
 def static_bytes(model: mujoco.MjModel, envs: int) -> float:
-    """Return the bytes of what is written once: shapes, and an allowance for texts and names."""
+    """Return the bytes that are written once: shapes, and an allowance for texts and names."""
     return envs * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
 
-# Arrow lengths in units of how tall the robot stands, so that they fit a robot of any size.
+# Lengths of arrows in robot heights, so that they fit a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6
 _HEIGHTS_PER_SPEED = 2.0
 _LIFT = 0.45
@@ -202,18 +202,18 @@ _PALETTE = (
 class RecordedEnvironment:
     """One recorded environment.
 
-    Poses are relative to the environment's origin at construction, so that the robot begins at the centre.
+    Poses are relative to the environment's origin at construction, so that the robot starts at the centre.
 
     Args:
         env: the environment.
-        env_id: which of its N.
-        paths: where it stands in the recording.
-        place: how many recorded environments stand before it; it is drawn that many places to the side.
+        env_id: index of the environment.
+        paths: the entity paths of the environment.
+        place: number of recorded environments before this one, which decides how far to the side it is drawn.
 
     Attributes:
-        stamps: the moments of the buffered frames.
-        sample: which steps are taken of a training.
-        episodes: numbers its recorded episodes.
+        stamps: the times of the buffered frames.
+        sample: selects the recorded steps of a training.
+        episodes: counts the recorded episodes.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -250,7 +250,7 @@ class RecordedEnvironment:
 
     @property
     def cost(self) -> Cost:
-        """What a frame takes in the file."""
+        """The size of a frame in the file."""
         entities = {entity for channel in self.frames.channels for entity in channel.entities}
         numbers = sum(len(channel.names) for channel in self.frames.channels)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
@@ -258,7 +258,7 @@ class RecordedEnvironment:
         return Cost(len(entities) + drawn, numbers + 4 * sensed + 6, len(self._bodies))
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Take up the state after a control step, with which the episode ends or not."""
+        """Record the state after a control step; ``ends`` says whether the episode ended with the step."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)
@@ -266,12 +266,12 @@ class RecordedEnvironment:
         self.stamps.append(stamp)
 
     def clear(self) -> None:
-        """Forget the buffered frames."""
+        """Remove the buffered frames."""
         self.frames.clear()
         self.stamps.clear()
 
     def statics(self) -> Iterator[tuple[str, list[Any]]]:
-        """Yield what never changes: places, shapes, names of numbers, colours of arrows."""
+        """Yield what is static: places, shapes, names of numbers, colours of arrows."""
         if self._place:
             for path in (self.paths.body(""), self.paths.overlay()):
                 yield path, [rr.Transform3D(translation=self._offset)]
@@ -282,7 +282,7 @@ class RecordedEnvironment:
         yield from self._arrow_styles()
 
     def surroundings(self) -> Iterator[tuple[str, list[Any]]]:
-        """Yield the ground and whatever else is fixed to the world, as seen from this environment."""
+        """Yield the ground and the other geoms of the world, relative to this environment's origin."""
         if self._ground is not None:
             yield GROUND, [self._ground.mesh(_LIGHT, _DARK)]
         drawn, _ = body_geoms(self._model, 0)
@@ -311,7 +311,7 @@ class RecordedEnvironment:
         return {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
 
     def _dry_run(self) -> None:
-        """Read every channel once, so that a width that does not fit is found now and not in a step."""
+        """Read every channel once, so that a wrong width raises now and not during a step."""
         self.frames.append()
         self.frames.clear()
 
@@ -340,7 +340,7 @@ class RecordedEnvironment:
         place = self.paths.overlay("colliders", self._model.body(body).name or f"body_{body}")
         for geom in colliders:
             if archetypes := shape(self._model, geom):
-                # Moves with the body, although it stands in a tree of its own that one click hides.
+                # The collider moves with the body, but has a path of its own, so that one click hides all colliders.
                 yield f"{place}/{_part(self._model, geom)}", [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
 
     def _series(self) -> Iterator[tuple[str, list[Any]]]:
@@ -370,7 +370,7 @@ class RecordedEnvironment:
 
 
 def series(names: Any, first: int = 0) -> Any:
-    """Return names and colours of the lines of a plot; commands and targets are paler than what they are for."""
+    """Return names and colours of the lines of a plot; commands and targets have paler colours."""
     shades = []
     for i, name in enumerate(names):
         shade = np.array(_PALETTE[(first + i) % len(_PALETTE)])
@@ -380,7 +380,7 @@ def series(names: Any, first: int = 0) -> Any:
 
 
 def _position_controlled(env: ManagerBasedRLEnv) -> dict[str, bool]:
-    """Return for each joint whether an actuator holds it at a position; an undriven joint counts as held."""
+    """Return for each joint whether an actuator controls its position; an undriven joint counts as controlled."""
     robot = env.scene.robot
     free = {
         joint

@@ -29,10 +29,10 @@ class LogEntry:
     """One line of the log.
 
     Attributes:
-        stamp: when.
-        kind: ``EPISODES``, ``EVENTS``, or what else there is to say.
-        text: what.
-        level: severity by rerun's names.
+        stamp: the time.
+        kind: ``EPISODES``, ``EVENTS`` or ``RECORDING``.
+        text: the text.
+        level: the severity by rerun's names.
     """
 
     stamp: Stamp
@@ -42,7 +42,7 @@ class LogEntry:
 
 
 def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> LogEntry | None:
-    """Return what ended the environment's episode in this step, None when it goes on."""
+    """Return the log entry of an episode that ended in this step; None when no episode ended."""
     manager = env.termination_manager
     failed = bool(host_copy(manager.terminated[env_id]))
     if not failed and not host_copy(manager.time_outs[env_id]):
@@ -54,8 +54,8 @@ def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> LogEntry |
 
 
 def fired_events(env: ManagerBasedRLEnv, env_id: int) -> list[str]:
-    """Return the interval events that fired for the environment when they were last due."""
-    # A timer that all environments share has one flag.
+    """Return the interval events that fired for the environment at the last step."""
+    # A timer shared by all environments has one flag.
     return [name for name, due in env.event_manager.fired.items() if host_copy(due[env_id if len(due) > 1 else 0])]
 
 
@@ -64,9 +64,9 @@ Columns = tuple[str, list[Stamp], Any]
 
 
 class EventLog:
-    """The marked moments that are not in the file yet.
+    """The log entries that are not in the file yet.
 
-    Interval events come after a step's capture, so that they are seen one step later, or between two steps.
+    Interval events fire after a step is recorded, so they are read one step later, or between two steps.
 
     Args:
         env: the environment.
@@ -79,7 +79,7 @@ class EventLog:
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Take up the ends of episodes in a captured step of some environments; its events are still to come."""
+        """Log the ends of episodes in a recorded step; the interval events of the step follow later."""
         for env_id, paths in envs:
             end = episode_end(self._env, env_id, stamp)
             if end is not None:
@@ -87,7 +87,7 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Take up the interval events that followed the last captured step, if that was ``step``."""
+        """Log the interval events that followed the last recorded step, if that was ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
@@ -99,11 +99,11 @@ class EventLog:
                 self._lines[paths.data(layout.LOG, EVENTS)].append(entry)
 
     def say(self, text: str, level: str, stamp: Stamp) -> None:
-        """Take up what happened to the recording itself."""
+        """Log a message about the recording itself."""
         self._lines[layout.join(layout.LOG, RECORDING)].append(LogEntry(stamp, RECORDING, text, level))
 
     def pieces(self) -> Iterator[Columns]:
-        """Yield everything as columns, once."""
+        """Yield each entry once, as columns."""
         for entity, entries in self._lines.items():
             texts, levels = [e.text for e in entries], [e.level for e in entries]
             yield entity, [e.stamp for e in entries], rr.TextLog.columns(text=texts, level=levels)

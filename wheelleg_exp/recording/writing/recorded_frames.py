@@ -25,13 +25,13 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 
 @dataclass(frozen=True)
 class Channel:
-    """One row of numbers a frame.
+    """One row of numbers in each frame.
 
     Attributes:
         key: name within a frame.
         names: name of each number.
         read: returns the row, (len(names),).
-        entities: one entity for the whole row, or one a number; none keeps the row for drawing only.
+        entities: one entity for the whole row, or one for each number; empty for a row that is only drawn.
     """
 
     key: str
@@ -41,9 +41,9 @@ class Channel:
 
 
 def robot_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Return what is recorded of one environment's robot and commands at every control step.
+    """Return the channels of one environment's robot and commands.
 
-    Poses are not among it: they follow from ``qpos``, and are worked out when the frames are sent.
+    Poses have no channel. They are computed from ``qpos`` when the frames are written.
     """
     return [
         *_base(env, env_id, paths),
@@ -68,7 +68,7 @@ def has_forces(sensor: Any) -> bool:
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a channel whose numbers stand in one entity."""
+    """Return a channel whose numbers have one entity."""
     return Channel(key, tuple(names), read, (entity,))
 
 
@@ -111,7 +111,7 @@ def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
 
 
 def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """A velocity command stands in one entity a number, so that each can be plotted against what it is for."""
+    """A velocity command has one entity for each number, so that each can be plotted with the measured velocity."""
     velocity, found = velocity_command(env), []
     for name in env.command_manager.active_terms:
         term = env.command_manager.get_term(name)
@@ -148,7 +148,7 @@ def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channe
 
 
 def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Net forces of the last physics step, and the largest norm within the sensor's history, which terms read."""
+    """The net forces of the last physics step, and the largest norm in the sensor's history, which terms read."""
     found = []
     for name, sensor in env.scene.sensors.items():
         if not has_forces(sensor):
@@ -162,7 +162,7 @@ def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
 
 
 def flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a reader of one environment's numbers in one row."""
+    """Return a reader of one environment's numbers as one row."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 
@@ -171,7 +171,7 @@ _FIRST_CAPACITY = 256
 
 @dataclass(frozen=True)
 class Stamp:
-    """The moment of a frame: control step, simulated time in ns, and the training iteration or -1."""
+    """The time of a frame: control step, simulated time in ns, and the training iteration or -1."""
 
     step: int
     time_ns: int
@@ -179,10 +179,10 @@ class Stamp:
 
 
 class Frames:
-    """The frames of one environment since the last flush; grows as needed.
+    """The frames of one environment since the last flush.
 
     Args:
-        channels: what a frame holds, in the order in which it is read.
+        channels: the channels of a frame, in the order in which they are read.
     """
 
     def __init__(self, channels: Sequence[Channel]) -> None:
@@ -209,30 +209,30 @@ class Frames:
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
     def clear(self) -> None:
-        """Forget the rows."""
+        """Remove the rows."""
         self.count = 0
 
 
 class Episodes:
-    """Counts up whenever a row does not continue the one before: a reset, or a gap between two samples."""
+    """Counts episodes: a row that does not continue the previous row starts one, after a reset or between samples."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Take up a row: its control step and its step within the episode, from 1."""
+        """Count a row, given its control step and its step within the episode, from 1."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Go on after a row that is already recorded."""
+        """Continue after a row that is already recorded."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 
 def learning_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Return what is recorded of one environment's managers at every control step."""
+    """Return the channels of one environment's managers."""
     return [
         *_actions(env, env_id, paths),
         *_observations(env, env_id, paths),
@@ -243,19 +243,19 @@ def learning_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, epis
 
 
 def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """The policy's output, and what the terms made of it."""
+    """The policy's output, and the processed actions of the terms."""
     manager = env.action_manager
     terms = {name: manager.get_term(name) for name in manager.active_terms}
     raw = {name: term.action_dim for name, term in terms.items()}
     processed = {name: int(term.processed_actions.shape[1]) for name, term in terms.items()}
 
-    def made() -> Any:
+    def processed_actions() -> Any:
         parts = [host_copy(term.processed_actions[env_id]) for term in terms.values()]
         return np.concatenate(parts) if parts else []
 
     return [
         one("actions/raw", paths.data("actions", "raw"), _action_names(env, raw), row(lambda: manager.action, env_id)),
-        one("actions/processed", paths.data("actions", "processed"), _action_names(env, processed), made),
+        one("actions/processed", paths.data("actions", "processed"), _action_names(env, processed), processed_actions),
     ]
 
 
@@ -274,7 +274,7 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     manager, found = env.observation_manager, []
     for group, terms in manager.active_terms.items():
         for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
-            if len(shape) > 2:  # pictures are not recorded number by number
+            if len(shape) > 2:  # images are not recorded as numbers
                 continue
             names = _labels(term, shape)
             read = _observation(env, env_id, group, term, len(names))
@@ -284,7 +284,7 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
 
 
 def _labels(term: str, shape: tuple[int, ...]) -> list[str]:
-    """Return a name for each number of a term; a history that is not flattened is its leading axis."""
+    """Return a name for each number of a term; the leading axis of two is the history."""
     if len(shape) == 1:
         return [f"{term}[{i}]" for i in range(shape[0])]
     return [f"{term}[{i}]@{h}" for h in range(shape[0]) for i in range(shape[1])]
@@ -305,7 +305,7 @@ def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, wid
 
 
 def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Each term's weighted value per second, and their sum per second as the learner got it."""
+    """Each term's weighted value per second, and the learner's reward per second."""
     manager, names = env.reward_manager, env.reward_manager.active_terms
     places = tuple(paths.data("rewards", name) for name in names)
     terms = Channel("rewards", tuple(names), lambda: host_copy(manager.step_reward[:, env_id]), places)
@@ -322,7 +322,7 @@ def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
 
 
 def _episode(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Which episode a row belongs to, how far it is, and whether it ends with this row."""
+    """The number of the episode, the step within it, and whether it ends with this row."""
     manager = env.termination_manager
 
     def read() -> Sequence[float]:

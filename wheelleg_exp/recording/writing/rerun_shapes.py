@@ -18,9 +18,9 @@ from wheelleg_exp.sim.robot import Robot
 
 
 def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
-    """Return the positions (nq,) with every joint at its default; the base is where the model has it.
+    """Return the positions (nq,) with every joint at its default and the base at the model's position.
 
-    Not the present pose: what is drawn in units of the robot's height must not depend on when a recording begins.
+    The present pose is not used, because sizes in robot heights must not depend on the start of a recording.
     """
     qpos: Array = model.qpos0.copy()
     for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
@@ -29,7 +29,7 @@ def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
 
 
 def weight(model: mujoco.MjModel, root: int) -> float:
-    """Return the weight of the tree below ``root``, N (1 N when it weighs nothing or there is no gravity)."""
+    """Return the weight of the tree below ``root``, N (1 N without mass or gravity)."""
     weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
     return weight if weight > 0 else 1.0
 
@@ -49,15 +49,15 @@ def xyzw(wxyz: Array) -> Array:
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Return a geom's name, or one made of its number."""
+    """Return a geom's name, or ``geom_<number>``."""
     return model.geom(geom).name or f"geom_{geom}"
 
 
 def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
-    """Return what draws a geom in the frame of its body: one archetype, and a pose where that has none itself.
+    """Return rerun's shape of a geom in the frame of its body: one archetype, and a pose if the archetype has none.
 
-    MuJoCo sizes are half sizes. A rerun capsule begins at the centre of one cap and extends along its z axis; a
-    MuJoCo capsule is centred, so that the origin is shifted by half the length along the geom's z axis.
+    MuJoCo sizes are half sizes. The origin of a rerun capsule is the centre of one cap; that of a MuJoCo capsule is its
+    centre. So the origin is shifted by half the length along the geom's z axis.
 
     Returns:
         Archetypes for one entity; empty for a type that is not drawn (planes, signed distance fields).
@@ -132,7 +132,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the columns of every channel that stands in entities of its own."""
+    """Yield the columns of every channel that has entities."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -179,7 +179,7 @@ class Contacts:
     scale: float
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the force norms, N, and the arrows, from the origin of each body that is touched."""
+        """Yield the force norms, N, and the arrows, from the origin of each body in contact."""
         force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
         norm = np.linalg.norm(force, axis=2)
         yield paths.data("contacts", self.sensor), vector_columns(norm)
@@ -206,7 +206,7 @@ class VelocityArrows:
     scale: float
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield one arrow a frame for the command and one for the robot's velocity."""
+        """Yield one arrow for the command and one for the robot's velocity in each frame."""
         origin = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift]
         yaw = blocks["orientation"][:, 2]
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
@@ -215,7 +215,7 @@ class VelocityArrows:
 
 
 def in_world(planar: Array, yaw: Array) -> Array:
-    """Return planar vectors (n, 2) of frames turned by ``yaw`` (n,), rad, as vectors (n, 3) in world axes."""
+    """Return planar vectors (n, 2) in frames rotated by ``yaw`` (n,), rad, as vectors (n, 3) in world axes."""
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = planar[:, 0], planar[:, 1]
     return np.stack((c * x - s * y, s * x + c * y, np.zeros_like(x)), axis=1)
@@ -223,13 +223,13 @@ def in_world(planar: Array, yaw: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ground:
-    """A checkered patch that follows the robot in whole tiles, so that it looks endless.
+    """A checkered patch that follows the robot in whole tiles, so that the ground looks infinite.
 
     Attributes:
         root: model id of the base.
         tile: edge of a tile, m.
         tiles: tiles along an edge of the patch, even.
-        origin: where the plane's point below the environment's origin is, m.
+        origin: the plane's point below the environment's origin, m.
     """
 
     root: int
@@ -254,7 +254,7 @@ class Ground:
         )
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield where the patch is: the multiple of two tiles that is nearest to the base, so that colours stay."""
+        """Yield the patch's position: the multiple of two tiles nearest to the base, so that colours do not flip."""
         del paths
         position = blocks["xpos"][:, self.root, :2]
         step = 2 * self.tile
