@@ -56,7 +56,7 @@ def test_a_text_in_the_parameters_is_not_resolved(trial, read, text, command, mo
 def test_a_key_in_the_parameters_is_not_resolved(trial):
     trial.yaml(AGENT, lambda agent: agent.update({"${oc.env:TRIAL_VARIABLE}": 1}))
     trial.record()
-    trial.try_("play", 2, "holds '${'", AGENT)
+    trial.try_("play", 2, "contains '${'", AGENT)
 
 
 def test_a_report_shows_such_texts_as_they_are(trial):

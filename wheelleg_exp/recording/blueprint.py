@@ -1,6 +1,6 @@
-"""What the viewer shows when a recording is opened: the robot on the left, plots and texts on the right.
+"""The layout of the viewer: the robot on the left, plots and texts on the right.
 
-A training opens with its learning curves, a play with the robot's motion, an evaluation with what was measured.
+A training opens with its learning curves, a play with the robot's motion, an evaluation with its metrics.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from wheelleg_exp.recording.layout import (
 )
 
 Purpose = Literal["training", "play", "evaluation"]
-FIGURES = "figures"  # the text that holds what was measured
+FIGURES = "figures"  # the name of the text with the measured figures
 _BACKGROUND = (30, 33, 38)
 
-# A key that a training does not have is left out.
+# Keys that a training does not have are left out.
 _HEADLINES = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std", "Loss/learning_rate")
 _GROUPS = {
     "Episode_Reward": f"Reward by term: {EPISODE_REWARD}",
@@ -41,16 +41,16 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class EnvLayout:
-    """What is known of one recorded environment.
+    """The facts about one recorded environment that its layout needs.
 
     Attributes:
         label: name of its tab.
         paths: its entity paths.
         root: entity of the base.
-        size: how tall the robot stands, m.
+        size: height of the robot, m.
         command: name of the velocity command.
         sensors: names of the contact sensors.
-        joints: whether each joint is held at a position (by stiffness); the others are driven at a velocity.
+        joints: whether each joint is position-controlled (by its stiffness); the others are velocity-controlled.
         rewards: names of the reward terms.
         observations: names of each group's terms.
     """
@@ -72,8 +72,8 @@ def blueprint(
     """Return the layout.
 
     Args:
-        envs: the recorded environments; the eye follows the first.
-        purpose: what comes first.
+        envs: the recorded environments; the camera follows the first.
+        purpose: decides which tab is first.
         documents: names of the texts so far.
         training: keys of the training scalars so far.
     """
@@ -88,13 +88,13 @@ def blueprint(
         rrb.Horizontal(robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # Segments of a training lie far apart; counted in steps, its curves and its motion share one time line.
+        # The samples of a training are far apart. On the timeline of steps, its curves and its motion match.
         rrb.TimePanel(state="collapsed", timeline=STEP if purpose == "training" else SIM_TIME),
     )
 
 
 def robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
-    """Return the 3D view: close to the first robot, following it, colliders hidden until they are switched on."""
+    """Return the 3D view: the camera follows the first robot, and colliders are hidden."""
     first = envs[0]
     distance = first.size * (1.0 + 0.6 * (len(envs) - 1))
     hidden = {env.paths.overlay("colliders"): rrb.EntityBehavior(visible=False) for env in envs}
@@ -124,7 +124,7 @@ def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
 
 
 def _plot(name: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
-    """Return a plot of entities; one that ends with ``/**`` stands for all below it."""
+    """Return a plot of entities; a path that ends with ``/**`` includes all paths below it."""
     return rrb.TimeSeriesView(
         name=name,
         contents=[f"+ /{entity}" for entity in entities],
@@ -133,7 +133,7 @@ def _plot(name: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
 
 
 def _small_plots(plots: Mapping[str, str], name: str | None = None) -> rrb.Grid:
-    """Return one small plot an entity (by title), for numbers of very different size."""
+    """Return one small plot for each entity (by title), for numbers of very different magnitude."""
     views = [_plot(title, entity, legend=False) for title, entity in plots.items()]
     return rrb.Grid(*views, grid_columns=_columns(len(views)), name=name)
 
@@ -163,7 +163,7 @@ def _motion_plots(env: EnvLayout) -> list[Any]:
 
 
 def _joints(env: EnvLayout) -> Any:
-    """One plot a joint, because joints that stand far apart would hide each other's tracking errors."""
+    """One plot for each joint, because joints at distant positions would hide each other's tracking errors."""
     plots = []
     for joint, is_held in env.joints.items():
         kind, unit = ("position", "rad") if is_held else ("velocity", "rad/s")
@@ -197,7 +197,7 @@ def _episodes(env: EnvLayout) -> Any:
 
 
 def _observations(env: EnvLayout) -> Any:
-    """One tab a group, one plot a term: what the networks got, in their units."""
+    """One tab for each group, one plot for each term: the inputs of the networks."""
     groups = []
     for group, terms in env.observations.items():
         plots = {term: env.paths.data("observations", group, term) for term in terms}
@@ -206,7 +206,7 @@ def _observations(env: EnvLayout) -> Any:
 
 
 def _training(keys: Sequence[str]) -> Any:
-    """What matters first, then one tab a group of keys and one plot a key."""
+    """The headlines first, then one tab for each group of keys and one plot for each key."""
     groups: dict[str, dict[str, str]] = {}
     for key in keys:
         group, _, rest = key.rpartition("/")
@@ -218,7 +218,7 @@ def _training(keys: Sequence[str]) -> Any:
 
 
 def _overview(keys: Sequence[str]) -> Any:
-    """The curves that tell how the training goes, as far as there are such."""
+    """The curves that summarize the training, as far as they exist."""
     plots = [_plot(curve_title(key), join_key(TRAINING, key), legend=False) for key in _HEADLINES if key in keys]
     for group, words in _GROUPS.items():
         members = [key for key in keys if key.startswith(f"{group}/") and key not in _HEADLINES]
@@ -229,7 +229,7 @@ def _overview(keys: Sequence[str]) -> Any:
 
 
 def _metrics(env: EnvLayout, has_figures: bool) -> Any:
-    """What was measured, in words and over time."""
+    """The metrics as text and over time."""
     plots = [*_motion_plots(env), _plot("Reward (1/s)", env.paths.data("rewards", "total"), legend=False)]
     plots.append(_plot("Terminations", f"{env.paths.data('terminations')}/**"))
     grid = rrb.Grid(*plots, grid_columns=2)
