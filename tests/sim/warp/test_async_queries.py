@@ -1,4 +1,4 @@
-"""Masks come to the host, and numbers that are none are noticed, on a GPU as on a CPU."""
+"""Masks are copied to the host, and NaN and inf are detected, on a GPU and on a CPU."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from wheelleg_exp.managers.async_queries import AsyncMaskQuery, is_finite
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_where_masks_hold_is_told_at_once_or_late(device, at_once):
+def test_indices_of_masks_come_at_once_or_late(device, at_once):
     gen = torch.Generator().manual_seed(1)
-    asked = AsyncMaskQuery(50, torch.device(device))
-    told = []
-    for _ in range(3):  # the memory is used again
+    query = AsyncMaskQuery(50, torch.device(device))
+    answers = []
+    for _ in range(3):  # the query reuses its memory
         masks = torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])
         masks[1] &= masks[0]
-        asked.start(masks[0].to(device), masks[1].to(device))
-        found = (*asked.ids(masks[2].to(device), at_once=at_once), *asked.late())
+        query.start(masks[0].to(device), masks[1].to(device))
+        found = (*query.ids(masks[2].to(device), at_once=at_once), *query.late())
         assert {each.device.type for each in found} == {torch.device(device).type}
         outer, inner, also = (set(mask.nonzero().flatten().tolist()) for mask in masks)
-        expected = (outer | also, inner | also, set(), set()) if at_once else (outer, inner, also - inner, also - outer)
-        told.append((found, expected))
-    for found, expected in told:
+        is_late = query.answers_late and not at_once
+        expected = (outer, inner, also - inner, also - outer) if is_late else (outer | also, inner | also, set(), set())
+        answers.append((found, expected))
+    for found, expected in answers:
         assert [each.tolist() for each in found] == [sorted(each) for each in expected]
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_a_number_that_is_none_is_noticed_and_those_after_it_are_numbers_again(device, number):
+def test_a_value_that_is_not_finite_is_detected_and_later_finite_values_recover(device, number):
     def look(value: float) -> bool:
         torch.cuda.synchronize() if device.startswith("cuda") else None
         return is_finite(torch.tensor(value, device=device))
