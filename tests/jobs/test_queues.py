@@ -144,7 +144,7 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     monkeypatch.setattr(queue, "submit", refuse)
     looks, reap = [], runner._reap
     monkeypatch.setattr(runner, "_reap", lambda: (looks.append(1), reap()))
-    with pytest.raises(ConfigError, match="not taken"):
+    with pytest.raises(ConfigError, match="did not take the jobs"):
         runner.run()
     assert len(looks) == 1
     assert index()["status"] == "failed"
