@@ -164,14 +164,14 @@ def _line(run: RunDirectory, path: str) -> str | None:
 
 def _facts(run: RunDirectory) -> dict[str, dict[str, Any]]:
     data = run.manifest().data
-    record, identity = run.source / RECORD_NAME, run.path / ROBOT
+    record, robot = run.source / RECORD_NAME, _described(run.path / ROBOT)
     return {
         "code": _code(_described(record) or data.get("source") or {}),
         "versions": dict(data.get("versions") or {}),
         "hardware": dict(data.get("hardware") or {}),
         "threads": dict(data.get("threads") or {}),
         "variables": dict(data.get("environment_variables") or {}),
-        "asset": _asset(_described(identity)),
+        "asset": {**dict(robot.get("sources") or {}), "compiled model": robot.get("model_sha256")},
     }
 
 
@@ -186,10 +186,6 @@ def _code(record: Mapping[str, Any]) -> dict[str, Any]:
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
         found |= {f"{key} ({number})": value for key, value in facts.items()}
     return found
-
-
-def _asset(identity: Mapping[str, Any]) -> dict[str, Any]:
-    return {**dict(identity.get("sources") or {}), "compiled model": identity.get("model_sha256")}
 
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:

@@ -119,7 +119,8 @@ class SweepRunner:
         try:
             while self._running or (self._waiting and not self._stop.requested):
                 if self._stop.requested:
-                    self._ask_to_stop()
+                    for job in self._running:
+                        job.ask_to_stop()
                 elif self._waiting and len(self._running) < self._at_once:
                     self._start(*self._waiting.popleft())
                     continue
@@ -134,10 +135,6 @@ class SweepRunner:
         self._running[self._launcher.start(entry["number"], request)] = entry
         if not self._launcher.queued:
             self._display.started(entry)
-
-    def _ask_to_stop(self) -> None:
-        for job in self._running:
-            job.ask_to_stop()
 
     def _listen(self, wait_s: float = _WAIT_S) -> None:
         for job, event in self._launcher.listen(self._running, wait_s):

@@ -90,15 +90,11 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
             raise RunDirectoryError(
                 f"{name} is not what the manifest recorded", where=str(path), expected="a snapshot nobody has changed"
             )
-    for path in _snapshot_files(run):
+    folders = (run.hydra, run.params, run.source, run.asset)
+    for path in (path for folder in folders for path in sorted(folder.rglob("*"))):
         name = path.relative_to(run.path).as_posix()
-        if name not in recorded:
+        if name not in recorded and not path.is_dir():
             raise RunDirectoryError(f"{name} is not in the manifest", where=str(path), expected="the run's own files")
-
-
-def _snapshot_files(run: RunDirectory) -> Iterator[Path]:
-    for folder in (run.hydra, run.params, run.source, run.asset):
-        yield from (path for path in sorted(folder.rglob("*")) if not path.is_dir())
 
 
 KIND = "replay"
@@ -236,7 +232,8 @@ def _resume_notes(manifest: Manifest) -> list[str]:
     entries = manifest.data["resumes"]
     notes = []
     if entries:
-        notes.append(f"the run was stopped and resumed {_times(len(entries))}; the replay trains without a stop")
+        times = {1: "once", 2: "twice"}.get(len(entries), f"{len(entries)} times")
+        notes.append(f"the run was stopped and resumed {times}; the replay trains without a stop")
     for entry in entries:
         if entry.get("exact", not entry.get("overrides")):
             continue
@@ -247,10 +244,6 @@ def _resume_notes(manifest: Manifest) -> list[str]:
             "numbers will differ"
         )
     return notes
-
-
-def _times(count: int) -> str:
-    return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:

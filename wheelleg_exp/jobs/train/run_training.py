@@ -141,10 +141,12 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
 
 def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
-    if outputs.parted is not None:
-        display.note(f"warning: from iteration {outputs.parted} on, the networks of the ranks are not equal to the bit")
-    if outputs.unfilmed:
-        display.note(f"warning: {outputs.unfilmed}")
+    if outputs.diverged_after is not None:
+        display.note(
+            f"warning: from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
+        )
+    if outputs.missing_films:
+        display.note(f"warning: {outputs.missing_films}")
     unfinished = outputs.unfinished
     if unfinished:
         display.note(

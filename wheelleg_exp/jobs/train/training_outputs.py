@@ -41,7 +41,7 @@ class Outputs:
         wandb: the log of Weights & Biases, or None.
 
     Attributes:
-        parted: the first iteration after which the networks of the ranks differed, or None.
+        diverged_after: the first iteration after which the networks of the ranks differed, or None.
     """
 
     def __init__(
@@ -65,34 +65,25 @@ class Outputs:
         self._films: Films | None = None
         self._state: dict[str, Any] = {}
         self._last: int | None = None
-        self.parted: int | None = None
+        self.diverged_after: int | None = None
 
     def __enter__(self) -> Outputs:
+        env, start = self._trainer.env.env, self._trainer.iteration
         with ExitStack() as opened:
             if self._events:
                 self._tensorboard = open_events(self._directory.path)
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
-                self._recording = opened.enter_context(self._training_recording())
+                self._recording = opened.enter_context(
+                    TrainingRecording(self._directory, env, self._options, self._documents, start_iteration=start)
+                )
             if self._options.video_every:
-                self._films = opened.enter_context(self._made_films())
+                self._films = opened.enter_context(Films(self._directory.videos, env, self._options, start))
             if self._wandb is not None:
                 opened.enter_context(self._wandb)
             self._opened = opened.pop_all()
         return self
-
-    def _training_recording(self) -> TrainingRecording:
-        return TrainingRecording(
-            self._directory,
-            self._trainer.env.env,
-            self._options,
-            self._documents,
-            start_iteration=self._trainer.iteration,
-        )
-
-    def _made_films(self) -> Films:
-        return Films(self._directory.videos, self._trainer.env.env, self._options, self._trainer.iteration)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -119,7 +110,7 @@ class Outputs:
         return None if self._wandb is None else self._wandb.place
 
     @property
-    def unfilmed(self) -> str | None:
+    def missing_films(self) -> str | None:
         """Why films are missing; None if none are."""
         return None if self._films is None else self._films.ended
 
@@ -149,8 +140,8 @@ class Outputs:
             self._tensorboard.flush()
         self._state, self._last = self._trainer.state_dict(), iteration.index
         found, equal = digests_of_all(self._trainer.ranks, digested(self._trainer, self._state, due))
-        if not equal and self.parted is None:
-            self.parted = iteration.index
+        if not equal and self.diverged_after is None:
+            self.diverged_after = iteration.index
         line = {
             "iteration": iteration.index,
             "digest_format": digests.FORMAT,
