@@ -251,8 +251,8 @@ def test_names_are_listed(inspect):
         (["r.rrd", "-o", "x"], "--output: the option has no effect here; expected also --repair or --export"),
         (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect here"),
         (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
-        (["r.rrd", "--iteration", "5-2"], "ends before it begins"),
-        (["r.rrd", "--from", "3s", "--to", "2s"], "it lies before --from"),
+        (["r.rrd", "--iteration", "5-2"], "ends before its start"),
+        (["r.rrd", "--from", "3s", "--to", "2s"], "the end is before --from"),
         ([], "RUN|FILE"),
     ],
 )

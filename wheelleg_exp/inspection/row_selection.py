@@ -117,12 +117,14 @@ class Selection:
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
         """Return whether a moment is selected; an unknown moment is not."""
-        if self.iterations is not None and not (iteration is not None and _within(iteration, *self.iterations)):
-            return False
+        if self.iterations is not None:
+            first, last = self.iterations
+            if iteration is None or not first <= iteration <= last:
+                return False
         lower = [(bound, +1) for bound in (self.begin,) if bound is not None]
         for bound, sign in [*lower, *((bound, -1) for bound in (self.end,) if bound is not None)]:
             value = step if bound.is_steps else time_s
-            room = 0.0 if bound.is_steps or not step or time_s is None else _half(time_s / step)
+            room = 0.0 if bound.is_steps or not step or time_s is None else max(0.5 * time_s / step, _CLOSE)
             if value is None or sign * (value - bound.value) < -room:
                 return False
         return True
@@ -140,46 +142,39 @@ def nothing_chosen(recording: Recording) -> WheellegError:
 
 
 def require_order(selection: Selection) -> None:
-    """Raise WheellegError when a selection ends before it begins."""
+    """Raise WheellegError if a selection ends before its start."""
     begin, end = selection.begin, selection.end
     if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
-        raise WheellegError("it lies before --from", key="--to", expected=f"{begin.value:g} or later")
+        raise WheellegError("the end is before --from", key="--to", expected=f"{begin.value:g} or later")
 
 
 def _half_step(table: pa.Table) -> float:
-    """Return half of what a control step lasts, s; times in a table are steps times that."""
+    """Return half the duration of a control step, s, if all steps of the table have the same duration."""
     if STEP not in table.column_names or not len(table):
         return _CLOSE
     ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
     lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
-    is_regular = math.isclose(*lengths, rel_tol=1e-3)  # another tool's steps may be anything
-    return _half(lengths[1]) if is_regular else _CLOSE
-
-
-def _half(step_dt: float) -> float:
-    return max(0.5 * step_dt, _CLOSE)
-
-
-def _within(value: float, first: float, last: float) -> bool:
-    return first <= value <= last
+    is_regular = math.isclose(*lengths, rel_tol=1e-3)  # steps of another tool's recording can be irregular
+    return max(0.5 * lengths[1], _CLOSE) if is_regular else _CLOSE
 
 
 def parse_iterations(text: str) -> tuple[int, int]:
-    """Return the first and last iteration that a text says: ``50``, or ``50-60``.
+    """Return the first and last iteration of a text such as ``50`` or ``50-60``.
 
     Raises:
-        WheellegError: it says none.
+        WheellegError: the text is neither.
     """
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):
-            raise WheellegError(f"'{text}' ends before it begins", key="--iteration", expected=f"{last}-{first}")
+            raise WheellegError(f"'{text}' ends before its start", key="--iteration", expected=f"{last}-{first}")
         return int(first), int(last or first)
-    raise WheellegError(f"'{text}' is no iteration", key="--iteration", expected="a number, or a range such as 50-60")
+    expected = "a number, or a range such as 50-60"
+    raise WheellegError(f"'{text}' is not an iteration", key="--iteration", expected=expected)
 
 
 def _timeline(table: pa.Table, name: str, key: str) -> np.ndarray:
     if name not in table.column_names:
         have = [column for column in (STEP, SIM_TIME, ITERATION) if column in table.column_names]
-        raise WheellegError(f"there is no timeline '{name}' here", key=key, expected="one of " + ", ".join(have))
+        raise WheellegError(f"the numbers have no timeline '{name}'", key=key, expected="one of " + ", ".join(have))
     return np.asarray(table.column(name))

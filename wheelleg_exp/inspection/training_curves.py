@@ -16,9 +16,9 @@ from wheelleg_exp.inspection.plot_style import BLUE, INK, MUTED, VERMILLION, Pan
 ITERATIONS = "iteration"
 _SMOOTHED_FROM = 60
 _WINDOWS = 40
-_LOG_FROM = 50.0  # largest over smallest: more than this is unreadable on an even scale
+_LOG_FROM = 50.0  # ratio of the largest to the smallest value from which a curve needs a logarithmic scale
 _SHOWN_TERMS = 7
-# The scalars whose curves are drawn; those of the commands' errors come after the second.
+# The scalars with curves. The curves of the commands' errors follow the second one.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -29,12 +29,12 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# The errors of commands: the first kind that a training has is drawn.
+# Kinds of errors of commands. Only the first kind that a training has is drawn.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
 def learning(scalars: Scalars) -> list[Panel]:
-    """Return the learning curves: return, episode length, tracking errors, losses, deviation of the actions."""
+    """Return the learning curves: return, episode length, tracking errors, losses, action noise."""
     panels = [_curve(key, scalars[key]) for key in CURVES if key in scalars]
     kinds = ([key for key in scalars if key.startswith(head)] for head in _ERRORS)
     errors: list[str] = next(filter(None, kinds), [])
@@ -42,7 +42,7 @@ def learning(scalars: Scalars) -> list[Panel]:
 
 
 def endings(scalars: Scalars) -> list[Panel]:
-    """Return how episodes ended over the training: of all environments, by what ended the last one of each."""
+    """Return the shares of terminations over the training: of the last episode of every environment."""
     causes = _below(scalars, "Episode_Termination")
     if not causes:
         return []
@@ -50,7 +50,7 @@ def endings(scalars: Scalars) -> list[Panel]:
     shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
 
     def draw(axes: Axes) -> None:
-        for i, name in enumerate(shown):  # not stacked: an episode that two ended is in both
+        for i, name in enumerate(shown):  # not stacked, because an episode with two terminations is in both
             draw_curve(axes, *causes[name], colour(i), name)
         over_iterations(axes)
         axes.set_ylim(0, 1.02)
@@ -61,10 +61,10 @@ def endings(scalars: Scalars) -> list[Panel]:
 
 
 def reward_course(scalars: Scalars) -> list[Panel]:
-    """Return the weighted reward terms over the training: stacked, and as they were at the end.
+    """Return panels of the weighted reward terms over the training, and of their values at its end.
 
-    These scalars are an episode's sum divided by the seconds of the longest episode there may be, not by its own: as
-    long as episodes end early they are smaller than the reward per second that a recording of motion holds.
+    These scalars are an episode's sum over the duration of the longest possible episode, not over its own duration. As
+    long as episodes end early, they are smaller than the recorded reward per second.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -78,9 +78,9 @@ def reward_course(scalars: Scalars) -> list[Panel]:
 
 
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
-    """Return bars of the mean weighted reward of each term, and its share of all, by absolute value.
+    """Return bars of the mean weighted reward of each term, with its share of the sum of absolute values.
 
-    ``unit`` is its unit; empty without.
+    ``unit`` is the unit, or empty.
     """
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0
@@ -103,7 +103,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean whose window is a fortieth of the rows; shorter windows at both ends."""
+    """Return a centred moving mean over a fortieth of the rows; the windows at both ends are shorter."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
@@ -119,7 +119,7 @@ def _percent(part: float) -> str:
 
 
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
-    """Draw a curve over iterations; a long one pale as it was, and its moving mean over it."""
+    """Draw a curve over iterations. A long curve is pale, with its moving mean on top."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
         axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)
@@ -138,7 +138,7 @@ def over_iterations(axes: Axes, label: str = "") -> None:
 
 
 def _curve(key: str, points: tuple[Any, Any]) -> Panel:
-    told = scalar_definition(key)
+    known = scalar_definition(key)
 
     def draw(axes: Axes) -> None:
         draw_curve(axes, *points, BLUE)
@@ -146,7 +146,7 @@ def _curve(key: str, points: tuple[Any, Any]) -> Panel:
         values = values[np.isfinite(values)]
         if len(values) and values.min() > 0 and values.max() > _LOG_FROM * values.min():
             axes.set_yscale("log")
-        over_iterations(axes, "" if told is None else told.unit)
+        over_iterations(axes, "" if known is None else known.unit)
 
     return Panel(curve_title(key), draw)
 
@@ -157,7 +157,7 @@ def _below(scalars: Scalars, group: str) -> dict[str, tuple[Any, Any]]:
 
 
 def _stacker(terms: Mapping[str, tuple[Any, Any]], order: Sequence[str]) -> Any:
-    """Return a function that stacks terms; what is negative goes down from zero."""
+    """Return a function that stacks terms, with negative values below zero."""
     shown = [name for name in order if np.any(np.asarray(terms[name][1]) != 0)] or list(order[:1])
 
     def draw(axes: Axes) -> None:
@@ -187,7 +187,7 @@ def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> N
 
 
 def _on(x: Numbers, points: tuple[Any, Any]) -> Numbers:
-    """Return a term's values at ``x``; a term that was not logged everywhere is zero where it was not."""
+    """Return a term's values at ``x``; 0 where the term was not logged."""
     own, values = np.asarray(points[0]), drawable(points[1])
     if len(own) == len(x) and np.array_equal(own, x):
         return np.nan_to_num(values)
