@@ -99,7 +99,7 @@ def test_drawing_changes_nothing(graphics):
 def test_closing_ends_the_process_that_draws(graphics, monkeypatch):
     started = []
     real = subprocess.Popen
-    monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     for env in (make(), make_vec(render_mode="rgb_array")):
         env.reset(seed=0)
         env.render()

@@ -208,7 +208,7 @@ def test_a_driver_that_aborts_takes_nothing_with_it(shown: Scenery, monkeypatch)
     """The drawing process is replaced by one that aborts, as drivers do."""
     crashing = [sys.executable, "-c", "import os; os.write(2, b'driver: cannot\\n'); os.abort()"]
     real = subprocess.Popen
-    monkeypatch.setattr(renderer.subprocess, "Popen", lambda _, **options: real(crashing, **options))
+    monkeypatch.setattr(subprocess, "Popen", lambda _, **options: real(crashing, **options))
     with pytest.raises(WheellegError, match="driver: cannot"):
         recording_pictures.picture(shown, 0, 64, 64)
 
@@ -225,7 +225,7 @@ def test_drawing_leaves_no_process_and_no_log_behind(
 ) -> None:
     started = []
     real = subprocess.Popen
-    monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     monkeypatch.chdir(tmp_path)
     recording_pictures.picture(shown, 0, 64, 64)
     assert [process.returncode for process in started] == [0]

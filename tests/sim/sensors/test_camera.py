@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import subprocess
 
 import pytest
 import torch
@@ -210,8 +211,8 @@ def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make
 
 
 def test_its_process_ends_with_it(make, monkeypatch):
-    started, real = [], renderer.subprocess.Popen
-    monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    started, real = [], subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     env = make()
     place(env, [0.0, 0.0, 1.0])
     assert len(started) == 1
