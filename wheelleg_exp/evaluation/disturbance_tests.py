@@ -122,11 +122,7 @@ _EVENTS = "wheelleg_exp.mdp.events"
 class World:
     """A changed world.
 
-    Attributes:
-        sweep: the changed property.
-        value: its new value.
-        cfg: the changed ``env`` section.
-        delay_steps: delay of actions, control steps.
+    ``cfg`` is the changed ``env`` section.
     """
 
     sweep: str

@@ -20,10 +20,8 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 class Parting:
     """The first difference of a number.
 
-    Attributes:
-        step: the control step; None if the values are equal and only the rows differ.
-        time_s: simulated time, s; None if unknown.
-        first, second: the values there.
+    ``step`` is the control step; None if the values are equal and only the rows differ. ``time_s`` is the simulated
+    time, s; None if unknown.
     """
 
     step: int | None
@@ -36,12 +34,8 @@ class Parting:
 class NumberDifference:
     """A number that differs between two recordings.
 
-    Attributes:
-        name: its dotted name.
-        parting: its first difference among the common steps.
-        largest: its largest absolute difference there.
-        rows: number of rows in each recording.
-        first, second: its statistics in each recording.
+    ``parting`` is its first difference among the common steps. ``largest`` is its largest absolute difference
+    there.
     """
 
     name: str
@@ -56,11 +50,8 @@ class NumberDifference:
 class RecordingComparison:
     """The bitwise comparison of two recordings by entity.
 
-    Attributes:
-        equal: paths of equal entities.
-        different: paths of different entities.
-        only_first, only_second: paths of entities in only one recording.
-        numbers: the numbers that differ, the earliest difference first.
+    ``only_first`` and ``only_second`` are the paths of entities in only one recording. ``numbers`` are the numbers
+    that differ, the earliest difference first.
     """
 
     equal: list[str]

@@ -195,10 +195,7 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """Consecutive frames in which a condition is true.
 
-    Attributes:
-        first, last: its first and last frame.
-        frames: number of frames.
-        around: the rows from before the first to after the last frame; None unless requested.
+    ``around`` are the rows from before the first to after the last frame; None unless requested.
     """
 
     first: Moment

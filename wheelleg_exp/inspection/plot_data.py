@@ -59,10 +59,7 @@ class Series:
 class Sample:
     """Consecutive recorded steps.
 
-    Attributes:
-        first: its first step.
-        last: its last step.
-        iteration: the training iteration at its start, or None.
+    ``iteration`` is the training iteration at its start, or None.
     """
 
     first: int
@@ -78,9 +75,6 @@ class Source:
     """A recording as a source of plots.
 
     ``env`` is the recorded environment; by default the selection's, or else the first.
-
-    Attributes:
-        env_id: the environment.
 
     Raises:
         RunDirectoryError: that environment was not recorded.

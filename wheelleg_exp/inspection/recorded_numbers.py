@@ -102,9 +102,7 @@ TIMES = (STEP, SIM_TIME, ITERATION)
 class Frames:
     """Rows of one environment.
 
-    Attributes:
-        table: the timelines and one float64 column per number.
-        env_id: the environment.
+    ``table`` has the timelines and one float64 column per number.
     """
 
     table: pa.Table

@@ -71,10 +71,8 @@ class Selection:
 
     A time stands for the nearest control step, so that printed times can be typed.
 
-    Attributes:
-        env_id: the recorded environment.
-        iterations: the first and last training iteration.
-        begin, end: the first and last moment, both included.
+    ``iterations`` is the first and last training iteration. ``begin`` and ``end`` are the first and last moment,
+    both included.
     """
 
     env_id: int | None = None

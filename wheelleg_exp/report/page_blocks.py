@@ -85,11 +85,7 @@ class Facts:
 class Table:
     """Rows under headings; the first cell of a row is its heading.
 
-    Attributes:
-        title: its title.
-        columns: the headings.
-        rows: the cells.
-        titled: whether the title is shown; a heading above can replace it.
+    ``titled`` says whether the title is shown; a heading above can replace it.
     """
 
     title: str

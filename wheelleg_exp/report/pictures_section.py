@@ -35,8 +35,7 @@ _FIRST, _LAST, _PLAY = 0, -1, 1  # the episode of a recording to show
 class Episode:
     """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it.
 
-    Attributes:
-        is_whole: whether it was recorded from its start to its end.
+    ``is_whole`` says whether it was recorded from its start to its end.
     """
 
     start: float

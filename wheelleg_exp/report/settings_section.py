@@ -35,11 +35,7 @@ _LETTERS = 20_000
 class Setting:
     """One value of the run that differs from its task's default.
 
-    Attributes:
-        path: the key.
-        default: the task's default, as text.
-        value: the run's value, as text.
-        origin: who set it.
+    ``default`` is the task's default, as text. ``value`` is the run's value, as text.
     """
 
     path: str

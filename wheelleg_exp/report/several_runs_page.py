@@ -52,9 +52,7 @@ _MOST_DIFFERENCES = 12
 class Group:
     """Runs with the same settings except for their seeds.
 
-    Attributes:
-        settings: the settings that differ from those of other groups, by key.
-        runs: its runs.
+    ``settings`` are the settings that differ from those of other groups, by key.
     """
 
     settings: Mapping[str, str]
