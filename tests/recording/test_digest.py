@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import rerun as rr
 from recording.conftest import record
 
@@ -34,13 +35,12 @@ def test_how_the_rows_were_cut_up_does_not_matter(tmp_path):
     assert write(tmp_path / "1.rrd", VALUES) == write(tmp_path / "2.rrd", VALUES, splits=(1, 3), recording_id="b")
 
 
-def test_a_change_of_1e_12_is_noticed(tmp_path):
-    changed = [VALUES[0] + 1e-12, *VALUES[1:]]
-    assert write(tmp_path / "1.rrd", VALUES) != write(tmp_path / "2.rrd", changed)
-
-
-def test_the_sign_of_zero_is_noticed(tmp_path):
-    changed = [VALUES[0], 0.0, *VALUES[2:]]
+@pytest.mark.parametrize(
+    "changed",
+    [[VALUES[0] + 1e-12, *VALUES[1:]], [VALUES[0], 0.0, *VALUES[2:]]],
+    ids=["by 1e-12", "sign of zero"],
+)
+def test_the_smallest_change_of_a_number_changes_the_digest(tmp_path, changed):
     assert write(tmp_path / "1.rrd", VALUES) != write(tmp_path / "2.rrd", changed)
 
 

@@ -25,16 +25,8 @@ def run(tmp_path, repository, git):
     """A run below the repository itself, as users have it."""
     directory = RunDirectory.create(repository / "runs", "walk", 7)
     (repository / "package" / "new.py").write_text("y = 2\n")
-    manifest = start_run(
-        directory,
-        command=["wheelleg", "train", "task=walk"],
-        params=PARAMS,
-        hydra_files={"config": "a: 1\n", "overrides.yaml": "- task=walk\n"},
-        source_roots=[repository / "package"],
-        seed=7,
-        task="walk",
-        threads={"torch": 2},
-    )
+    files = {"config": "a: 1\n", "overrides.yaml": "- task=walk\n"}
+    manifest = start(directory, hydra_files=files, source_roots=[repository / "package"])
     return directory, manifest
 
 
@@ -105,12 +97,16 @@ def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
         load_params(tmp_path)
 
 
-def snapshot_of(tmp_path, **changes):
-    """The manifest and the source record of a run, as far as they tell what it was made from."""
-    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+def start(directory, **changes):
+    """Start a run in a new directory; ``changes`` replace the default arguments."""
     given = {"command": ["wheelleg"], "params": PARAMS, "hydra_files": {"config": "a: 1\n"}, "source_roots": []}
-    given |= {"seed": 7, "task": "walk", "threads": {"torch": 2}} | changes
-    data = start_run(directory, **given).data
+    return start_run(directory, **({**given, "seed": 7, "task": "walk", "threads": {"torch": 2}} | changes))
+
+
+def snapshot_of(tmp_path, **changes):
+    """Return the values of a new run's manifest and source record that do not depend on the time."""
+    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+    data = start(directory, **changes).data
     source = json.loads((directory.source / "git.json").read_text())
     timeless = ("id", "started", "process", "sha256")
     return {k: v for k, v in data.items() if k not in timeless} | {"git": source}
@@ -191,9 +187,6 @@ def test_another_version_and_another_processor_show(tmp_path, monkeypatch):
     assert {"versions", "hardware"} <= changed(before, snapshot_of(tmp_path))
 
 
-TOKEN = "hf" + "_" + "a1" * 17
-
-
 def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path):
     snapshot_of(tmp_path, hydra_files={"config.yaml": (written := "a: '${oc.env:NOWHERE_SET}'\n")})
     (kept,) = tmp_path.rglob(".hydra/config.yaml")
@@ -204,16 +197,7 @@ def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     params = {"env": {"a": (1, 2)}, "agent": {}}
     with pytest.raises(RunDirectoryError, match="tuple cannot be saved"):
-        start_run(
-            directory,
-            command=[],
-            params=params,
-            hydra_files={},
-            source_roots=[],
-            seed=7,
-            task="walk",
-            threads={},
-        )
+        start(directory, params=params)
     assert directory.manifest().status == "failed"
     assert "tuple cannot be saved" in directory.manifest().data["error"]["message"]
 
@@ -228,16 +212,7 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
 
     monkeypatch.setattr("wheelleg_exp.run.start_run.snapshot_source", look)
     with pytest.raises(KeyboardInterrupt):
-        start_run(
-            directory,
-            command=[],
-            params=PARAMS,
-            hydra_files={},
-            source_roots=[],
-            seed=7,
-            task="walk",
-            threads={},
-        )
+        start(directory)
     assert seen == ["running"]
     assert directory.manifest().status == "interrupted"
 
@@ -245,13 +220,4 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
 def test_a_hydra_file_cannot_leave_its_folder(tmp_path, repository, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     with pytest.raises(RunDirectoryError, match="not a file name"):
-        start_run(
-            directory,
-            command=[],
-            params=PARAMS,
-            hydra_files={"../config": ""},
-            source_roots=[],
-            seed=7,
-            task="walk",
-            threads={},
-        )
+        start(directory, hydra_files={"../config": ""})
