@@ -52,6 +52,7 @@ def triangle(corner: str, indices: str) -> str:
 
 REFUSED = [  # the robot, and words of the error: its prim, the attribute, or the expected value
     (mass("float physics:mass = inf"), "/bot/a", "'physics:mass'"),
+    (mass("float physics:mass = nan"), "/bot/a", "'physics:mass'"),
     (mass("float3 physics:diagonalInertia = (inf, 1, 1)"), "/bot/a", "'physics:diagonalInertia'"),
     (mass("point3f physics:centerOfMass = (nan, 0, 0)"), "/bot/a", "'physics:centerOfMass'"),
     (mass("quatf physics:principalAxes = (nan, 0, 0, 0)"), "/bot/a", "'physics:principalAxes'"),
@@ -81,8 +82,10 @@ REFUSED = [  # the robot, and words of the error: its prim, the attribute, or th
     (shape("Cube", "double size = 1e300"), "/bot/a/shape", ""),
     (shape("Capsule", "double height = nan"), "/bot/a/shape", ""),
     (triangle("(0,0,inf)", "0,1,2"), "/bot/a/shape", ""),
+    (triangle("(nan,0,0)", "0,1,2"), "/bot/a/shape", ""),
     (triangle("(0,0,1e30)", "0,1,3"), "/bot/a/shape", ""),
     (link("a", "(inf, 0, 0)"), "/bot/a", ""),
+    (link("a", "(nan, 0, 0)"), "/bot/a", ""),
     (link("a", "(0, 1e300, 0)"), "/bot/a", ""),
     (link("a", "(1e15, 0, 0)"), "/bot/a", ""),
 ]

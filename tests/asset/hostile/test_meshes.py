@@ -145,8 +145,7 @@ WHOLE: dict[str, tuple[str, str | bytes]] = {
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the bounds be reached soon."""
-    monkeypatch.setattr(mesh_files, "MOST_POINTS", 1_000)
+    """Lower the limits so that small files exceed them."""
     monkeypatch.setattr(mesh_files, "MOST_POINTS", 1_000)
     monkeypatch.setattr(mesh_files, "MOST_PARTS", 10_000)
 
