@@ -312,8 +312,8 @@ def diagnose_task(composed: Composed) -> Diagnosis:
 
 def known_by(finding: Finding) -> str:
     """Return the source that a rule's text names."""
-    _, _, source = RULES[finding.rule].text.partition("Source: ")
-    return " ".join(source.split()).rstrip(".")
+    _, _, source = " ".join(RULES[finding.rule].text.split()).partition("Source: ")
+    return source.rstrip(".")
 
 
 def notes_on(case: Case) -> list[str]:
