@@ -64,7 +64,7 @@ def test_json_is_one_document(file, capsys):
         (["nowhere.urdf"], "there is no file 'nowhere.urdf'"),
         (["nowhere.xml"], "there is no such file"),
         (["task=nothing"], "nothing"),
-        (["task=stand", "--screenshot", "picture.jpg"], "a name in .png"),
+        (["task=stand", "--screenshot", "picture.jpg"], "ends with .png"),
         ([], "missing"),
     ],
 )
