@@ -1,4 +1,4 @@
-"""Grounds for the tests of sensors that look at them."""
+"""Grounds for the tests of sensors."""
 
 from __future__ import annotations
 
@@ -22,10 +22,19 @@ class Slope(TerrainBase):
 
 
 class Roof(TerrainBase):
-    """The same to both sides of y = 0: it falls to the sides, and more so where x is greater; a formula alone."""
+    """A roof with its ridge at y = 0, whose slope grows with x. Only its formula describes it."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], pos=[0, 0, -9])
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         return -0.3 * xy[..., 1].abs() * (1.0 + 0.5 * xy[..., 0].sin())
+
+
+STEP = {
+    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
+    "height": 0.25,
+    "static_friction": 0.5,
+    "dynamic_friction": 0.5,
+    "restitution": 0.0,
+}

@@ -5,8 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from wheelleg_exp.errors import ConfigError
-
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
 
@@ -61,10 +59,3 @@ def test_it_goes_on_from_its_saved_state(make_env, period):
         other.step(torch.ones(4, 4))
         assert torch.equal(sensor.height, same.height)
         assert torch.equal(sensor.measured, same.measured)
-
-
-def test_a_negative_period_and_what_is_no_sensor_are_refused(make_env):
-    with pytest.raises(ConfigError, match=r"env\.scene\.sensors\.height.*update_period"):
-        _env(make_env, update_period=-1.0)
-    with pytest.raises(ConfigError, match="is not a SensorBase"):
-        make_env(scene={"sensors": {"x": {"_target_": "managers.spies.Step", "height": 1.0, **MATERIAL}}})

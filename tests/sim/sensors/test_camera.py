@@ -9,19 +9,12 @@ import subprocess
 import pytest
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from sim.sensors.grounds import STEP
 from wheelleg_exp.rendering import renderer
 from wheelleg_exp.rendering.renderer import NoGraphics
 from wheelleg_exp.sim import rotation
 
 pytestmark = [pytest.mark.pictures, pytest.mark.usefixtures("allow_test_terms", "graphics")]
-STEP = {
-    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
-    "height": 0.25,
-    "static_friction": 0.5,
-    "dynamic_friction": 0.5,
-    "restitution": 0.0,
-}
 HALF = math.sqrt(0.5)
 DOWN = [HALF, 0.0, HALF, 0.0]  # axes x forward: about y by a quarter turn
 BELOW = {"pos": [0.0, 0.0, -0.2], "rot": DOWN, "convention": "world"}
@@ -226,21 +219,3 @@ def test_where_nothing_can_be_drawn_the_sensor_is_named(make, monkeypatch):
     env = make()
     with pytest.raises(NoGraphics, match=r"env\.scene\.sensors\.eye: drawing is not possible.*libegl1"):
         place(env, [0.0, 0.0, 1.0])
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"max_num_envs": 1}, r"env\.scene\.sensors\.eye\.max_num_envs: 2 environments.*env\.num_envs at most 1"),
-        ({"data_types": ["normals"]}, "data_types"),
-        ({"data_types": []}, "data_types"),
-        ({"offset": {"convention": "usd"}}, r"offset\.convention"),
-        ({"offset": {"rot": [0, 0, 0, 0]}}, r"offset\.rot"),
-        ({"fovy": 3.2}, "fovy"),
-        ({"clipping_range": [1.0, 1.0]}, "clipping_range"),
-        ({"body": "head"}, r"env\.scene\.sensors\.eye\.body_name"),
-    ],
-)
-def test_what_cannot_be_is_told_with_its_key(make, settings, said):
-    with pytest.raises(ConfigError, match=said):
-        make(**settings)

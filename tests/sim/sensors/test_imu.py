@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.errors import ConfigError
-
 SENSOR = "wheelleg_exp.sim.sensors."
 ALL = torch.arange(4)
 QUARTER = math.sqrt(0.5)
@@ -211,18 +209,3 @@ def test_it_goes_on_from_its_saved_state(make, period):
 def test_without_errors_nothing_is_drawn(make):
     assert "env.scene.sensors.imu" not in make().streams.state_dict()["generators"]
     assert "env.scene.sensors.imu" in make(gyroscope=noise(std=0.1)).streams.state_dict()["generators"]
-
-
-@pytest.mark.parametrize(
-    ("settings", "key"),
-    [
-        ({"accelerometer": {"std": 0.1}}, "accelerometer"),
-        ({"gyroscope": {"_target_": "wheelleg_exp.mdp.noise.ConstantNoise", "bias": 1.0}}, "gyroscope"),
-        ({"gyroscope": noise(std=-1.0)}, "gyroscope.std"),
-        ({"gravity_bias": [9.81]}, "gravity_bias"),
-    ],
-)
-def test_wrong_settings_are_named(make, settings, key):
-    with pytest.raises(ConfigError) as caught:
-        make(**settings)
-    assert caught.value.key == f"env.scene.sensors.imu.{key}"

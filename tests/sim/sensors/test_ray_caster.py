@@ -7,19 +7,12 @@ import math
 import pytest
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from sim.sensors.grounds import STEP
 from wheelleg_exp.sim.terrain import Plane
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 PREFIX = "wheelleg_exp.sim.sensors."
 GRID = {"_target_": PREFIX + "GridPattern", "resolution": 0.5, "size": [1.0, 0.5]}
-STEP = {
-    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
-    "height": 0.25,
-    "static_friction": 0.5,
-    "dynamic_friction": 0.5,
-    "restitution": 0.0,
-}
 STILL = torch.zeros(4, 1)
 ALL = torch.arange(4)
 
@@ -241,35 +234,3 @@ def test_it_goes_on_from_its_saved_state(make, period):
             other.reset(env_ids=torch.tensor([3]))
         env.step(STILL)
         other.step(STILL)
-
-
-@pytest.mark.parametrize(
-    ("settings", "key", "words"),
-    [
-        ({"body_name": ".*"}, "body_name", "one body"),
-        ({"body_name": "blok"}, "body_name", "block"),
-        ({"pattern": {"resolution": 0.1}}, "pattern", "_target_"),
-        ({"pattern": 3}, "pattern", "_target_"),
-        ({"pattern": {"_target_": "wheelleg_exp.mdp.noise.ConstantNoise", "bias": 1.0}}, "pattern", "PatternBase"),
-        ({"offset": {"rot": [1.0, 0.0, 0.0]}}, "offset.rot", "4 finite numbers"),
-        ({"offset": {"pose": [1.0, 0.0, 0.0]}}, "offset.pose", "pos"),
-        (
-            {
-                "pattern": {
-                    "_target_": PREFIX + "LidarPattern",
-                    "channels": 2,
-                    "vertical_fov_range": [-0.3, 0.3],
-                    "horizontal_fov_range": [0.0, 360.0],
-                    "horizontal_res": 0.1,
-                }
-            },
-            "pattern.horizontal_fov_range",
-            "radians",
-        ),
-    ],
-)
-def test_wrong_settings_are_named(make, settings, key, words):
-    with pytest.raises(ConfigError) as caught:
-        make(**settings)
-    assert caught.value.key == f"env.scene.sensors.scan.{key}"
-    assert words in str(caught.value)

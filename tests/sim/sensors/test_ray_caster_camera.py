@@ -7,18 +7,11 @@ import math
 import pytest
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from sim.sensors.grounds import STEP
 from wheelleg_exp.sim import rotation
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 PREFIX = "wheelleg_exp.sim.sensors."
-STEP = {
-    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
-    "height": 0.25,
-    "static_friction": 0.5,
-    "dynamic_friction": 0.5,
-    "restitution": 0.0,
-}
 HALF = math.sqrt(0.5)
 OPTICS = {"width": 20, "height": 16, "focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 28.0}
 OPTICS |= {"horizontal_aperture_offset": 0.1, "vertical_aperture_offset": -0.05}
@@ -118,17 +111,3 @@ def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make
     other.load_state_dict(env.state_dict())
     assert torch.equal(other.scene["eye"].data.output["distance_to_image_plane"], seen[2])
     assert torch.equal(other.scene["eye"].data.quat_w_world, env.scene["eye"].data.quat_w_world)
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"data_types": ["rgb"]}, "data_types"),
-        ({"pattern": {"_target_": PREFIX + "GridPattern", "resolution": 0.1, "size": [0.1, 0.1]}}, "PinholePattern"),
-        ({"offset": {"convention": "usd"}}, r"offset\.convention"),
-        ({"max_distance": 0.0}, "max_distance"),
-    ],
-)
-def test_what_cannot_be_is_told_with_its_key(make, settings, said):
-    with pytest.raises(ConfigError, match=said):
-        make(**settings)
