@@ -64,5 +64,5 @@ def test_a_wrong_sensor_is_refused_by_key(make_env, kind, changes, key, words):
 
 @pytest.mark.usefixtures("allow_test_terms")
 def test_another_object_is_not_a_sensor(make_env):
-    with pytest.raises(ConfigError, match="is no SensorBase"):
+    with pytest.raises(ConfigError, match="is not a SensorBase"):
         make_env(scene={"sensors": {"x": {"_target_": "managers.spies.Step", "height": 1.0, **PLANE}}})
