@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.composing.provenance import Provenance
+from wheelleg_exp.config.config_tree import build
+from wheelleg_exp.terms.key_syntax import split_path
 
 TARGETS = '''
 """Targets of the tests."""
@@ -220,6 +225,11 @@ USER = {
           target_height: 0.2
     """,
 }
+
+
+def replayed(places: Provenance) -> dict[str, Any]:
+    """Return the raw values of all sources as a nested mapping, in their order."""
+    return build({split_path(path): source.value for path, source in places.items()})
 
 
 def write(folder: Path, files: dict[str, str]) -> Path:

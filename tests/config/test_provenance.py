@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from omegaconf import OmegaConf
+from small_tree import replayed
 
 from wheelleg_exp.config.config_tree import leaves
 from wheelleg_exp.terms.key_syntax import dotted
@@ -35,12 +36,12 @@ RECIPES = {
 @pytest.mark.parametrize("name", RECIPES)
 def test_the_replay_equals_the_composition(name, composed):
     config = composed(*RECIPES[name])
-    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+    assert replayed(config.provenance) == OmegaConf.to_container(config.raw, resolve=False)
 
 
 def test_the_replay_equals_the_composition_with_a_users_folder(composed, user):
     config = composed("task=hop", config_dirs=[user])
-    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+    assert replayed(config.provenance) == OmegaConf.to_container(config.raw, resolve=False)
     assert config.provenance["env.rewards.bounce.weight"].file == user / "reward" / "bounce.yaml"
 
 
@@ -96,7 +97,7 @@ def test_anchors_and_merge_keys_have_the_lines_of_what_they_stand_for(composed, 
     )
     config = composed()
     assert config.provenance["env.rewards.alive.weight"].line == 2
-    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+    assert replayed(config.provenance) == OmegaConf.to_container(config.raw, resolve=False)
 
 
 def test_leaves_of_a_tree_are_its_scalars_lists_and_empty_mappings():

@@ -9,6 +9,7 @@ import yaml
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from omegaconf import OmegaConf, open_dict
+from small_tree import replayed
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.config_tree import leaves
@@ -65,9 +66,9 @@ def _of_hydra(primary: str, overrides: list[str]) -> dict:
 @pytest.mark.parametrize(("task", "recipe"), zip(cycle(TASKS), RECIPES, strict=False))
 def test_every_leaf_of_a_task_is_hydras_in_value_and_order(task, recipe):
     words = [f"task={task}", *RECIPES[recipe]]
-    wanted, replayed = _of_hydra("train", words), compose_raw(words).tree()
-    assert dict(leaves(replayed)) == dict(leaves(wanted))
-    assert _orders(replayed) == _orders(wanted)
+    wanted, ours = _of_hydra("train", words), replayed(compose_raw(words))
+    assert dict(leaves(ours)) == dict(leaves(wanted))
+    assert _orders(ours) == _orders(wanted)
 
 
 @pytest.mark.parametrize("primary", PRIMARIES)
@@ -75,7 +76,7 @@ def test_every_leaf_of_a_task_is_hydras_in_value_and_order(task, recipe):
 def test_every_leaf_of_a_primary_is_hydras(primary, words):
     kept = [word for word in words if word.split("=")[0].strip("+").split(".")[0] in _of_hydra(primary, [])]
     words = ["pipeline.name=other", "+pipeline.extra=${pipeline.name}"] if words and not kept else kept
-    assert compose_raw(words, primary).tree() == _of_hydra(primary, words)
+    assert replayed(compose_raw(words, primary)) == _of_hydra(primary, words)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from omegaconf import OmegaConf
+from small_tree import replayed
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.find_mistakes import check
@@ -24,7 +25,7 @@ def test_a_stock_task_has_no_mistakes(task):
 @pytest.mark.parametrize("task", TASKS)
 def test_the_replay_of_a_stock_task_equals_its_composition(task):
     composed = compose([f"task={task}"])
-    assert composed.provenance.tree() == OmegaConf.to_container(composed.raw, resolve=False)
+    assert replayed(composed.provenance) == OmegaConf.to_container(composed.raw, resolve=False)
     assert [path for path, source in composed.provenance.items() if source.line is None] == []
 
 

@@ -14,7 +14,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf._utils import split_key
 
 from wheelleg_exp.config.composing.config_loader import LoadedFile, Loader, hydra_globals
-from wheelleg_exp.config.config_tree import build, defaults_entries, leaves, line_table
+from wheelleg_exp.config.config_tree import defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 
@@ -67,10 +67,6 @@ class Provenance(Mapping[str, Source]):
 
     def __len__(self) -> int:
         return len(self._by_path)
-
-    def tree(self) -> dict[str, Any]:
-        """Return the replayed config: the raw values as a nested mapping."""
-        return build({keys: source.value for keys, source in self._sources.items()})
 
     def below(self, path: str) -> list[Source]:
         """Return the sources of the leaf at ``path``, or of every leaf below it."""
