@@ -42,6 +42,6 @@ def test_a_checkpoint_that_is_not_the_logs_is_told_in_whole_words(copy_run):
     synthetic.edit_state(run, 2, lambda state: state["actor_state_dict"]["weight"].zero_())
     told = {path.name: why for path, why in find_point(run).damaged.items()}
     assert told == {
-        "model_4.pt": "optimizer differs from the digests that iteration 4 left",
-        "model_2.pt": "parameters differ from the digests that iteration 2 left",
+        "model_4.pt": "optimizer differs from the logged digests of iteration 4",
+        "model_2.pt": "parameters differ from the logged digests of iteration 2",
     }
