@@ -44,7 +44,7 @@ class ObservationTerm(Kept):
         flatten: whether the history is flattened, oldest first.
     """
 
-    outside_graphs = ("_part_forms",)
+    outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
 
     def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
         self.term = term

@@ -50,6 +50,7 @@ class ActuatorBase(Stateful):
     """
 
     reads_state: ClassVar[bool] = True  # False if the controls depend only on the targets
+    outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
 
     def __init__(
