@@ -29,19 +29,19 @@ def rerun_program() -> str:
     return shutil.which("rerun") or "rerun"
 
 
-def run_rerun(*words: str) -> str | None:
-    """Run ``rerun rrd`` with arguments; return None, or the reason of its failure."""
+def run_rerun(*words: str) -> tuple[str | None, list[str]]:
+    """Run ``rerun rrd`` with arguments; return the reason of its failure or None, and the lines it logged."""
     command = [rerun_program(), "rrd", *words]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, stdin=subprocess.DEVNULL)
     except FileNotFoundError:
-        return "rerun's program is missing"
+        return "rerun's program is missing", []
     except subprocess.TimeoutExpired:
-        return f"rerun did not finish within {_TIMEOUT_S:.0f} s"
-    if done.returncode == 0:
-        return None
+        return f"rerun did not finish within {_TIMEOUT_S:.0f} s", []
     lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    return lines[-1][:_LONGEST_REASON] if lines else f"rerun exited with status {done.returncode}"
+    if done.returncode == 0:
+        return None, lines
+    return lines[-1][:_LONGEST_REASON] if lines else f"rerun exited with status {done.returncode}", lines
 
 
 def optimize_recording(path: Path) -> str | None:
@@ -52,7 +52,7 @@ def optimize_recording(path: Path) -> str | None:
     """
     rewritten = temporary_name(path)
     try:
-        reason = run_rerun("optimize", str(path), "-o", str(rewritten))
+        reason, _ = run_rerun("optimize", str(path), "-o", str(rewritten))
         if reason is None and not _is_recording(rewritten):
             reason = "rerun wrote nothing"
         if reason is None:

@@ -20,7 +20,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people
 from wheelleg_exp.recording.reading.arrow_values import TIMELINES, is_component, is_index, known_columns, short_name
 from wheelleg_exp.recording.rerun_program import run_rerun
-from wheelleg_exp.recording.rrd_file import HEADER_SIZE, MAGIC, PROTOBUF, ROWS, SERIALIZER_AT, RrdFile
+from wheelleg_exp.recording.rrd_file import HEADER_SIZE, MAGIC, PROTOBUF, SERIALIZER_AT, RrdFile
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
@@ -107,20 +107,18 @@ class Contents:
     def __init__(self, path: Path, recording_id: str | None = None) -> None:
         self._path = path
         file = _opened(path)
-        messages, rows, last = 0, 0, None
-        for last in file.messages():
-            messages, rows = messages + 1, rows + (last.kind == ROWS)
+        messages = list(file.messages())
+        last = messages[-1] if messages else None
         readable, is_closed = HEADER_SIZE if last is None else last.end, file.is_closed(last)
-        stores = _stores(path) if is_closed else None
+        stores, unreadable = (_stores(path) if is_closed else None), 0
         if stores is None:
-            stores = _salvaged(file, path)
-        read = sum(map(len, stores.values()))
+            stores, unreadable = _salvaged(file, path)
         self.health = Health(
             size=file.size,
             readable=file.size if is_closed else readable,
-            messages=messages,
+            messages=len(messages),
             is_closed=is_closed,
-            damaged=rows - read + file.is_followed_by_damage(last),
+            damaged=unreadable + file.is_followed_by_damage(last),
             writer=_writer(file.header),
         )
         self.recording_id = self._chosen(stores, recording_id)
@@ -182,8 +180,8 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 
 
 @contextmanager
-def closed_copy(path: Path) -> Iterator[Path]:
-    """Yield a temporary copy of a file that is cut off or damaged: its readable messages, with an index.
+def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
+    """Yield a temporary, closed copy of a cut off or damaged file, and the number of unreadable messages.
 
     rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
 
@@ -196,20 +194,21 @@ def closed_copy(path: Path) -> Iterator[Path]:
         with for_people(trimmed), trimmed.open("wb") as target:
             target.write(file.header)
             target.writelines(file.body())
-        problem = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
+        problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        yield closed
+        # The copy also lacks static rows that later rows replace, so the rows themselves cannot be counted.
+        yield closed, sum("couldn't decode message" in line for line in log)
 
 
-def _salvaged(file: RrdFile, path: Path) -> dict[tuple[str, str], list[Chunk]]:
+def _salvaged(file: RrdFile, path: Path) -> tuple[dict[tuple[str, str], list[Chunk]], int]:
     if next(file.messages(), None) is None:
-        return {}
-    with closed_copy(path) as closed:
+        return {}, 0
+    with closed_copy(path) as (closed, unreadable):
         stores = _stores(closed)
     if stores is None:
         raise _unreadable(path, "no message can be read")
-    return stores
+    return stores, unreadable
 
 
 def _stores(path: Path) -> dict[tuple[str, str], list[Chunk]] | None:

@@ -44,7 +44,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
     _require_free(output)
     written = temporary_name(output)
     try:
-        with closed_copy(path) as closed, for_people(output):
+        with closed_copy(path) as (closed, _), for_people(output):
             output.parent.mkdir(parents=True, exist_ok=True)
             written.write_bytes(closed.read_bytes())
             try:
