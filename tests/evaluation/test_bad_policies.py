@@ -90,7 +90,7 @@ def test_no_bad_policy_passes_a_gate_of_driving(found, phase, policy):
 def test_who_falls_does_not_pass_the_gate_of_standing(found, policy):
     verdict = judge(gate("stand"), values(found(policy, "gate_stand")))
     assert not verdict.passed
-    assert verdict.why[0] == "stand/survival is 0, and at least 1 is asked for"
+    assert verdict.why[0] == "stand/survival is 0, but must be at least 1"
 
 
 def test_who_never_moves_fails_at_driving_alone(found):

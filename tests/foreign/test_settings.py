@@ -49,7 +49,7 @@ def test_a_text_in_the_parameters_is_not_resolved(trial, read, text, command, mo
     value = text.replace("%s", VARIABLE if "env" in text else read)
     trial.yaml(ENV, in_term(value))
     trial.record()
-    trial.try_(command, 1 if command == "compare" else 2, f"{TERM}.target_height: holds '${{'", ENV)
+    trial.try_(command, 1 if command == "compare" else 2, f"{TERM}.target_height: contains '${{'", ENV)
     OmegaConf.clear_resolver("trial")
 
 

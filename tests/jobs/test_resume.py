@@ -418,7 +418,7 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
     from wheelleg_exp.run.manifest import Manifest
 
     with monkeypatch.context() as patch:
-        patch.setattr(Manifest, "settle", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(Manifest, "write_pending", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             Manifest.load(run).restart(command=[], threads={}, texts={"params/agent.yaml": "max_iterations: 9\n"})
     assert "max_iterations: 4" in (run / "params" / "agent.yaml").read_text()
