@@ -20,10 +20,10 @@ import yaml
 from wheelleg_exp import definitions
 from wheelleg_exp.config import key_slots as known
 from wheelleg_exp.config.composing.config_loader import package_header
-from wheelleg_exp.config.config_tree import build, leaves, line_table
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry, library
 from wheelleg_exp.config.explaining.key_documentation import comment_at, headline
+from wheelleg_exp.config.tree_lookup import build, leaves, line_table
 from wheelleg_exp.definitions import Definition
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.paths import configs_dir

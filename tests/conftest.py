@@ -1,4 +1,4 @@
-"""What tests of the simulation, the managers and the environment share."""
+"""Options and fixtures that all tests share."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from wheelleg_exp.machine import prepare_threads, share_cores
 if TYPE_CHECKING:
     from wheelleg_exp.env import ManagerBasedRLEnv
 
-# Before anything imports torch: processes that tests start inherit the variables and must compute the same numbers.
+# Set the variables before torch is imported; child processes inherit them and compute the same numbers.
 prepare_threads()
-share_cores()  # with other workers' tests
+share_cores()
 
-# Behind nohup, or a shell's "&", signals are ignored, and all children inherit that.
+# With nohup or a shell's "&", signals are ignored in this process and in all child processes.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_: None}.items():
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
-# What tests write need not outlive a power cut, and a small training waits for the disk eighty times.
+# Files of tests need not survive a power failure, and a small training would sync to the disk eighty times.
 os.fsync = lambda descriptor: os.fstat(descriptor) and None
 
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let ``--corpus DIR`` name the USD robots that are not in the repository."""
+    """Add the option ``--corpus DIR``, a folder with USD robots that are not in the repository."""
     parser.addoption("--corpus", metavar="DIR", help="folder of USD robots, in place of WHEELLEG_USD_CORPUS")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _own_projects(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Let no module's tests leave a user's project or code behind: the next ones may run in any order, in any process.
+    """Remove user projects and their imported modules after each test module, because test modules run in any order.
 
-    A training takes what was imported from outside the environment for a part of its source.
+    A training records all modules that were imported from such projects as a part of its source code.
     """
     from wheelleg_exp import packages
 
@@ -50,7 +50,7 @@ def _own_projects(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     packages._joined.update(before)
     base = f"{tmp_path_factory.getbasetemp()}{os.sep}"
     for name in set(sys.modules) - known:
-        spec = getattr(sys.modules[name], "__dict__", {}).get("__spec__")  # torch's answer to any name at all
+        spec = getattr(sys.modules[name], "__dict__", {}).get("__spec__")
         places = (getattr(spec, "origin", None), *(getattr(spec, "submodule_search_locations", None) or ()))
         if any(place and place.startswith(base) for place in places):
             del sys.modules[name]
@@ -71,7 +71,7 @@ def make_env() -> EnvMaker:
 
 @pytest.fixture(scope="session")
 def graphics() -> str:
-    """The backend that draws on this machine; without one the test is skipped."""
+    """Return the rendering backend of this machine, or skip the test if no backend works."""
     from wheelleg_exp.errors import WheellegError
     from wheelleg_exp.rendering.render_job import Order
     from wheelleg_exp.rendering.render_scene import Scene
@@ -86,7 +86,7 @@ def graphics() -> str:
 
 @pytest.fixture
 def allow_test_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let configs name terms that stand beside the tests."""
+    """Add the folder of the test to the import path, so that configs can name its terms."""
     from wheelleg_exp.terms import term_binding
 
     packages = term_binding.allowed_packages()

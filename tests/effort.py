@@ -1,4 +1,4 @@
-"""What work costs, counted and not timed: a count is the same however busy the machine is."""
+"""Measure the cost of code as a count of Python instructions, which does not depend on the load of the machine."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 
 def bytecodes(work: Callable[[], Any]) -> int:
-    """Return how many instructions of Python ``work`` takes in this thread; what C does within one counts as one."""
+    """Return the number of Python instructions that ``work`` runs in this thread; a call into C counts as one."""
     counter = count()
-    if sys.version_info >= (3, 12):  # whose tracing leaves the instructions of code out that runs for the first time
+    if sys.version_info >= (3, 12):  # Its tracing omits code in its first run.
         _monitored(work, counter)
     else:
         _traced(work, counter)
@@ -39,7 +39,7 @@ def _monitored(work: Callable[[], Any], counter: count[int]) -> None:
     here = threading.get_ident()
 
     def seen(code: CodeType, offset: int) -> None:
-        if threading.get_ident() == here:  # the events are those of all threads
+        if threading.get_ident() == here:  # The events come from all threads.
             next(counter)
 
     tool, events = sys.monitoring.PROFILER_ID, sys.monitoring.events

@@ -1,4 +1,4 @@
-"""How long tests wait for others: limits are there against hanging alone, and no core is so busy that they matter."""
+"""Time limits for tests that wait for other processes. The limits only end tests that hang."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def wait_until(condition: Callable[[], T], every_s: float = 0.02) -> T:
-    """Return what ``condition`` returns as soon as that counts as true, or whatever it is when patience ends."""
+    """Return the first true result of ``condition``, or its last result when the time limit ends."""
     end = time.monotonic() + PATIENCE_S
     while not (found := condition()) and time.monotonic() < end:
         time.sleep(every_s)

@@ -1,4 +1,4 @@
-"""A walk over the sources: what must be so for the environment to run on any engine and any device."""
+"""Test that the source code lets the environment run on any physics engine and any device."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
 FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
 WARP = {"sim/warp_engine.py", "sim/warp_fields.py", "sim/warp_runtime.py"}
-ENGINES = {"sim/batch_engine.py", "sim/static_rays.py", *WARP}  # an engine knows its own device
+ENGINES = {"sim/batch_engine.py", "sim/static_rays.py", *WARP}  # A physics engine knows its own device.
 
 FACTORIES = frozenset(
     """arange as_tensor empty eye full linspace logspace normal ones rand randint randn randperm tensor
     zeros""".split()  # noqa: SIM905
 )
-# What reads a tensor's value on the host, which on a GPU waits for it.
+# These operations read a tensor's value on the host, which waits for the GPU.
 READS = frozenset(["all", "any", "item", "tolist"])
 DTYPES = frozenset(["double", "float64"])
 
-# Functions that may, because no step calls them: they build, save, restore, or tell of what went wrong.
+# These functions may wait for the GPU, because no step calls them: they build, save, restore, or report errors.
 NOT_IN_A_STEP = frozenset(
     """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure _tell_writes
     load_state_dict state_dict restore save shape_ids set_external_force_and_torque get_active_iterable_terms

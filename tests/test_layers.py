@@ -1,4 +1,4 @@
-"""What may import what: layers without an arrow upward, modules without a circle, folders of one subject."""
+"""Test that packages import only lower layers, and that no modules import each other in a cycle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "wheelleg_exp"
 NAME = PACKAGE.name
-# From the ground up; those of one line may import one another.
+# The layers are listed from the lowest; packages of one line may import one another.
 LAYERS = (
     (
         "child_process",
@@ -61,7 +61,7 @@ def modules() -> dict[str, Path]:
 
 
 def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
-    """Yield what a module imports of this package, wherever in it and if only for types."""
+    """Yield the modules of this package that a module imports, including imports in functions and for types."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == NAME:
             names = (f"{node.module}.{alias.name}" for alias in node.names)
@@ -77,7 +77,7 @@ def graph() -> dict[str, set[str]]:
 
 
 def circle(graph: dict[str, set[str]]) -> list[str]:
-    """Return the modules of a circle of imports; empty when there is none."""
+    """Return the modules of an import cycle; empty if there is no cycle."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -86,7 +86,6 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 
 def test_no_module_imports_what_imports_it(graph):
-    """But the managers, which know the environment's face, and that knows them, for types alone."""
     managers = {name for name in graph if name.startswith(f"{NAME}.managers.")}
     assert circle({name: found - managers if name in managers else found for name, found in graph.items()}) == []
 

@@ -1,4 +1,4 @@
-"""Whether a value out of YAML fits an annotation."""
+"""Test whether a YAML value fits an annotation."""
 
 from __future__ import annotations
 

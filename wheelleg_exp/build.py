@@ -16,15 +16,9 @@ from wheelleg_exp.paths import cache_dir, find_asset
 def prepare_asset(
     config: Mapping[str, Any], asset_roots: Sequence[Path] = (), networks: Mapping[str, Path] | None = None
 ) -> CachedConversion:
-    """Convert the robot of the config to MJCF, or use the cached conversion.
+    """Convert the robot of the composed config to MJCF, or use the cached conversion.
 
-    Args:
-        config: the composed tree, plain.
-        asset_roots: folders of user-defined assets.
-        networks: further files to place next to the MJCF, by their relative paths.
-
-    Raises:
-        AssetError: the file does not exist or contains no robot.
+    ``networks`` are further files to place next to the MJCF, by their relative paths.
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
@@ -36,10 +30,6 @@ def prepare_asset(
 
 
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:
-    """Build the environment of a composed config.
-
-    Raises:
-        WheellegError: the robot's file or the config is wrong.
-    """
+    """Build the environment of a composed config."""
     mjcf = prepare_asset(config, asset_roots).output
     return ManagerBasedRLEnv(config["env"], mjcf, int(config["seed"]))

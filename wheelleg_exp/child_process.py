@@ -1,8 +1,8 @@
 """Start, serve, and end child processes: jobs, workers, and other programs.
 
-A job trains or evaluates. It reads one line with a request from standard input and writes events to standard output,
-one JSON object per line. The end of its standard input asks the job to stop, so that a job whose parent was killed
-stops as well. The lines on its standard error reach the parent as ``note`` events.
+A job trains or evaluates. The child process reads one line with a request from standard input and writes events to
+standard output, one JSON object per line. The job stops at the end of its standard input, so that it also stops when
+its parent is killed. The lines on its standard error reach the parent as ``note`` events.
 
 A worker reads pickled requests from standard input and answers each with bytes, until its standard input ends.
 """
@@ -48,25 +48,15 @@ _LAST_LINES = 3
 _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 
 
-# --- a job, in the parent ---
+# --- parent side ---
 
 
 class Child:
     """The process of a job: it gets a request, sends events, and stops on request.
 
-    The process leads its own group, so that Ctrl-C reaches only the parent. The parent then asks the job to stop at its
-    next whole iteration.
-
-    Args:
-        program: the command of the process.
-        request: the line that tells the job what to do.
-        environ: the environment variables.
-        folder: the working folder; None is the parent's.
-
-    Attributes:
-        process: the process.
-        ended: the event with which the job ended; None while it runs, and if it died.
-        open: the unfinished last line of each pipe that is still open.
+    The child process leads its own process group, so that Ctrl-C reaches only the parent. The parent then asks the job
+    to stop at its next whole iteration. ``ended`` is the event with which the job ended; None while the job runs, and
+    if it died. ``open`` has the unfinished last line of each open pipe.
     """
 
     def __init__(
@@ -88,7 +78,7 @@ class Child:
         self.open = {self._output: b"", self._errors: b""}
         for pipe in self.open:
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):  # the process may have died; its exit status tells why
+        with contextlib.suppress(OSError):  # A dead process is reported later, with its exit status.
             self._input.write(request)
             self._input.flush()
 
@@ -98,19 +88,19 @@ class Child:
             self._input.close()
 
     def interrupt(self) -> None:
-        """Stop a job at once that was asked to stop: it treats this signal as the second request."""
-        self.process.send_signal(signal.SIGTERM)  # a shell's background job ignores SIGINT
+        """Stop at once a job that has already been asked to stop. The job treats SIGTERM as the second stop request."""
+        self.process.send_signal(signal.SIGTERM)  # A shell's background job ignores SIGINT.
 
     def kill(self) -> None:
-        """Kill the process."""
+        """Kill the process of the job."""
         self.process.kill()
 
     def over(self) -> bool:
-        """Return whether the process has ended."""
+        """Return whether the process of the job has ended."""
         return self.process.poll() is not None
 
     def close(self) -> None:
-        """Kill the process if it still runs, and close its pipes."""
+        """Kill the process of the job if it still runs, and close its pipes."""
         self.kill()
         self.process.wait()
         self.open = {}
@@ -146,13 +136,13 @@ class Child:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # the pipe is empty, but not closed
+        except BlockingIOError:  # The pipe is empty, but not closed.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         return [line.decode(errors="replace").rstrip() for line in found.split(b"\n") if line.strip()]
 
 
 def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Event]]:
-    """Yield the events that children have sent; wait at most ``wait_s`` for the first one."""
+    """Yield the events that children have sent; wait at most ``wait_s`` for the first event."""
     with selectors.DefaultSelector() as selector:
         for child in children:
             for pipe in child.open:
@@ -164,7 +154,7 @@ def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Ev
 
 
 def parse_event(line: str) -> Event | None:
-    """Return the event on a line; None if the line is not an event, for example because a kill cut it off."""
+    """Return the event on a line; None for a line without an event, for example because a kill truncated the line."""
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):
@@ -196,7 +186,7 @@ def _events(child: Child, stop: StopRequest) -> Iterator[Event]:
             yield event
     status, ended = child.process.wait(), child.ended
     if ended is None and not stop.requested:
-        raise SimulationFailure(f"its process {child.describe_death()}")
+        raise SimulationFailure(f"the job's process {child.describe_death()}")
     if ended is None or ended["status"] == "interrupted":
         raise Interrupted
     if ended["status"] == "failed":
@@ -210,18 +200,17 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
     act()
     deadline = time.monotonic() + patience_s
     while not child.over() and time.monotonic() < deadline:
-        for _ in listen([child], 0.05):  # a process with a full pipe cannot end before somebody reads
+        for _ in listen([child], 0.05):  # A process with a full pipe cannot end before the parent reads the pipe.
             pass
 
 
-# --- a job, in its own process ---
+# --- job side ---
 
 
 class EventPipe:
-    """Send events to the parent process. A parent that has died receives nothing.
+    """Sends events to the parent process. If the parent has died, the events are dropped.
 
-    Attributes:
-        reached: whether the job did all that was requested, so that its stop is not an interruption.
+    ``reached`` says whether the job did all that was requested, so that its stop is not an interruption.
     """
 
     reached = False
@@ -251,7 +240,7 @@ def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
 
 
 def run_job(pipe: EventPipe, work: Callable[[EventPipe], None]) -> int:
-    """Do the work, send how it ended, and return the exit status."""
+    """Run the work of a job, send an ``ended`` event to the parent, and return the exit status."""
     try:
         work(pipe)
     except Interrupted:
@@ -277,15 +266,8 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 class Worker:
     """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
 
-    Args:
-        module: the module that the process runs.
-        order: the first object that it gets; it says ``ready`` when it has prepared itself.
-        environ: the environment variables.
-        errors: an empty file for the standard error of the process.
-        folder: the working folder.
-
-    Attributes:
-        is_ready: whether the process has prepared itself.
+    The process first gets ``order``, and sends ``ready`` when it has prepared itself. ``errors`` is an empty file for
+    the standard error of the process.
     """
 
     def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -318,7 +300,7 @@ class Worker:
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
 
     def close(self) -> None:
-        """End the process."""
+        """End the process of the worker."""
         for stream in (self._stdin, self._stdout):
             with contextlib.suppress(OSError):
                 stream.close()
@@ -336,11 +318,10 @@ class Worker:
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
     """Answer requests in the process of a ``Worker`` until standard input ends.
 
-    Args:
-        prepare: gets the order, and yields the function that answers a request.
+    ``prepare`` gets the worker's order, and yields the function that answers a request.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # a library that prints must not disturb the answers
+    os.dup2(2, 1)  # Text that a library prints must not mix with the answers.
     with prepare(pickle.load(source)) as answer:
         target.write(_READY)
         target.flush()
@@ -360,14 +341,7 @@ def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any
 def running_program(
     command: Sequence[str], output: IO[bytes], environ: Mapping[str, str], folder: str
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Yield a running program that leads its own session; on exit, end it and all processes that it started.
-
-    Args:
-        command: the command.
-        output: the file for its standard output and error.
-        environ: the environment variables.
-        folder: the working folder.
-    """
+    """Yield a running program that leads its own session; on exit, end it and all processes that it started."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -375,7 +349,7 @@ def running_program(
         stderr=subprocess.STDOUT,
         env=dict(environ),
         cwd=folder,
-        start_new_session=True,  # Ctrl-C must reach only the parent
+        start_new_session=True,  # Ctrl-C must reach only the parent.
     )
     try:
         yield process
@@ -390,7 +364,7 @@ def end_program(process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_PROGRAM_PATIENCE_S)
             break
-    _signal_group(process, _KILL)  # its own children may have outlived it
+    _signal_group(process, _KILL)  # The program's own children may have outlived it.
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:

@@ -1,4 +1,4 @@
-"""Constraints on parameters, in their annotations: ``check`` and the code that builds an object enforce them.
+"""Constraints on parameters, in their annotations. ``wheelleg check`` and the code that builds objects enforce them.
 
     def track(env: Env, std: Positive, share: Share = 1.0, span: Interval = (0.0, 1.0)) -> torch.Tensor: ...
     def count(env: Env, steps: Annotated[int, AtLeast(2), AtMost(8)]) -> torch.Tensor: ...
@@ -19,10 +19,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 class Constraint:
     """A requirement for a value of the right type.
 
-    Attributes:
-        form: replaces the type in messages, such as ``[low, high]``.
-        broken: replaces the value in messages.
-        text: follows the type in messages: ``a number, <text>``.
+    In messages, ``form`` replaces the type, such as ``[low, high]``; ``broken`` replaces the value; and ``text``
+    follows the type: ``a number, <text>``.
     """
 
     form: str = ""
@@ -146,21 +144,21 @@ class Pattern(Constraint):
 
 Positive = Annotated[float, Above(0)]
 NonNegative = Annotated[float, AtLeast(0)]
-Share = Annotated[float, AtLeast(0), AtMost(1)]  # a probability or a fraction
+Share = Annotated[float, AtLeast(0), AtMost(1)]
 Count = Annotated[int, AtLeast(1)]
 Natural = Annotated[int, AtLeast(0)]
-Seed = Annotated[int, AtLeast(0), AtMost(2**63 - 1)]  # the largest seed of torch and of recordings
+Seed = Annotated[int, AtLeast(0), AtMost(2**63 - 1)]  # limit of torch
 Interval = Annotated[Sequence[float], Ordered()]
 PositiveInterval = Annotated[Sequence[Positive], Ordered()]
 NonNegativeInterval = Annotated[Sequence[NonNegative], Ordered()]
 Bounds = Annotated[Sequence[Annotated[float, MayBeInfinite()]], Ordered()]  # may be infinite
 Node = Annotated[Mapping[str, Any], Targeted()]
 PathBelow = Annotated[str, Pattern(r"(?!(.*/)?\.{0,2}(/|$))[^/\\\0][^\\\0]*", "a file's path below a folder")]
-Names = str | Annotated[Sequence[str], NotEmpty()]  # one regular expression, or several
+Names = str | Annotated[Sequence[str], NotEmpty()]  # regular expressions
 
 
 class Broken(NamedTuple):
-    """A violated rule between parameters: the key below the node, what is wrong, and what is expected."""
+    """A violated rule between parameters: the key below the node, the problem, and the expected value."""
 
     key: str
     message: str
@@ -175,8 +173,7 @@ _RULES = "_relations"
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
     """Attach a rule between several parameters to a target.
 
-    The rule receives the parameters as written in the config, including defaults, after each of them has passed its own
-    check.
+    The rule receives the parameters from the config, including defaults, after each of them has passed its own check.
     """
 
     def attach(target: _Target) -> _Target:

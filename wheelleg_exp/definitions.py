@@ -1,7 +1,7 @@
 """Define every reported figure: its label, its unit, and its meaning.
 
-Commands, plots, reports, and docs read these definitions. The sections are: how figures are written, the scalars
-of a training, the figures of plays and agents, the figures of drives, and the figures of a recording.
+Commands, plots, reports, and docs read these definitions. The sections are: the text of figures, the scalars of a
+training, the figures of plays and agents, the figures of drives, and the figures of a recording.
 """
 
 from __future__ import annotations
@@ -11,20 +11,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-SHARE = "share"  # the unit of a figure that is shown as a percentage
+SHARE = "share"  # shown as a percentage
 STEPS = "steps"  # control steps
 NOT_FINITE = "a number that is not finite"
 
 
 @dataclass(frozen=True)
 class Definition:
-    """The definition of a figure.
+    """The definition of a figure: its label, its unit, and its meaning.
 
-    Attributes:
-        label: the text next to the figure wherever it is shown.
-        unit: its unit; empty for a number, a count or a text.
-        meaning: the episodes, environments and steps that the figure covers, and how it is computed from them.
-        of: what the figure is averaged over, in a few words.
+    ``unit`` is empty for a number, a count or a text. ``meaning`` states the episodes, environments and steps that the
+    figure covers, and the computation. ``of`` names the episodes or steps over which a mean is taken.
     """
 
     label: str
@@ -41,7 +38,7 @@ class Definition:
 def ending(terms: Iterable[str]) -> str:
     """Return the text for the terminations that fired in an episode's last step.
 
-    Without such a termination, a reward or a state that was not finite ended the episode.
+    If no termination fired, a reward or a state that was not finite ended the episode.
     """
     return " and ".join(terms) or NOT_FINITE
 
@@ -57,7 +54,7 @@ def share(part: int, whole: int) -> str:
     return f"{percent(part / whole)} ({part} of {whole})" if whole else "-"
 
 
-# --- training: the keys are those of Isaac Lab and rsl_rl ---
+# --- training ---
 
 LAST = "the last 100 ended episodes"
 EPISODE_REWARD = "sum of an episode / longest episode's seconds"
@@ -74,7 +71,7 @@ TRAINING_ABOUT = (
     "episodes, and shorter ones. `*_per_step/…` has no such bias: every environment counts equally in every control "
     "step of the iteration. Command errors are sampled once per control step, after the resets of that step."
 )
-# By key. A part in <> matches any name, and the first pattern that matches counts.
+# The definitions of TensorBoard scalars by key. A part in <> matches any name, and the first match counts.
 SCALARS = {
     "Train/mean_reward": Definition(
         "return, mean", "", f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST
@@ -169,7 +166,7 @@ SCALARS = {
     "Perf/learning_time": Definition("time of the update", "s", "Wall-clock time."),
 }
 
-# The columns of `wheelleg list runs`, by heading. A training's progress line and a sweep's table show some of them.
+# The columns of `wheelleg list runs`, by heading.
 LISTED = {
     "done": Definition("done", "", "Finished iterations, and the requested number."),
     "return": Definition("return", "", "`Train/mean_reward` of the last iteration."),
@@ -185,7 +182,7 @@ LISTED = {
     ),
 }
 
-# Keys of the manifest. The manifest's results also contain scalars of the last iteration.
+# The manifest has these keys, in addition to scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition(
@@ -234,7 +231,7 @@ ROLLOUT_ABOUT = (
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# By the keys of figures.json and of the manifest's additions.
+# The keys are those of figures.json and of the manifest's additions.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition(
@@ -291,7 +288,7 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# By the keys of figures.json. The last three have one value for each actuator group.
+# The keys are those of figures.json. The last three figures have one value for each actuator group.
 MOTION = {
     "drift_m": Definition(
         "strayed from its place",
@@ -327,7 +324,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# By the keys of figures.json below `contacts.<sensor>`.
+# The keys are those of figures.json below `contacts.<sensor>`.
 CONTACTS = {
     "mean_n": Definition(
         "mean", "N", "Mean size of the net normal force at the end of these steps; 0 without contact."
@@ -353,13 +350,13 @@ def settled_window(settle_s: float | None) -> str:
     return f"after {settle_s:g} s" if settle_s else "from the start"
 
 
-# --- drives, by hand or by a script ---
+# --- drives ---
 
 DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# By the keys of figures.json below play/, and of the manifest's additions of kind `drive`.
+# The keys are those of figures.json below play/, and of the manifest's additions of kind `drive`.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),
@@ -396,7 +393,7 @@ def _number_text(value: float) -> str:
     return f"{value}" if isinstance(value, int) else f"{value:.3f}"
 
 
-# --- recordings: the tables of `wheelleg inspect`, and the same tables in a report ---
+# --- recordings ---
 
 RECORDED_ABOUT = (
     "A whole episode was recorded from start to end. Only whole episodes count in the figures of episodes; other "
@@ -414,7 +411,7 @@ _WHOLE = {
         "return, mean", "", "Mean over the whole episodes of the sum of rewards, not discounted."
     ),
 }
-# By the title of the table, then by the figure's name in the summary's JSON.
+# The keys are the titles of `wheelleg inspect`'s tables, then the names of figures in the summary's JSON.
 RECORDED = {
     "samples": {
         "iterations": Definition("iterations", "", "Iterations of the sample's first and last frame."),

@@ -15,19 +15,18 @@ EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
 
 _ODD = re.compile(r"[^\n\t -~]")
-_SPACES = ("Zs", "Zl", "Zp")  # categories that str.isprintable rejects although they are harmless
-_LEAST_PART = 4  # letters of the shortest part of a name that finds the name
+# str.isprintable rejects these categories of spaces, but they are harmless.
+_SPACES = ("Zs", "Zl", "Zp")
+# A part of a name must have this number of letters to find the name.
+_LEAST_PART = 4
 
 
 class WheellegError(Exception):
     """An error for users, which is printed without a traceback.
 
-    Args:
-        message: what is wrong, in one sentence without a full stop.
-        key: the config key, prim, file or command-line word that the message is about.
-        where: ``file:line`` (or the override) that the value comes from.
-        expected: what is expected instead.
-        nearest: the nearest valid name.
+    ``message`` says what is wrong, in one sentence without a full stop. ``key`` is the config key, prim, file or
+    command-line word of the message. ``where`` is the ``file:line`` (or the override) of the value. ``expected`` says
+    what is expected instead, and ``nearest`` is the nearest valid name.
     """
 
     exit_code = EXIT_INPUT
@@ -71,7 +70,7 @@ class MissingValue(ConfigError):
 
 
 class UnreadKey(ConfigError):
-    """A key is set, but nothing reads it."""
+    """A key is set, but no code reads the key."""
 
     def __init__(self, message: str = "nothing reads this key", **fields: str | None) -> None:
         super().__init__(message, **fields)
@@ -95,10 +94,7 @@ class RunDirectoryError(WheellegError):
 class SimulationFailure(WheellegError):
     """A run failed while it was running, for example because physics became NaN or the disk is full.
 
-    Args:
-        message: see ``WheellegError``.
-        evidence: the state that led to the failure, arrays by name.
-        fields: the other arguments of ``WheellegError``.
+    ``evidence`` is the state that led to the failure, as arrays by name.
     """
 
     exit_code = EXIT_FAILED

@@ -23,8 +23,8 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-_LARGEST = 1 << 30  # bytes of the largest file that is read at once
-_LARGEST_JSON, _LARGEST_YAML = 1 << 26, 1 << 22  # bytes of the largest JSON and YAML file
+# The limits in bytes of a file that is read at once.
+_LARGEST, _LARGEST_JSON, _LARGEST_YAML = 1 << 30, 1 << 26, 1 << 22
 
 
 def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError:
@@ -59,11 +59,8 @@ def while_running() -> Iterator[None]:
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are created. The data is on the disk (fsync) before the name points to it.
-
-    Raises:
-        SimulationFailure: the disk is full or broken.
-        RunDirectoryError: the path cannot be written.
+    Missing folders are created. The data is on the disk (fsync) before the file name points to the data. A full or
+    broken disk raises SimulationFailure, any other problem RunDirectoryError.
     """
     temporary = temporary_name(path)
     with for_people(path):
@@ -86,38 +83,27 @@ def require_new(path: Path) -> None:
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Write a new file atomically; a missing folder is created.
-
-    Raises:
-        RunDirectoryError: the file exists, or cannot be written.
-    """
+    """Write a new file atomically; a missing folder is created."""
     require_new(path)
     write_bytes(path, content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8 atomically (raises as ``write_bytes``)."""
+    """Write ``text`` as UTF-8 atomically."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON atomically (raises as ``write_bytes``).
+    """Write ``value`` as indented JSON atomically.
 
     Keys keep their order. Arrays, tensors and numpy scalars become lists and numbers, and paths become text. NaN and
     infinities, which JSON does not have, become ``"nan"``, ``"inf"`` and ``"-inf"``.
-
-    Raises:
-        TypeError: a value of another type.
     """
     write_text(path, dump_json(value))
 
 
 def write_yaml(path: Path, value: Any) -> None:
-    """Write a plain value atomically as YAML that ``yaml.safe_load`` reads back equal.
-
-    Raises:
-        RunDirectoryError: the value contains a value that is not plain, and as ``write_bytes``.
-    """
+    """Write a plain value atomically as YAML that ``yaml.safe_load`` reads back equal."""
     write_text(path, dump_yaml(value))
 
 
@@ -127,7 +113,7 @@ def dump_json(value: Any) -> str:
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         text.encode("utf-8")
-    except UnicodeEncodeError:  # a file name that is not UTF-8 was decoded with surrogates
+    except UnicodeEncodeError:  # Names of files that are not UTF-8 contain surrogates.
         text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
     return text
 
@@ -146,42 +132,42 @@ def json_plain(value: Any) -> Any:
         return float(value) if math.isfinite(value) else repr(float(value))
     if isinstance(value, Path):
         return str(value)
-    if hasattr(value, "tolist"):  # numpy and torch, without importing either
+    if hasattr(value, "tolist"):  # numpy and torch
         return json_plain(value.tolist())
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
 @contextlib.contextmanager
 def open_file(path: Path) -> Iterator[BufferedReader]:
-    """Open a regular file for reading; pipes and devices are refused, because reading them might never end.
-
-    Raises:
-        RunDirectoryError: the file cannot be read, or is not a regular file.
-    """
+    """Open a regular file for reading. Pipes and devices are refused, because reading them might never end."""
     with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise RunDirectoryError("is not an ordinary file", key=str(path), expected="a file that can be read")
+            raise RunDirectoryError(
+                "the path is not an ordinary file", key=str(path), expected="a file that can be read"
+            )
         yield file
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # do not wait for the other end of a pipe
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Do not wait for the other end of a pipe.
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
-    """Return the content of a file of at most ``largest`` bytes (raises as ``open_file``)."""
+    """Return the content of a file of at most ``largest`` bytes."""
     with open_file(path) as file:
-        size = os.fstat(file.fileno()).st_size  # needed first, because file.read(n) allocates n bytes
+        size = os.fstat(file.fileno()).st_size  # The size is needed first, because file.read(n) allocates n bytes.
         data = b"" if size > largest else file.read(size + 1)
-        if len(data) > size:  # the file is growing, or its file system reports no sizes
+        if len(data) > size:  # The file has more bytes than its reported size.
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
-        raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
+        raise RunDirectoryError(
+            f"the file has more than {largest >> 20} MiB", key=str(path), expected="a file of that size"
+        )
     return data
 
 
 def read_lines(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a file with their line ends (raises as ``open_file``); very long lines come in pieces."""
+    """Yield the lines of a file with their line ends; very long lines come in pieces."""
     with open_file(path) as file:
         while line := file.readline(_LARGEST_JSON):
             yield line
@@ -192,26 +178,18 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise RunDirectoryError("is not UTF-8 text", key=str(path)) from error
+        raise RunDirectoryError("the file is not UTF-8 text", key=str(path)) from error
 
 
 def read_json(path: Path) -> Any:
-    """Return the JSON value in ``path``.
-
-    Raises:
-        RunDirectoryError: the file cannot be read or is not JSON, with the line.
-    """
+    """Return the JSON value in ``path``; RunDirectoryError, with the line, if the file is not JSON."""
     data = read_bytes(path, _LARGEST_JSON)
     with _naming_file(path, "JSON"):
         return json_value(data)
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the plain YAML value in ``path``.
-
-    Raises:
-        RunDirectoryError: the file cannot be read or is not plain YAML, with the line.
-    """
+    """Return the plain YAML value in ``path``; RunDirectoryError, with the line, if the file is not plain YAML."""
     data = read_bytes(path, _LARGEST_YAML)
     with _naming_file(path, "YAML"):
         return yaml_value(data)
@@ -220,7 +198,7 @@ def read_yaml(path: Path) -> Any:
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
     """Return a value that was read from ``path``; RunDirectoryError unless it is a mapping."""
     if not isinstance(value, dict):
-        raise RunDirectoryError(f"contains a {type(value).__name__}", key=str(path), expected="a mapping")
+        raise RunDirectoryError(f"the file contains a {type(value).__name__}", key=str(path), expected="a mapping")
     return value
 
 
@@ -234,11 +212,7 @@ def _naming_file(path: Path, kind: str) -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """Return the sha256 of a file's content, as 64 hexadecimal digits.
-
-    Raises:
-        RunDirectoryError: the file cannot be read.
-    """
+    """Return the sha256 of a file's content, as 64 hexadecimal digits."""
     with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -250,7 +224,7 @@ def temporary_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder next to ``target`` for the body to fill and rename; remove it if the body did not.
+    """Make a folder next to ``target`` for the body to fill and rename; remove a folder that was not renamed.
 
     A killed process leaves its folder behind. The next call for the same target removes folders that are not locked.
     """
@@ -261,14 +235,13 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # on file systems without locks, no folder is ever removed
+        with contextlib.suppress(OSError):  # On a file system without locks, left-over folders are never removed.
             stack.enter_context(_flocked(folder))
         yield folder
 
 
 @contextlib.contextmanager
 def _flocked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder; OSError if another process holds it, or the file system has no locks."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,6 +1,6 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
-The variables must be set before torch is imported: they make CPU training repeatable. A memory requirement is a
+The variables must be set before torch is imported, because they make CPU training repeatable. A memory requirement is a
 lower bound, so that a config that cannot fit is refused by its key before the system kills the process.
 """
 
@@ -14,10 +14,11 @@ from pathlib import Path
 
 from wheelleg_exp.errors import ConfigError, WheellegError
 
-_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
-# Bytes of address space and data for reading the stock robot (measured: 573 MB and 62 MB on two cores).
+_LIMIT = Path("/sys/fs/cgroup/memory.max")
+# Reading the stock robot needs this address space and data in bytes (measured: 573 MB and 62 MB on two cores).
 _SPACE, _DATA = 5 * 2**27, 2**27
-START_SPACE = 5 * 2**28  # bytes of address space that importing torch, MuJoCo and USD needs (measured: 1.2 GB)
+# Importing torch, MuJoCo and USD needs this address space in bytes (measured: 1.2 GB).
+START_SPACE = 5 * 2**28
 _UNITS = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"))
 
 
@@ -32,13 +33,7 @@ def machine_memory() -> int:
 
 
 def require_memory(need: int, key: str, what: str) -> None:
-    """Raise ConfigError if the machine has less than ``need`` bytes of memory.
-
-    Args:
-        need: lower bound of the required memory, bytes.
-        key: the config key that determines the requirement.
-        what: name of the objects that need memory.
-    """
+    """Raise ConfigError for ``key`` if the machine has less memory than ``what`` needs at least (``need`` bytes)."""
     total = machine_memory()
     if need > total:
         message = f"{what} take {shown_bytes(need)} of memory at least"
@@ -46,7 +41,7 @@ def require_memory(need: int, key: str, what: str) -> None:
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a size of this process in bytes by its name in ``/proc/self/status``; None without such a file."""
+    """Return a size of this process in bytes by its name in ``/proc/self/status``; None without the file."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))
@@ -63,7 +58,7 @@ def require_room(space: int = _SPACE) -> None:
         used = used_memory(kind)
         if used is None:
             return
-        import resource  # Windows has none
+        import resource  # Windows lacks this module.
 
         limit = resource.getrlimit(getattr(resource, name))[0]
         if limit != resource.RLIM_INFINITY and limit - used < least:
@@ -85,7 +80,8 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 def matrix_kernels() -> str:
     """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    Each path gives the same bits for any number of threads. On CPUs of other makers MKL ignores the choice.
+    Each MKL code path gives the same bits for any number of threads. MKL ignores the variable on CPUs that are not from
+    Intel.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
@@ -108,7 +104,7 @@ def first_processor() -> dict[str, str]:
 
 
 _LOADAVG = Path("/proc/loadavg")
-_SPINS, _SAMPLES = "20000", 3  # up to a millisecond of spinning
+_SPINS, _SAMPLES = "20000", 3  # 20000 spins take up to a millisecond.
 
 
 def spins() -> str:
@@ -132,18 +128,17 @@ def spins() -> str:
 # MKL_CBWR: one matrix code path for every number of threads, so that the number of threads changes no result.
 # OMP_WAIT_POLICY: idle threads sleep after GOMP_SPINCOUNT spins; endless spinning makes a busy machine much slower.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
-_chosen: set[str] = set()  # variables that this program has set, not the user
+_chosen: set[str] = set()  # set by this program
 
 
 def prepare_threads() -> bool:
     """Set the variables that the user has not set; GOMP_SPINCOUNT only if OMP_WAIT_POLICY is not set, either.
 
-    Returns:
-        Whether the variables can take effect: False if torch was imported before one of them was set.
+    Return False if the variables have no effect, because torch was imported before one of them was set.
     """
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
-        missing.remove("GOMP_SPINCOUNT")  # the user has chosen how threads wait
+        missing.remove("GOMP_SPINCOUNT")  # The user has chosen how threads wait.
     os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)
@@ -156,12 +151,9 @@ def share_cores() -> None:
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Use the MKL code path that a run has recorded, if this CPU supports it and the user has not chosen another one.
+    """Use the MKL code path in a run's recorded variables, if this CPU supports it and the user has not chosen another.
 
-    Call this before MKL is first used; importing tensordict uses MKL.
-
-    Args:
-        recorded: the environment variables of the run.
+    Call this function before MKL is first used; importing tensordict uses MKL.
     """
     kernels = recorded.get("MKL_CBWR")
     if "MKL_CBWR" in _chosen and kernels in (PORTABLE_KERNELS, matrix_kernels()):

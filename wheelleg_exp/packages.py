@@ -1,13 +1,13 @@
-"""User projects: folders whose ``pyproject.toml`` declares packages for configs; and folders that the user trusts.
+"""User projects, which declare packages for configs in their ``pyproject.toml``, and folders that the user trusts.
 
-The declaration is the entry-point group ``wheelleg_exp.packages``. It is read from the distribution of an installed
-project. Without installation, a project counts while the current folder is in it, or while ``--config-dir`` names
-it: its ``configs/`` is on the search path, and its declared packages can be imported. Nothing is imported before a
-config names a target in it, and then only the declared packages can be found there.
+The declaration is the entry-point group ``wheelleg_exp.packages``. For an installed project, the declaration is read
+from its distribution. Without installation, a project counts while the current folder is in it, or while
+``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be imported. No package
+is imported before a config names a target in that package, and then only declared packages can be found.
 
 Anybody may have written a record (of a run, a pipeline, a result), so its paths are not trusted. A recorded path is
 used only if it leads to a folder that the user has named with ``--config-dir``, or to the current project. Only
-``cli/main.py`` adds folders: it knows what the user typed.
+``cli/main.py`` adds folders, because it knows what the user typed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Record existing folders that the user has typed; if the file cannot be written, a later command asks again."""
+    """Record existing folders that the user has typed.
+
+    If the list of trusted folders cannot be written, a later command asks the user again.
+    """
     known = _trusted()
     existing = map(os.path.realpath, filter(Path.is_dir, folders))
     new = [place for place in dict.fromkeys(existing) if place not in known]
@@ -49,7 +52,7 @@ def real_path(path: str | Path) -> str:
     """Return the absolute path without links; an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # the text contains a null character
+    except ValueError:  # The text contains a null character.
         return ""
 
 
@@ -66,20 +69,16 @@ def _trust_file() -> Path:
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-_RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")  # a folder with one is never a project
+# A folder with one of these files is never a project.
+_RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
-_ROOT = 0  # the user id of the administrator
-_SOURCES = ("", "src")  # folders that can contain a project's packages
+_ROOT = 0  # the administrator's user id
+_SOURCES = ("", "src")  # These folders can contain a project's packages.
 
 
 @dataclass(frozen=True)
 class Project:
-    """A user's project.
-
-    Attributes:
-        root: the folder of its ``pyproject.toml``.
-        packages: the packages that it declares, such as ``mine`` or ``mine.terms``.
-    """
+    """A user's project: the folder of its ``pyproject.toml``, and its declared packages, such as ``mine.terms``."""
 
     root: Path
     packages: tuple[str, ...]
@@ -90,11 +89,7 @@ class Project:
         return self.root / CONFIGS
 
     def source(self, package: str) -> Path:
-        """Return the folder that contains the top folder or module of a declared package.
-
-        Raises:
-            ConfigError: the project does not contain the package.
-        """
+        """Return the folder that contains the top folder or module of a declared package."""
         top = package.split(".")[0]
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
@@ -108,11 +103,7 @@ class Project:
 
 
 def read_project(folder: Path) -> Project | None:
-    """Return the project of a folder, or None if its ``pyproject.toml`` declares no packages for configs.
-
-    Raises:
-        ConfigError: the file declares packages, but is not valid TOML, or a declared name is not a package name.
-    """
+    """Return the project of a folder, or None if its ``pyproject.toml`` declares no packages for configs."""
     file = folder / FILE
     try:
         text = file.read_text(encoding="utf-8") if file.is_file() else ""
@@ -144,7 +135,7 @@ def _package(value: Any, file: Path) -> str:
     taken = parts[0] in sys.stdlib_module_names or parts[0] == "wheelleg_exp"
     if taken or not all(part.isidentifier() for part in parts):
         raise ConfigError(
-            f"declares {value!r}",
+            f"the project declares {value!r}",
             key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
             where=str(file),
             expected="the name of a package of this project",
@@ -153,11 +144,7 @@ def _package(value: Any, file: Path) -> str:
 
 
 def current_project() -> Project | None:
-    """Return the nearest project at or above the current folder, except inside a run, pipeline, sweep or bundle.
-
-    Raises:
-        ConfigError: the project belongs to another user, who could have put it above the current folder.
-    """
+    """Return the nearest project at or above the current folder, except inside a run, pipeline, sweep or bundle."""
     here = Path.cwd()
     above = (here, *here.parents)
     records = [number for number, folder in enumerate(above) if any((folder / name).is_file() for name in _RECORDS)]
@@ -170,7 +157,10 @@ def current_project() -> Project | None:
 
 
 def _require_own(project: Project) -> None:
-    """Refuse a project of another user, as git does: being in a folder does not mean that the user trusts it."""
+    """Raise ConfigError for a project of another user, who could have put it above the current folder.
+
+    git has the same rule: being in a folder does not mean that the user trusts it.
+    """
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
         raise ConfigError(
@@ -184,15 +174,12 @@ def with_current(folders: Sequence[Path]) -> list[Path]:
     """Return config folders, followed by the config folder of the current project.
 
     A missing folder is returned unchanged; the code that reads it reports the error.
-
-    Raises:
-        ConfigError: the current project cannot be used.
     """
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # the user named the project, and so trusts it
+        if error.key in {str(folder.parent) for folder in found}:  # The user trusts a project by naming it.
             return found
         raise
     if project is not None:
@@ -210,11 +197,7 @@ def _resolved(folder: Path) -> Path:
 
 
 def config_folder(folder: Path) -> Path:
-    """Return the absolute path of a config folder, from its path, its project's path, or an installed package's name.
-
-    Raises:
-        ConfigError: the folder or package does not exist.
-    """
+    """Return the absolute path of a config folder, given its path, its project, or an installed package's name."""
     absolute = Path(folder).expanduser().absolute()
     if absolute.is_dir():
         project = read_project(absolute)
@@ -248,7 +231,7 @@ def _installed_configs(package: str) -> Path | None:
 
 def installed_packages() -> tuple[str, ...]:
     """Return the packages that installed distributions declare."""
-    from importlib import metadata  # imports the email parser, which is too slow for composing
+    from importlib import metadata  # This import is too slow for composing a config.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
@@ -268,11 +251,9 @@ def join(project: Project) -> None:
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
     """Allow configs to call the packages of the given config folders, or of the recorded ones if none are given.
 
-    This is the one rule for every record: a recorded folder is used only if it exists and is the current project's or
-    trusted. All other recorded folders are ignored (see ``left_out``), because the caller may not need them.
-
-    Raises:
-        ConfigError: a given folder does not exist, or a recorded folder is in another user's project.
+    This function is the one rule for every record: a recorded folder is used only if it exists and is the current
+    project's or trusted. All other recorded folders are ignored (see ``left_out``), because the caller may not need
+    them.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -301,7 +282,7 @@ def is_there(folder: str | Path) -> bool:
     """Return whether a folder exists; False for a recorded name that is invalid."""
     try:
         return Path(folder).is_dir()
-    except OSError:  # an invalid name, such as a very long one
+    except OSError:  # The folder name is invalid, for example too long.
         return False
 
 
@@ -334,18 +315,14 @@ def project_of(package: str) -> Project | None:
 
 
 def make_importable(target: str) -> None:
-    """Make the package of a target importable if it belongs to a project in use.
-
-    Raises:
-        ConfigError: the project lacks the package, or a module of that name was imported from elsewhere.
-    """
+    """Make the package of a target importable if it belongs to a project in use."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return
     top = package.split(".")[0]
     source = _joined[package].source(package)
     loaded = sys.modules.get(top)
-    if loaded is not None and not _lies_in(loaded, source):
+    if loaded is not None and not Path(_place(loaded)).resolve().is_relative_to(source.resolve()):
         raise ConfigError(
             f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}",
             expected=f"the one in {source}",
@@ -368,20 +345,13 @@ def _place(module: ModuleType) -> str:
     return str(getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", [])), "nowhere"))
 
 
-def _lies_in(module: ModuleType, folder: Path) -> bool:
-    return Path(_place(module)).resolve().is_relative_to(folder.resolve())
-
-
 class _Finder(MetaPathFinder):
-    """Finds only the declared packages of projects, in the projects' folders."""
-
     def __init__(self) -> None:
         self.sources: dict[str, Path] = {}
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a declared package."""
         source = self.sources.get(fullname) if path is None else None
         return PathFinder.find_spec(fullname, [str(source)], target) if source is not None else None
 

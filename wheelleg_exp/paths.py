@@ -8,10 +8,10 @@ from pathlib import Path
 
 from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
-CACHE_KEY = "WHEELLEG_CACHE"  # environment variable with the cache folder
-# Folders next to a robot's MJCF: the networks of its actuators, and the file of its ground.
+CACHE_KEY = "WHEELLEG_CACHE"  # environment variable
+# These folders next to a robot's MJCF contain the networks of its actuators and the file of its ground.
 NETWORKS, GROUND = "networks", "ground"
-# Files from other runs: the teacher policy, and the networks that a training starts from.
+# These files from other runs contain the teacher policy and the networks that a training starts from.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -35,11 +35,7 @@ def assets_dir() -> Path:
 
 
 def cache_dir() -> Path:
-    """Return the cache folder (``WHEELLEG_CACHE``, or the user's cache folder).
-
-    Raises:
-        WheellegError: no variable is set, and the user has no home folder.
-    """
+    """Return the cache folder (``WHEELLEG_CACHE``, or the user's cache folder)."""
     root = os.environ.get(CACHE_KEY)
     if root:
         return Path(root)
@@ -51,16 +47,10 @@ def cache_dir() -> Path:
 
 
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
-    """Return the file that an asset path in a config names.
+    """Return the file that an asset path in a config names; AssetError, with the searched paths, if it does not exist.
 
-    Args:
-        name: path in the config; a relative path is searched below each root, then below the stock assets.
-        roots: folders of the user's assets, searched first.
-        key: config key of the path, for the message.
-        what: kind of the file, for the message.
-
-    Raises:
-        AssetError: the file does not exist, with the paths that were searched.
+    A relative path is searched below each of the user's ``roots``, then below the stock assets. ``key`` and ``what``
+    are the config key and the kind of the file, for the message.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]
@@ -77,7 +67,6 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
 
 
 def _nearest_file(name: str, candidates: Sequence[Path]) -> str | None:
-    """Return ``name`` with its last part replaced by the most similar file next to a candidate."""
     siblings = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
     found = nearest_name(Path(name).name, [other for other in siblings if Path(other).suffix == Path(name).suffix])
     return str(Path(name).with_name(found)) if found else None

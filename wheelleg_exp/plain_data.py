@@ -1,4 +1,4 @@
-"""Plain JSON, YAML, and archives: read text that somebody else may have written, and write YAML that reads back equal.
+"""Plain JSON, YAML, and archives: read foreign text safely, and write YAML that reads back equal.
 
 Each reader returns a value, or raises ``Unreadable`` with the reason.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from typing import Any
 from zipfile import ZipFile
 
@@ -16,20 +16,17 @@ import yaml
 from wheelleg_exp.errors import RunDirectoryError
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_DEEPEST = 200  # nesting: the C parser would crash the process before Python's recursion limit
-_MOST_NODES = 1_000_000  # nodes after the expansion of aliases
-_TIMES, _PACKED_ROOM = 16, 1 << 20  # largest unpacked size: factor on the packed size, plus bytes
-_MOST_BITS = 1023  # largest integer that a float can represent
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # characters that can open a level of nesting
+# Deeper nesting is refused, because the C parser would crash the process before Python's recursion limit.
+_DEEPEST = 200
+_MOST_NODES = 1_000_000  # after expanding aliases
+# An archive is refused if its unpacked size exceeds this factor times its packed size, plus this number of bytes.
+_TIMES, _PACKED_ROOM = 16, 1 << 20
+_MOST_BITS = 1023  # The largest float has this number of bits.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # These characters can open a level of nesting.
 
 
 class Unreadable(ValueError):
-    """A text is not JSON or YAML, or contains values that files of this program never contain.
-
-    Args:
-        problem: what is wrong.
-        line: line number, from 1.
-    """
+    """A text is not JSON or YAML, or contains values that files of this program never contain. Lines count from 1."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)
@@ -37,40 +34,28 @@ class Unreadable(ValueError):
 
 
 def json_value(data: bytes | str) -> Any:
-    """Return the value of a JSON text.
-
-    Raises:
-        Unreadable: the text is not JSON, repeats a key, is nested too deeply, or contains a number unknown to JSON.
-    """
+    """Return the value of a JSON text without repeated keys."""
     try:
         return _bounded(json.loads(data, object_pairs_hook=_without_repeats, parse_constant=_no_number))
     except json.JSONDecodeError as error:
         raise Unreadable(error.msg, error.lineno) from error
     except UnicodeDecodeError as error:
-        raise Unreadable("it is not UTF-8 text") from error
+        raise Unreadable("the data is not UTF-8 text") from error
     except RecursionError as error:
-        raise Unreadable("it is nested too deeply") from error
+        raise Unreadable("the text is nested too deeply") from error
     except Unreadable:
         raise
-    except (ValueError, MemoryError) as error:  # an integer with thousands of digits
-        raise Unreadable(str(error) or "it is too large") from error
+    except (ValueError, MemoryError) as error:
+        raise Unreadable(str(error) or "the text is too large") from error
 
 
 def yaml_value(data: bytes | str) -> Any:
-    """Return the plain value of a YAML text without anchors.
-
-    Raises:
-        Unreadable: the text is not YAML, repeats a key, is nested too deeply, or has a value that contradicts its tag.
-    """
+    """Return the plain value of a YAML text without anchors and repeated keys."""
     return _read(data, lambda: _bounded(yaml.load(data, Loader=_PlainLoader)), aliases=False)
 
 
 def yaml_tree(data: bytes | str) -> yaml.Node | None:
-    """Return the node tree of a YAML text, which contains line numbers.
-
-    Raises:
-        Unreadable: the text is not YAML, is nested too deeply, or its aliases expand to too many nodes.
-    """
+    """Return the node tree of a YAML text, which contains line numbers."""
     return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
 
 
@@ -78,9 +63,9 @@ def require_bounded(archive: ZipFile) -> None:
     """Raise Unreadable for a zip bomb; torch's own archives compress only code, and store numbers uncompressed."""
     parts = archive.infolist()
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
-        raise Unreadable("its unpacked size is far above its file size")
+        raise Unreadable("the archive's unpacked size is far above its file size")
     if len({part.header_offset for part in parts}) < len(parts):
-        raise Unreadable("its parts overlap")
+        raise Unreadable("the parts of the archive overlap")
 
 
 class _PlainLoader(_LOADER):
@@ -103,7 +88,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise Unreadable(problem, mark.line + 1 if mark else None) from error
-    except Exception as error:  # a value that contradicts its tag
+    except Exception as error:
         raise Unreadable(f"a value cannot be read ({type(error).__name__}: {error})") from error
 
 
@@ -113,12 +98,12 @@ def _require_plain(data: bytes | str, aliases: bool) -> None:
     if sum(map(raw.count, _OPENING)) < _DEEPEST and b"&" not in raw:
         return
     sizes: dict[str | None, int] = {}
-    above: list[tuple[str | None, int]] = []  # anchors of open nodes, and the number of nodes before each
+    above: list[tuple[str | None, int]] = []
     total = 0
     for event in yaml.parse(data, Loader=_LOADER):
         line = None if event.start_mark is None else event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent) and not aliases:
-            raise Unreadable("it contains references to anchors", line)
+            raise Unreadable("the text contains references to anchors", line)
         total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
         if isinstance(event, yaml.CollectionStartEvent):
             above.append((event.anchor, total))
@@ -126,9 +111,9 @@ def _require_plain(data: bytes | str, aliases: bool) -> None:
             anchor, before = above.pop()
             sizes[anchor] = total - before + 1
         if len(above) > _DEEPEST:
-            raise Unreadable("it is nested too deeply", line)
+            raise Unreadable("the text is nested too deeply", line)
         if total > _MOST_NODES and sizes:
-            raise Unreadable("its references to anchors expand to too many nodes", line)
+            raise Unreadable("the references to anchors expand to too many nodes", line)
 
 
 def _bounded(value: Any) -> Any:
@@ -138,10 +123,10 @@ def _bounded(value: Any) -> Any:
         node, depth = waiting.pop()
         if isinstance(node, (dict, list)):
             if depth >= _DEEPEST:
-                raise Unreadable("it is nested too deeply")
+                raise Unreadable("the text is nested too deeply")
             waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
         elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
-            raise Unreadable(f"an integer of {node.bit_length()} bits")
+            raise Unreadable(f"the text contains an integer of {node.bit_length()} bits")
     return value
 
 
@@ -160,17 +145,16 @@ def _no_number(name: str) -> Any:
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# Text that PyYAML reads as text, but YAML 1.2 readers and OmegaConf read as a number.
+# PyYAML reads such text as text, but YAML 1.2 readers and OmegaConf read it as a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# Line ends that PyYAML writes as they are between single quotes, and reads back as a space.
+# PyYAML writes these line ends unchanged between single quotes, and reads them back as a space.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
 class _PlainDumper(yaml.SafeDumper):
     def ignore_aliases(self, _: Any) -> bool:
-        # A value that is used twice is written twice: no anchors for people to resolve.
-        return True
+        return True  # Write a shared value twice, so that readers do not need to resolve anchors.
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -185,10 +169,9 @@ _PlainDumper.add_representer(str, _represent_text)
 def dump_yaml(value: Any) -> str:
     """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
 
-    Raises:
-        RunDirectoryError: the value contains anything other than mappings with text or integer keys, lists, text,
-            numbers, booleans and None. Subclasses of these types (numpy scalars, enumerations, config nodes) are
-            refused, because they would be read back as another type.
+    A value with anything other than mappings with text or integer keys, lists, text, numbers, booleans and None raises
+    RunDirectoryError. So do subclasses of these types (numpy scalars, enumerations, config nodes), because they would
+    be read back as another type.
     """
     require_plain(value)
     return yaml.dump(
@@ -199,7 +182,10 @@ def dump_yaml(value: Any) -> str:
 def require_plain(value: Any, path: str = "") -> None:
     """Raise RunDirectoryError, with the key, unless ``value`` is plain (see ``dump_yaml``)."""
     if type(value) is dict:
-        _require_plain_mapping(value, path)
+        for key, item in value.items():
+            if type(key) not in (str, int):
+                raise RunDirectoryError(f"the key {key!r} is neither text nor an integer", key=path or None)
+            require_plain(item, f"{path}.{key}" if path else str(key))
     elif type(value) is list:
         for index, item in enumerate(value):
             require_plain(item, f"{path}[{index}]")
@@ -209,10 +195,3 @@ def require_plain(value: Any, path: str = "") -> None:
             key=path or None,
             expected="a mapping, list, text, number, boolean or null",
         )
-
-
-def _require_plain_mapping(value: Mapping[Any, Any], path: str) -> None:
-    for key, item in value.items():
-        if type(key) not in (str, int):
-            raise RunDirectoryError(f"the key {key!r} is neither text nor an integer", key=path or None)
-        require_plain(item, f"{path}.{key}" if path else str(key))

@@ -1,4 +1,4 @@
-"""Progress of long work in parts of the program that may not print: workers report, and a listener shows it."""
+"""Progress of long work in code that may not print: workers report progress, and a listener shows it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,7 @@ def progress_to(listener: Listener) -> Iterator[None]:
 
 
 def with_progress(what: str, items: Sequence[_Item]) -> Iterable[_Item]:
-    """Yield items, and report after each item how many are done.
-
-    Args:
-        what: name of the work, such as ``"making tiles"``.
-        items: the items.
-    """
+    """Yield items, and report after each item how many are done. ``what`` names the work: ``"making tiles"``."""
     listener = _listener.get()
     for number, item in enumerate(items, start=1):
         yield item

@@ -8,7 +8,6 @@ from types import FrameType, TracebackType
 
 from wheelleg_exp.errors import Interrupted
 
-# Ctrl-C, a polite kill, and a closed terminal.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -19,9 +18,9 @@ def stop_signals() -> list[signal.Signals]:
 
 
 class StopRequest:
-    """While entered, a stop signal sets ``requested``, and a second one raises ``Interrupted``.
+    """A context in which a stop signal sets ``requested``, and a second stop signal raises ``Interrupted``.
 
-    A second hang-up does not: system and shell can each send one for the same closed terminal.
+    A second hang-up does not raise, because system and shell can each send one for the same closed terminal.
     """
 
     def __init__(self) -> None:
@@ -29,12 +28,8 @@ class StopRequest:
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
     def check(self, agreed: bool | None = None) -> None:
-        """Raise ``Interrupted`` if a stop was requested.
-
-        Args:
-            agreed: whether any rank was asked to stop, if there are several ranks.
-        """
-        self._listen()  # imported code may have replaced the handlers
+        """Raise ``Interrupted`` if a stop was requested; with several ranks, if any rank was asked (``agreed``)."""
+        self._listen()  # Imported code may have replaced the signal handlers.
         if self.requested if agreed is None else agreed:
             raise Interrupted
 

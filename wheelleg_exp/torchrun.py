@@ -1,4 +1,4 @@
-"""Environment variables that torchrun sets in its processes: their number, and the index of each."""
+"""Environment variables that torchrun sets in its processes: the number of processes, and the index of each."""
 
 from __future__ import annotations
 
@@ -10,23 +10,15 @@ COMMAND = "torchrun --nproc-per-node N --no-python wheelleg train ..."
 
 
 def world_size() -> int:
-    """Return the number of processes that torchrun has started; 1 without torchrun.
-
-    Raises:
-        ConfigError: ``WORLD_SIZE`` is not a number.
-    """
+    """Return the number of processes that torchrun has started; 1 without torchrun."""
     return number("WORLD_SIZE", 1)
 
 
 def number(name: str, default: int) -> int:
-    """Return an integer variable of torchrun.
-
-    Raises:
-        ConfigError: the variable is not a number.
-    """
+    """Return an integer variable of torchrun; ConfigError if the variable is not a number."""
     text = os.environ.get(name, "").strip()
     if text and not text.isdigit():
-        raise ConfigError(f"is '{text}'", key=name, expected="a number, as torchrun sets it")
+        raise ConfigError(f"the variable is '{text}'", key=name, expected="a number, as torchrun sets it")
     return int(text or default)
 
 
@@ -34,7 +26,7 @@ def require_alone(what: str) -> None:
     """Raise ConfigError if torchrun has started several processes for a job of one process."""
     if world_size() > 1:
         raise ConfigError(
-            f"torchrun has started {world_size()} processes for it",
+            f"torchrun has started {world_size()} processes for this job",
             key=what,
             expected="'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun",
         )

@@ -16,11 +16,8 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
     """Convert an exception inside the block that would end the program to an error of ``kind``.
 
-    These are ``SystemExit`` and other exceptions that are not an ``Exception``, and a ``KeyboardInterrupt`` that the
-    code raised itself.
-
-    Raises:
-        WheellegError: of ``kind``, with the exception and its place in the code.
+    These are ``SystemExit`` and other exceptions that are not an ``Exception``, and a ``KeyboardInterrupt`` that
+    user-defined code raised. The error names the exception and its place in the code.
     """
     try:
         yield
@@ -38,7 +35,7 @@ def is_interrupt(error: BaseException) -> bool:
 
 
 def in_words(error: BaseException) -> str:
-    """Return the class, the message and the notes of an exception."""
+    """Return the class, the message and the notes of an exception as text."""
     if isinstance(error, WheellegError):
         return str(error)
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
@@ -46,7 +43,7 @@ def in_words(error: BaseException) -> str:
 
 
 def place(error: BaseException) -> str | None:
-    """Return the file and line that raised an exception."""
+    """Return the file and line of the code that raised an exception."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -57,8 +54,7 @@ def place(error: BaseException) -> str | None:
 def importing(what: str) -> Iterator[None]:
     """Import modules inside the block that may be user-defined, and restore the standard streams afterwards.
 
-    Raises:
-        ConfigError: the import would end the program, or has closed a standard stream. Other exceptions pass through.
+    An import that would end the program or has closed a standard stream raises ConfigError. Other exceptions pass.
     """
     streams = {"stdout": sys.stdout, "stderr": sys.stderr}
     try:

@@ -1,4 +1,4 @@
-"""Gives tests the corpus of real robots, or says that there is none."""
+"""Fixtures for the corpus of real robots; tests without a corpus are skipped."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from .corpus import ABSENT, corpus_folder, expectations
 
 @pytest.fixture(scope="session")
 def corpus(request: pytest.FixtureRequest) -> Path:
-    """The corpus's folder."""
     folder = corpus_folder(request.config.getoption("--corpus"))
     if folder is None:
         pytest.skip(ABSENT)
@@ -20,7 +19,6 @@ def corpus(request: pytest.FixtureRequest) -> Path:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test that asks for ``corpus_asset`` once for each asset of the corpus."""
     if "corpus_asset" not in metafunc.fixturenames:
         return
     items: list[Any] = expectations(corpus_folder(metafunc.config.getoption("--corpus")))

@@ -1,6 +1,7 @@
-"""The corpus of real robots: a folder with ``assets/``, ``expected/*.json`` and ``check.py``, outside the repository.
+"""The corpus of real robots: a folder outside the repository with ``assets/``, ``expected/*.json``, and ``check.py``.
 
-``pytest --corpus DIR`` or the variable ``WHEELLEG_USD_CORPUS`` names it. Without one, tests that need it skip.
+The option ``pytest --corpus DIR`` or the variable ``WHEELLEG_USD_CORPUS`` gives the path of the corpus. Without a
+corpus, the tests that need the corpus are skipped.
 """
 
 from __future__ import annotations
@@ -20,28 +21,21 @@ ABSENT = f"no corpus of USD robots: set {VARIABLE} or pass --corpus DIR"
 
 
 def corpus_folder(option: str | None) -> Path | None:
-    """Return the corpus's folder, None when nobody names one.
-
-    Raises:
-        FileNotFoundError: the one that is named is not there.
-    """
     text = option or os.environ.get(VARIABLE)
     if not text:
         return None
     folder = Path(text).resolve()
     if not (folder / "expected").is_dir():
-        raise FileNotFoundError(f"{VARIABLE} or --corpus: there is no '{folder / 'expected'}'")
+        raise FileNotFoundError(f"{VARIABLE} or --corpus: the corpus has no folder '{folder / 'expected'}'")
     return folder
 
 
 def expectations(folder: Path | None) -> list[dict[str, Any]]:
-    """Return what the corpus says of each of its assets, by name."""
     files = sorted((folder / "expected").glob("*.json")) if folder else []
     return [json.loads(path.read_text(encoding="utf-8")) for path in files]
 
 
 def check_module(folder: Path) -> ModuleType:
-    """Return the corpus's own script that holds a model against an expectation."""
     spec = importlib.util.spec_from_file_location("corpus_check", folder / "check.py")
     assert spec is not None
     assert spec.loader is not None
@@ -51,7 +45,6 @@ def check_module(folder: Path) -> ModuleType:
 
 
 def convert_asset(folder: Path, expected: dict[str, Any], output: Path) -> Conversion:
-    """Convert an asset with the arguments that its expectation names."""
     base, variants = _arguments(expected.get("args", []))
     return convert(folder / expected["asset"], output, base=base, variants=variants)
 

@@ -1,4 +1,4 @@
-"""Small URDF files, written by hand, and the models that MuJoCo makes of their conversion."""
+"""Small URDF files, written by hand, and the MuJoCo models of the converted robots."""
 
 from __future__ import annotations
 
@@ -16,19 +16,16 @@ BOX = '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>'
 
 
 def link(name: str, inside: str = "", inertial: str = INERTIAL) -> str:
-    """A link of 1 kg with moments of 0.1 kg m²."""
     return f'  <link name="{name}">\n    {inertial}{inside}\n  </link>\n'
 
 
 def inertial(mass: float, *, at: str = "0 0 0", rpy: str = "0 0 0", tensor: str = "0 0 0 0 0 0") -> str:
-    """An inertial with the tensor as ``ixx iyy izz ixy ixz iyz``."""
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     numbers = " ".join(f'{name}="{value}"' for name, value in zip(names, tensor.split(), strict=True))
     return f'<inertial><origin xyz="{at}" rpy="{rpy}"/><mass value="{mass}"/><inertia {numbers}/></inertial>'
 
 
 def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
-    """A joint; ``inside`` adds its origin, axis, limit and the like."""
     return f"""  <joint name="{name}" type="{kind}">
     <parent link="{parent}"/><child link="{child}"/>{inside}
   </joint>
@@ -36,49 +33,43 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: st
 
 
 def write(folder: Path, inside: str, name: str = "bot") -> Path:
-    """Write a URDF."""
     path = folder / f"{name}.urdf"
     path.write_text(f'<?xml version="1.0"?>\n<robot name="{name}">\n{inside}</robot>\n')
     return path
 
 
 def pair(kind: str = "revolute", inside: str = "", child: str = INERTIAL) -> str:
-    """Two links, ``a`` and ``b``, and a joint ``j`` between them."""
     return link("a") + link("b", inertial=child) + joint("j", "a", "b", kind, inside)
 
 
 def made(folder: Path, inside: str, base: Any = "auto") -> tuple[mujoco.MjModel, Conversion]:
-    """Write, convert, and load what came of it."""
     conversion = convert(write(folder, inside), folder / "out.xml", base=base)
     return mujoco.MjModel.from_xml_path(str(conversion.output)), conversion
 
 
 def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
-    """Every coordinate at zero, free bodies where they are drawn."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return data
 
 
 def tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """A body's inertia about its centre of mass, in the body's axes."""
+    """Return a body's inertia tensor about its centre of mass, in the body's axes."""
     item, turn = model.body(body), np.zeros(9)
     mujoco.mju_quat2Mat(turn, item.iquat)
     return turn.reshape(3, 3) @ np.diag(item.inertia) @ turn.reshape(3, 3).T
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """The joint-space inertia (nv, nv)."""
+    """Return the mass matrix (nv, nv)."""
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return full
 
 
 def assumed(conversion: Conversion, words: str) -> list[tuple[str, str]]:
-    """Where a rule was used, and with which value."""
     return [(item.path, item.value) for item in conversion.report.assumptions if words in item.rule]
 
 
 def left(conversion: Conversion) -> dict[str, str]:
-    """What was left out, as ``path name`` with the reason."""
     return {f"{path} {item.name}": item.reason for item in conversion.report.left_out for path in item.values}

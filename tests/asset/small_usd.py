@@ -1,4 +1,4 @@
-"""Small USD files, written by hand, and the models that MuJoCo makes of their conversion."""
+"""Small USD files, written by hand, and the MuJoCo models of the converted robots."""
 
 from __future__ import annotations
 
@@ -31,19 +31,16 @@ MASS = """float physics:mass = 1
 
 
 def applied(apis: str) -> str:
-    """The metadata that applies schemas, written with blanks between."""
     schemas = ", ".join(f'"{api}"' for api in apis.split())
     return f"(\n        prepend apiSchemas = [{schemas}]\n    )" if schemas else ""
 
 
 def link(name: str, at: str = "(0, 0, 0)", *, mass: str = MASS, inside: str = "", apis: str = "") -> str:
-    """A rigid body of 1 kg below the default prim."""
     extra = "".join(f', "{api}"' for api in apis.split())
     return LINK.format(name=name, at=at, mass=mass, inside=inside, apis=extra)
 
 
 def hinge(name: str, parent: str, child: str, *, kind: str = "Revolute", apis: str = "", text: str = "") -> str:
-    """A joint between two links of the default prim; ``text`` adds or sets attributes."""
     return f"""
     def Physics{kind}Joint "{name}" {applied(apis)}
     {{
@@ -55,7 +52,6 @@ def hinge(name: str, parent: str, child: str, *, kind: str = "Revolute", apis: s
 
 
 def write(folder: Path, inside: str, *, header: str = SI, outside: str = "", root_apis: str = "") -> Path:
-    """Write a stage with a default prim ``bot``."""
     path = folder / "bot.usda"
     path.write_text(
         f'#usda 1.0\n(\n    {header}\n)\n\ndef Xform "bot" {applied(root_apis)}\n{{\n{inside}\n}}\n{outside}\n'
@@ -64,20 +60,18 @@ def write(folder: Path, inside: str, *, header: str = SI, outside: str = "", roo
 
 
 def converted(path: Path, **options: object) -> tuple[mujoco.MjModel, Conversion]:
-    """Convert a stage and load what came of it."""
     done = convert(path, path.parent / "out" / "bot.xml", **options)
     return mujoco.MjModel.from_xml_path(str(done.output)), done
 
 
 def two_links(folder: Path, joint_text: str = "", *, apis: str = "", kind: str = "Revolute", **options: object):
-    """Two links a metre apart, joined by ``hinge``, converted."""
     text = f"point3f physics:localPos0 = (1, 0, 0)\n        {joint_text}"
     body = link("a") + link("b", "(1, 0, 0)") + hinge("j", "a", "b", apis=apis, kind=kind, text=text)
     return converted(write(folder, body), **options)
 
 
 def tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """A body's inertia about its centre of mass, in the body's axes."""
+    """Return a body's inertia tensor about its centre of mass, in the body's axes."""
     index = model.body(body).id
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.body_iquat[index])
@@ -86,7 +80,6 @@ def tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
 
 
 def cube_inside(approximation: str) -> str:
-    """A cube as a Mesh that collides with the given approximation."""
     corners = [(x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
     return f"""def Mesh "block" (
             prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]

@@ -1,4 +1,4 @@
-"""``wheelleg convert`` as people call it."""
+"""The command ``wheelleg convert``, its options, and its output."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_is_said_of_many_prims_stands_once(tmp_path, capsys):
     assert sum("approximation 'sdf'" in line for line in told) == 1
     assert any("/bot/b0/block and 49 more" in line for line in told)
     assert "and 9 more; --json lists them all" in told
-    assert sum(line.startswith("j") for line in told) == 41  # the heading and 40 joints
+    assert sum(line.startswith("j") for line in told) == 41  # heading, 40 joints
     assert max(len(line) for line in told if str(tmp_path) not in line) <= 100
 
 

@@ -1,4 +1,4 @@
-"""What is odd about a file, as data: each kind from a file written to have it, and the verdict that comes of it."""
+"""Each kind of finding occurs for a robot file with that defect, and findings determine the verdict."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from . import small_usd as usd
 
 
 def numbers(done: Conversion, kind: str) -> dict[str, dict[str, float]]:
-    """The findings of one kind: numbers by subject."""
     return {item.subject: item.numbers for item in done.report.findings if item.kind == kind}
 
 
@@ -113,7 +112,6 @@ WHEEL = '<collision><geometry><cylinder radius="{}" length="0.02"/></geometry></
     ],
 )
 def test_a_size_that_no_robot_has_is_in_doubt(tmp_path, capsys, radius, mass, said):
-    """The longest edge is the wheel's diameter, or its width of 20 mm."""
     link = f'<inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     wheel = urdf.link("a", WHEEL.format(radius), link) + urdf.link("b", WHEEL.format(radius), link)
     source = urdf.write(tmp_path, wheel + urdf.joint("j", "a", "b", "continuous"))

@@ -1,4 +1,4 @@
-"""Rotations and the splitting of maps, held against MuJoCo and against known products."""
+"""Rotations and polar decompositions equal those of MuJoCo and known matrix products."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Volumes and moments of solids, held against MuJoCo's compiler."""
+"""Volumes and moments of inertia of solids equal those of MuJoCo's compiler."""
 
 from __future__ import annotations
 

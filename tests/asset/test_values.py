@@ -1,4 +1,4 @@
-"""The numbers in the JSON, held against the model that MuJoCo makes of the MJCF beside it."""
+"""The values in the report's JSON equal those of the MuJoCo model of the MJCF."""
 
 from __future__ import annotations
 

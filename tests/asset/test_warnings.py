@@ -1,4 +1,4 @@
-"""What MuJoCo itself says while a robot is converted."""
+"""MuJoCo's own warnings during a conversion become warnings of the report."""
 
 from __future__ import annotations
 

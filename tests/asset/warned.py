@@ -1,4 +1,4 @@
-"""Warnings of small robots, most of which have no colliders."""
+"""Warnings of small test robots, most of which have no colliders."""
 
 from __future__ import annotations
 
@@ -7,5 +7,4 @@ from wheelleg_exp.asset.report_writer import FALLS
 
 
 def warned(conversion: Conversion) -> tuple[str, ...]:
-    """Return the warnings of a conversion, but for the one that nothing collides."""
     return tuple(text for text in conversion.report.warnings if text != FALLS)

@@ -1,5 +1,3 @@
-"""Driving Chromium: pages, sizes, screenshots, printing. Nothing is ever downloaded for it."""
-
 from __future__ import annotations
 
 import base64
@@ -7,7 +5,6 @@ import io
 import json
 import shutil
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -16,7 +13,7 @@ from PIL import Image
 
 _ARGUMENTS = (
     "--headless=new",
-    "--no-sandbox",  # root, as in containers, has no other choice
+    "--no-sandbox",  # Chromium requires this option for root.
     "--disable-dev-shm-usage",
     "--hide-scrollbars",
     "--force-color-profile=srgb",
@@ -34,29 +31,16 @@ _DRIVERS = ("chromedriver", "chromium.chromedriver")
 
 
 def programs() -> tuple[Path, Path]:
-    """Return the browser and its driver.
-
-    Raises:
-        FileNotFoundError: one of them is missing, with the packages that bring it.
-    """
     names = {"Chromium": _BROWSERS, "chromedriver": _DRIVERS}
     found = {what: next(filter(None, map(shutil.which, of)), None) for what, of in names.items()}
     missing = " and ".join(what for what, path in found.items() if path is None)
     if missing:
-        raise FileNotFoundError(f"no {missing} here (Debian: apt install chromium chromium-driver)")
+        raise FileNotFoundError(f"this machine lacks {missing} (Debian: apt install chromium chromium-driver)")
     browser, driver = (Path(path) for path in found.values() if path)
     return browser, driver
 
 
 class Chrome:
-    """A running browser.
-
-    Args:
-        browser: the program.
-        driver: its chromedriver.
-        folder: where its profile goes.
-    """
-
     def __init__(self, browser: Path, driver: Path, folder: Path) -> None:
         from selenium import webdriver
         from selenium.webdriver.chrome.options import Options
@@ -72,44 +56,35 @@ class Chrome:
     def __enter__(self) -> Chrome:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.driver.quit()
 
     def size(self, width: int, height: int = 900, scale: float = 1.0) -> None:
-        """Give the page a size in CSS pixels; narrow ones behave as on a phone."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
     def open(self, address: str) -> None:
-        """Open a page and wait until it is loaded; what was logged before is forgotten."""
         self.driver.get("about:blank")
         for kind in ("browser", "performance"):
             self.driver.get_log(kind)
         self.driver.get(address)
 
     def script(self, text: str) -> Any:
-        """Return what a script of the test's own returns."""
         return self.driver.execute_script(text)
 
     def errors(self) -> list[str]:
-        """Return what the page complained of since it was opened."""
         return [e["message"] for e in self.driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")]
 
     def requests(self) -> list[str]:
-        """Return the addresses that the page asked for since it was opened."""
         messages = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
         sent = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
         return [url for url in sent if not url.startswith("data:")]
 
     def picture(self, *, whole: bool = False) -> NDArray[np.uint8]:
-        """Return what is on screen, or the whole page, (height, width, 3)."""
         found = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": whole})
         with Image.open(io.BytesIO(base64.b64decode(found["data"]))) as image:
             return np.asarray(image.convert("RGB"))
 
     def pdf(self) -> bytes:
-        """Return the page as it is printed."""
         options = {"printBackground": True, "preferCSSPageSize": True}
         return base64.b64decode(self.driver.execute_cdp_cmd("Page.printToPDF", options)["data"])

@@ -1,5 +1,3 @@
-"""A real browser without a screen; a machine without one says what to install."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -13,7 +11,6 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 @pytest.fixture(scope="module")
 def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
-    """A browser for a module's tests, with WebGL drawn in software, which costs a core as long as it is open."""
     try:
         browser, driver = programs()
     except FileNotFoundError as error:
@@ -24,7 +21,6 @@ def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
 
 @pytest.fixture(scope="session")
 def played(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    """A small training, played."""
     run = copied(trained_once(tmp_path_factory), tmp_path_factory.mktemp("browser"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))

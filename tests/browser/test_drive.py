@@ -1,5 +1,3 @@
-"""The page of `wheelleg play RUN --drive`: keys and sliders move the command, and the picture shows the robot."""
-
 from __future__ import annotations
 
 import threading
@@ -27,16 +25,12 @@ _RANGES = [f"env.commands.base_velocity.ranges.{axis}=[-0.3,0.3]" for axis in ("
 
 
 class Silent:
-    """A display that shows nothing."""
-
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *_: None
 
 
 @dataclass
 class Driving:
-    """A page, and the drive behind it in a thread."""
-
     page: DrivePage
     chrome: Chrome
     made: list[Drive] = field(default_factory=list)
@@ -50,7 +44,6 @@ class Driving:
         self.chrome.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": kind, "code": code, "key": key})
 
     def shown(self, axis: str) -> float | None:
-        """Return the command that the page shows."""
         found = self.chrome.script(f"return document.querySelector('[data-axis={axis}]')?.dataset.command")
         return None if found is None else float(found)
 
@@ -87,7 +80,7 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     driving.key("ArrowRight", "ArrowRight", down=True)
     assert wait_until(lambda: driving.shown("ang_vel_z") == -0.3)
     assert driving.controls.values == {"lin_vel_x": 0.3, "ang_vel_z": -0.3}
-    assert wait_until(lambda: len(_warm(chrome)) > 200)  # the robot, on a ground of greys
+    assert wait_until(lambda: len(_warm(chrome)) > 200)  # The robot is coloured and the ground is grey.
     driving.key("KeyW", "w", down=False)
     driving.key("ArrowRight", "ArrowRight", down=False)
     assert wait_until(lambda: (driving.shown("lin_vel_x"), driving.shown("ang_vel_z")) == (0.0, 0.0))
@@ -101,13 +94,13 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     driving.key("Space", " ", down=False)
     assert wait_until(lambda: driving.text() not in (still, ""))
 
-    box = chrome.driver.find_elements("css selector", "input.mantine-NumberInput-input")[0]  # beside the first slider
-    box.send_keys("\ue009a\ue000", "0.15", "\ue007")  # Ctrl-A, the number, Enter
+    box = chrome.driver.find_elements("css selector", "input.mantine-NumberInput-input")[0]
+    box.send_keys("\ue009a\ue000", "0.15", "\ue007")  # The keys are Ctrl-A, the number, and Enter.
     assert wait_until(lambda: driving.controls.values["lin_vel_x"] == pytest.approx(0.15))
 
     hosts = {url.split("/")[2] for url in chrome.requests() if url.startswith("http")}
-    assert hosts == {driving.page.url.split("/")[2]}  # nothing is fetched from elsewhere
-    chrome.open("about:blank")  # whoever leaves lets go
+    assert hosts == {driving.page.url.split("/")[2]}  # The page loads no file from other hosts.
+    chrome.open("about:blank")  # Leaving the page resets the command.
     driving.controls.request(Finish())
     assert wait_until(lambda: driving.made)
     figures = driving.made[0].figures
@@ -115,7 +108,7 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     assert (driving.made[0].folder / "recording.rrd").is_file()
 
 
-# A gamepad that a test moves: as browsers tell of one, anew at each call.
+# A simulated gamepad. As in browsers, each call of getGamepads returns a new object.
 _PAD = """
 window.pad = {axes: [0, 0, 0, 0], down: []};
 navigator.getGamepads = () => [null, {
@@ -126,7 +119,6 @@ navigator.getGamepads = () => [null, {
 
 
 def test_a_gamepad_drives(driving: Driving):
-    """Sticks ask for their share of the range, what lies in the dead zone for nothing, and buttons act once."""
     chrome, asked = driving.chrome, {"lin_vel_x": 0.0, "ang_vel_z": 0.0}
 
     def sticks(left_x: float, left_y: float, right_x: float, right_y: float = 0.0) -> None:
@@ -141,14 +133,14 @@ def test_a_gamepad_drives(driving: Driving):
     assert wait_until(lambda: chrome.script("return window.wheellegDrive?.socket.readyState === 1"))
     assert wait_until(lambda: driving.shown("lin_vel_x") == 0.0)
     chrome.script(_PAD)
-    sticks(0.0, -1.0, 0.0)  # the left one forwards
+    sticks(0.0, -1.0, 0.0)  # The left stick points forwards.
     assert asks(lin_vel_x=0.3)
-    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)  # what the robot is told
-    sticks(0.9, 0.5, 1.0)  # half back, and the right one to the right; this task has no way sideways
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)  # The command is 0.3 m/s.
+    sticks(0.9, 0.5, 1.0)  # The left stick is half back, the right stick right.
     assert asks(lin_vel_x=-0.15, ang_vel_z=-0.3)
-    sticks(0.0, 0.1, -0.1, 1.0)  # nobody touches it
+    sticks(0.0, 0.1, -0.1, 1.0)  # All sticks are in the dead zone.
     assert asks()
-    driving.controls.set("lin_vel_x", 0.2)  # by a slider: a pad at rest leaves it
+    driving.controls.set("lin_vel_x", 0.2)  # A gamepad at rest does not override a slider.
     assert chrome.script("return new Promise(done => setTimeout(() => done(true), 200))")
     assert driving.controls.values["lin_vel_x"] == 0.2
 
@@ -157,7 +149,7 @@ def test_a_gamepad_drives(driving: Driving):
     driving.controls.request = lambda one: (requests.append(one), request(one))
     press(9)
     assert wait_until(lambda: driving.controls.paused and "paused" in driving.text())
-    assert driving.controls.paused  # a button that is held is pressed once
+    assert driving.controls.paused  # A held button acts once.
     for button in (0, 1, 2, 9):
         press(button)
     chrome.script("window.pad.down = []")
@@ -166,7 +158,7 @@ def test_a_gamepad_drives(driving: Driving):
 
     sticks(0.0, -1.0, 0.0)
     assert asks(lin_vel_x=0.3)
-    chrome.script("navigator.getGamepads = () => [null, null, null, null]")  # it is pulled out
+    chrome.script("navigator.getGamepads = () => [null, null, null, null]")  # The gamepad is disconnected.
     assert asks()
 
 
@@ -200,7 +192,6 @@ def _version() -> Any:
 
 
 def _warm(chrome: Chrome) -> Any:
-    """Return the pixels of the scene that are orange or yellow."""
     picture = chrome.picture()[:, :500].astype(int)
     found = picture[(picture[..., 0] - picture[..., 2] > 60) & (picture[..., 0] >= picture[..., 1])]
     return np.atleast_2d(found)

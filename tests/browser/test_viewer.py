@@ -1,5 +1,3 @@
-"""Rerun's web viewer as `wheelleg inspect --web` serves it: our robot and our plots in a real browser."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -33,7 +31,6 @@ def address(recording: Recording) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def pictures(chrome: Chrome, address: str, recording: Recording) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """What the browser shows before the recording is there, and once robot and plots stand still."""
     chrome.size(_WIDTH, _HEIGHT)
     chrome.open(address)
     empty = chrome.picture()
@@ -66,7 +63,6 @@ def test_the_page_asks_only_its_own_server(pictures, chrome, address):
 
 
 def _robot(picture: NDArray[np.uint8], recording: Recording) -> int:
-    """Return how many pixels of the robot's view have its most colourful colour, whatever the light."""
     return _count(picture[:, : picture.shape[1] // 2], _colour(recording))
 
 
@@ -78,7 +74,7 @@ def _colour(recording: Recording) -> NDArray[np.float64]:
         for colour in recording.static(entity).get("colors", [])
     ]
     colours = np.array([[c >> 24 & 255, c >> 16 & 255, c >> 8 & 255] for c in packed], dtype=float)
-    # The warm one: floor, sky and the viewer's own lines are grey and blue.
+    # Only the robot has a warm colour. The floor, the sky, and the viewer's lines are grey and blue.
     return colours[np.argmax(colours[:, 0] - colours[:, 2])]
 
 
@@ -90,6 +86,5 @@ def _count(picture: NDArray[np.uint8], colour: NDArray[np.float64]) -> int:
 
 
 def _lines(picture: NDArray[np.uint8]) -> int:
-    """Return how many pixels of the right half are coloured: lines of plots on a plain ground."""
     right = picture[40:-40, picture.shape[1] // 2 :].astype(int)
     return int(np.count_nonzero(right.max(axis=-1) - right.min(axis=-1) > 60))

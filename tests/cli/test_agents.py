@@ -1,5 +1,3 @@
-"""``wheelleg zero-agent`` and ``wheelleg random-agent``: what they print."""
-
 from __future__ import annotations
 
 import json
@@ -28,16 +26,7 @@ def test_the_contact_table_shows_what_each_link_carries():
     assert "normal force" in said.out
 
 
-def test_the_recording_that_is_named_is_there():
-    said = wheelleg("random-agent", *FEW, "--steps", "3")
-    assert said.status == 0, said.err
-    (named,) = [line.split()[-1] for line in said.out.splitlines() if line.startswith("open it:")]
-    assert Path(named).is_file()
-    assert Path(named).parts[:3] == ("runs", "agents", "stand")
-
-
 def test_json_is_one_document_and_nothing_else():
-    """Three steps end before anybody has landed: there are no contacts to tell of."""
 
     def refuse(word):
         raise AssertionError(f"{word} is no JSON")
@@ -58,8 +47,12 @@ def test_a_wrong_number_of_steps_is_told(word, told, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_runs_of_agents_are_not_the_latest_run():
-    wheelleg("random-agent", *FEW, "--steps", "2")
+def test_the_recording_exists_and_the_run_of_an_agent_is_not_the_latest_run():
+    said = wheelleg("random-agent", *FEW, "--steps", "3")
+    assert said.status == 0, said.err
+    (named,) = [line.split()[-1] for line in said.out.splitlines() if line.startswith("open it:")]
+    assert Path(named).is_file()
+    assert Path(named).parts[:3] == ("runs", "agents", "stand")
     said = wheelleg("play", "latest")
     assert said.status == 2
     assert "no run" in said.err

@@ -1,5 +1,3 @@
-"""Shell completion: what it offers, and that a real bash takes it."""
-
 from __future__ import annotations
 
 import os
@@ -30,12 +28,7 @@ def shared(tmp_path_factory) -> str:
 
 @pytest.fixture(autouse=True)
 def cache(shared, monkeypatch):
-    """Keep what was composed for all tests, as for a person who types on."""
     monkeypatch.setenv("WHEELLEG_CACHE", shared)
-
-
-def _rewards() -> list[str]:
-    return sorted(path.stem for path in (configs_dir() / "reward").glob("*.yaml"))
 
 
 OFFERED = {
@@ -88,7 +81,8 @@ def test_what_is_offered(line, tmp_path, monkeypatch):
 def test_every_command_and_every_option_of_a_group_is_offered():
     assert completion.answer("wheelleg ") == list(COMMANDS)
     offered = completion.answer("wheelleg train reward@env.rewards=[")
-    assert offered == [f"reward@env.rewards=[{name}" for name in _rewards()]
+    rewards = sorted(path.stem for path in (configs_dir() / "reward").glob("*.yaml"))
+    assert offered == [f"reward@env.rewards=[{name}" for name in rewards]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -103,12 +97,6 @@ def test_pipelines_are_offered_where_they_can_be_gone_on_with(tmp_path, monkeypa
         (tmp_path / "runs" / "pipelines" / name / "pipeline.json").write_text("{}")
     assert completion.answer("wheelleg resume 2026") == ["2026-11-19_a", "2026-11-20_b"]
     assert completion.answer("wheelleg play 2026") == []
-
-
-def test_a_users_folder_is_looked_into(tmp_path):
-    (tmp_path / "robot").mkdir()
-    (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\n")
-    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=mi") == ["robot=mine"]
 
 
 def test_a_changed_file_is_seen(tmp_path):
@@ -134,7 +122,6 @@ def test_a_broken_config_offers_nothing_and_says_nothing(tmp_path, capsys):
 
 
 def _bash(line: str, tmp_path: Path) -> list[str]:
-    """Type a line into bash, ask for completion as it does, and return what it got."""
     (tmp_path / "bin").mkdir(exist_ok=True)
     program = tmp_path / "bin" / "wheelleg"
     program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"\n')
@@ -163,7 +150,7 @@ def _bash(line: str, tmp_path: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "wanted"),
     [
-        # bash breaks words at = and @, and replaces only what comes after.
+        # bash splits words at = and @, and completes only the part after the last = or @.
         ("wheelleg train reward@env.rew", ["env.rewards="]),
         ("wheelleg train env.robot.base=", ["auto ", "floating ", "fixed "]),
     ],
@@ -173,7 +160,6 @@ def test_bash_gets_the_part_after_the_last_break_and_a_space_when_complete(line,
 
 
 def test_an_interactive_bash_completes_on_tab(tmp_path):
-    """Type into a terminal, press TAB, press return, and see which words the program was given."""
     program, given = tmp_path / "wheelleg", tmp_path / "given"
     real = f'exec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"'
     program.write_text(f'#!/bin/sh\nif [ "$1" = completion ]; then {real}; fi\nprintf "%s|" "$@" > {given}\n')

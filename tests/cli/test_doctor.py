@@ -1,5 +1,3 @@
-"""``wheelleg doctor``: what it prints, its exit statuses, its picture."""
-
 from __future__ import annotations
 
 import json
@@ -66,23 +64,15 @@ def test_json_is_one_document(file, capsys):
         (["task=nothing"], "nothing"),
         (["task=stand", "--screenshot", "picture.jpg"], "ends with .png"),
         ([], "missing"),
+        (["FILE", "env.num_envs=2"], "one word too many"),
+        (["FILE", "--config-dir", "docs/examples/tron1"], "--config-dir: the option applies only to a task"),
+        (["BROKEN"], "MuJoCo cannot read the file"),
     ],
 )
-def test_wrong_input_ends_with_2(words, said, capsys):
-    assert main(["doctor", *words]) == 2
+def test_wrong_input_ends_with_2(file, words, said, capsys):
+    texts = {"FILE": HEALTHY, "BROKEN": "<mujoco><worldbody>"}
+    assert main(["doctor", *(file(texts[word]) if word in texts else word for word in words)]) == 2
     assert said in capsys.readouterr().err
-
-
-def test_a_file_stands_alone(file, capsys):
-    assert main(["doctor", file(HEALTHY), "env.num_envs=2"]) == 2
-    assert "one word too many" in capsys.readouterr().err
-    assert main(["doctor", file(HEALTHY), "--config-dir", "docs/examples/tron1"]) == 2
-    assert "--config-dir: applies only to a task" in capsys.readouterr().err
-
-
-def test_an_mjcf_that_cannot_be_read_is_wrong_input(file, capsys):
-    assert main(["doctor", file("<mujoco><worldbody>")]) == 2
-    assert "MuJoCo cannot read it" in capsys.readouterr().err
 
 
 def test_the_stock_task_has_nothing_to_mend_but_what_it_silences(capsys):
@@ -95,7 +85,6 @@ def test_the_stock_task_has_nothing_to_mend_but_what_it_silences(capsys):
 
 
 def test_a_cost_that_outweighs_what_is_earned_at_random(capsys):
-    """The weight that is advised follows from the figures: a cost is linear in its weight."""
     weight = -20.0
     assert main(["doctor", "task=stand", f"env.rewards.ang_vel_xy.weight={weight:g}", "--json"]) == 1
     (found,) = [f for f in json.loads(capsys.readouterr().out)["findings"] if f["rule"] == "reward_outweighs"]
@@ -132,8 +121,8 @@ def test_a_picture_shows_the_colliders_the_mass_and_the_support(file, tmp_path):
     assert pixels.shape == (720, 1440, 3)
     red = (pixels[..., 0] > 110) & (pixels[..., 1] < 60) & (pixels[..., 2] < 60)
     green = (pixels[..., 1] > 60) & (pixels[..., 0] < 50) & (pixels[..., 2] < 80)
-    assert red[:, :720].sum() > 100  # the mass, from the side
-    assert green[:, 720:].sum() > 100  # the line between the wheels
+    assert red[:, :720].sum() > 100  # The left half of the figure shows the robot's centre of mass from the side.
+    assert green[:, 720:].sum() > 100  # The right half of the figure shows the line between the wheels.
     side = np.flatnonzero(red[:, :720].any(axis=0))
-    assert abs(side.mean() - 360) < 15  # over the axle, in the middle
+    assert abs(side.mean() - 360) < 15  # The centre of mass is over the axle.
     assert main(["doctor", file(HEALTHY), "--screenshot", str(picture)]) == 2  # nothing is overwritten

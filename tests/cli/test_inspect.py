@@ -1,5 +1,3 @@
-"""``wheelleg inspect``: what is printed, the JSON document, the exit status."""
-
 from __future__ import annotations
 
 import json
@@ -21,15 +19,11 @@ from wheelleg_exp.run.run_lock import RunLock
 
 
 def spoil(path, entity=b"base/height"):
-    """Change bytes in the middle of the rows of one entity, as a failing disk does."""
     content = bytearray(path.read_bytes())
-    begin, end = next(s for s in message_places(path) if entity in content[s[0] : s[1]] and s[1] - s[0] > 1500)
+    places = [(message.begin, message.end) for message in RrdFile(path).messages()]
+    begin, end = next(s for s in places if entity in content[s[0] : s[1]] and s[1] - s[0] > 1500)
     content[(begin + end) // 2 : (begin + end) // 2 + 8] = b"XXXXXXXX"
     path.write_bytes(content)
-
-
-def message_places(path):
-    return [(message.begin, message.end) for message in RrdFile(path).messages()]
 
 
 @pytest.fixture
@@ -46,13 +40,6 @@ def inspect(capsys, tmp_path, monkeypatch):
 
 def refuse(word):
     raise AssertionError(f"{word} is no JSON")
-
-
-def test_the_summary_is_printed(inspect):
-    status, out, err = inspect(play("r.rrd"))
-    assert (status, err) == (0, "")
-    for words in ("play", "whole", "survived           50.0% (1 of 2)", "drive.v_x", "feet.left", "hip", "push"):
-        assert words in out
 
 
 def test_a_training_leads_with_what_it_ended_as_and_says_of_what_the_rest_is(inspect, tmp_path):
@@ -89,20 +76,26 @@ def test_what_happened_to_the_recording_is_told(inspect):
     assert re.search(r"note +the bound of 3 MB is reached\n", out)
     (holds,) = [line for line in out.splitlines() if line.startswith("contents")]
     assert "rewards" in holds
-    assert "spring" not in holds  # nothing of it over time
+    assert "spring" not in holds  # The recording has no rows of the spring over time.
 
 
-def test_json_is_one_document(inspect):
-    status, out, err = inspect(play("r.rrd"), "--json")
+def test_the_summary_is_printed_or_one_json_document(inspect):
+    status, out, err = inspect(play("r.rrd"))
+    assert (status, err) == (0, "")
+    for words in ("play", "whole", "survived           50.0% (1 of 2)", "drive.v_x", "feet.left", "hip", "push"):
+        assert words in out
+    status, out, err = inspect("r.rrd", "--json")
     document = json.loads(out, parse_constant=refuse)
     assert (status, err) == (0, "")
     assert document["recording"] == "r.rrd"
     assert document["summary"]["figures"]["survival"] == 0.5
+    assert {"name": "base.pitch", "rows": 200} in json.loads(inspect("r.rrd", "--names", "--json")[1])["names"]
+    document = json.loads(inspect(training("t.rrd"), "--env", "5", "--json")[1])
+    assert document["summary"]["base"]["height"]["mean"] == pytest.approx(1.1)
 
 
 def test_times_can_be_pasted_back_as_they_are_printed(inspect):
-    """A step lasts 1/60 s: 28 of them are 0.466666… s, which is printed as 0.467 s."""
-    writer = Writer("r.rrd")
+    writer = Writer("r.rrd")  # A step takes 1/60 s, so the time of step 28 is 0.466666… s and printed as 0.467 s.
     steps = np.arange(1, 61)
     columns = [
         rr.TimeColumn("step", sequence=steps),
@@ -143,16 +136,10 @@ def test_a_selection_without_rows_is_told(inspect):
 def test_statistics_of_terms(inspect):
     status, out, _ = inspect(play("r.rrd"), "--term", "contacts.feet.left", "--stats", "--json")
     stats = json.loads(out)["stats"]["contacts.feet.left"]
-    assert status == 0
-    assert (stats["mean"], stats["maximum_at"]["step"]) == (100.5, 200)
-    assert (
-        inspect("r.rrd", "--term", "contacts.feet.left")[1]
-        == inspect("r.rrd", "--term=contacts.feet.left", "--stats")[1]
-    )
-
-
-def test_statistics_say_from_when_to_when_they_are(inspect):
-    out = inspect(play("r.rrd"), "--term", "base.pitch", "--from", "1s")[1]
+    assert (status, stats["mean"], stats["maximum_at"]["step"]) == (0, 100.5, 200)
+    term = "--term=contacts.feet.left"
+    assert inspect("r.rrd", *term.split("="))[1] == inspect("r.rrd", term, "--stats")[1]
+    out = inspect("r.rrd", "--term", "base.pitch", "--from", "1s")[1]
     assert re.search(r"from +1.000 s, step 50\nto +4.000 s, step 200\n", out)
 
 
@@ -197,7 +184,6 @@ def test_repair_writes_beside_and_tells_what_is_lost(inspect, tmp_path):
 
 @pytest.fixture
 def run(tmp_path):
-    """A run with a recording of its training and one of a play."""
     run = RunDirectory.create(tmp_path / "runs", "stand", 0)
     Manifest.begin(run.path, task="stand", seed=0, command=["wheelleg"], threads={"torch": 1})
     writer = Writer(run.recording)
@@ -223,12 +209,6 @@ def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
         assert inspect("latest", "--play", "--compare", other)[0] == 0
 
 
-def test_names_are_listed(inspect):
-    status, out, _ = inspect(play("r.rrd"), "--names", "--json")
-    assert status == 0
-    assert {"name": "base.pitch", "rows": 200} in json.loads(out)["names"]
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -236,20 +216,23 @@ def test_names_are_listed(inspect):
         (["r.rrd", "--term", "base.pitsh"], "did you mean 'base.pitch'"),
         (["r.rrd", "--where", "base.pitch >"], "is not a condition"),
         (["r.rrd", "--where", "base.pitch", "--around", "far"], "not a length of time"),
-        (["r.rrd", "--stats"], "--stats: names no number"),
+        (["r.rrd", "--stats"], "--stats: no recorded number is selected"),
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--play"], "is not a run"),
         (["text.rrd"], "is not a rerun recording"),
         (["gone.rrd"], "'gone.rrd' is a broken link"),
-        (["r.rrd", "--viewer"], "--viewer: the option has no effect here; expected also --screenshot"),
+        (["r.rrd", "--viewer"], "--viewer: the option has no effect on the chosen actions; expected also --screenshot"),
         (["r.rrd", "--at", "1s"], "expected also --screenshot"),
         (["r.rrd", "--fps", "3", "--screenshot", "a.png"], "expected also --video"),
         (["r.rrd", "--width", "3"], "expected also --screenshot or --video"),
         (["r.rrd", "--port", "3"], "expected also --web"),
         (["r.rrd", "--around", "1s"], "expected also --where"),
-        (["r.rrd", "-o", "x"], "--output: the option has no effect here; expected also --repair or --export"),
-        (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect here"),
+        (
+            ["r.rrd", "-o", "x"],
+            "--output: the option has no effect on the chosen actions; expected also --repair or --export",
+        ),
+        (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect on the chosen actions"),
         (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
         (["r.rrd", "--iteration", "5-2"], "ends before its start"),
         (["r.rrd", "--from", "3s", "--to", "2s"], "the end is before --from"),
@@ -274,12 +257,6 @@ def test_a_recording_of_another_tool_tells_what_it_holds(inspect):
     assert status == 0
     assert "wheelleg did not write this recording" in out
     assert "camera" in out
-
-
-def test_environments_of_a_training(inspect):
-    status, out, _ = inspect(training("r.rrd"), "--env", "5", "--json")
-    assert status == 0
-    assert json.loads(out)["summary"]["base"]["height"]["mean"] == pytest.approx(1.1)
 
 
 def test_it_needs_neither_torch_nor_mujoco(tmp_path):

@@ -1,5 +1,3 @@
-"""``wheelleg list runs --filter --sort --sweep``: which runs, in which order, and in what they differ."""
-
 from __future__ import annotations
 
 import json
@@ -13,13 +11,12 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_index import SweepIndex
 
-# seed, gamma, return; of the last there is no figure
+# The seed, gamma, and return of each run.
 RUNS = ((1, 0.9, 3.0), (2, 0.9, 5.0), (1, 0.99, 10.0), (2, 0.99, None))
 
 
 @pytest.fixture
 def root(tmp_path, monkeypatch):
-    """A sweep of four runs, and an older run that is of none and failed."""
     monkeypatch.chdir(tmp_path)
     root = tmp_path / "runs"
     overrides = [[f"seed={seed}", f"agent.algorithm.gamma={gamma}"] for seed, gamma, _ in RUNS]
@@ -43,7 +40,6 @@ def make(root, hour, seed, gamma, figure, status):
 
 
 def listed(*words):
-    """Return the figures of the listed runs in order; the seed of a run without one."""
     said = wheelleg("list", "runs", *words, "--json")
     assert said.status == 0, said.err
     return [run["figures"].get("return", f"seed {run['seeds'][0]}") for run in json.loads(said.out)]
@@ -65,7 +61,7 @@ def listed(*words):
         (("--filter", "name=bro*"), [-2]),
         (("--filter", "name=null"), ["seed 2", 10, 5, 3]),
         (("--filter", "task=walk"), []),
-        (("--filter", "started>2027"), []),  # a year begins a date
+        (("--filter", "started>2027"), []),  # A year is the start of a date.
         (("--filter", "started>2025", "seed=7"), [-2]),
         (("--sweep", "latest", "--sort", "return"), [10, 5, 3, "seed 2"]),
         (("--sweep", "latest", "--filter", "seed=1"), [10, 3]),
@@ -80,30 +76,31 @@ def test_a_sweeps_runs_show_what_differs(root):
     assert lines[0].split()[:4] == ["id", "seed", "gamma", "status"]
     assert lines[1].split()[1:4] == ["1", "0.99", "finished"]
     assert max(map(len, lines)) <= 100
-    assert wheelleg("list", "runs", "--filter", "status=finished").out.splitlines()[0] == lines[0]  # all are of it
+    # All finished runs belong to the sweep.
+    assert wheelleg("list", "runs", "--filter", "status=finished").out.splitlines()[0] == lines[0]
     assert "gamma" not in wheelleg("list", "runs").out
-
-
-def test_json_says_of_which_sweep_a_run_is(root):
     newest, *_, oldest = json.loads(wheelleg("list", "runs", "--json").out)
-    assert newest["swept"] == {"seed": "2", "agent.algorithm.gamma": "0.99"}
-    assert newest["sweep"] == next((root / "sweeps").iterdir()).name
+    (sweep,) = (root / "sweeps").iterdir()
+    assert (newest["sweep"], newest["swept"]) == (sweep.name, {"seed": "2", "agent.algorithm.gamma": "0.99"})
     assert (oldest["sweep"], oldest["swept"]) == (None, {})
+    (sweep / "sweep.json").write_text("{")  # A damaged sweep hides no run.
+    assert len(listed()) == 5
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
-        (("--filter", "finished"), ["'finished' is not a condition", "KEY=VALUE"]),
-        (("--filter", "return>high"), ["'high' is not a number"]),
-        (("--filter", "status<5"), ["'status' is text, such as 'finished', and 5 is a number", "expected status=TEXT"]),
-        (("--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
-        (("--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
+        (("runs", "--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
+        (("runs", "--filter", "finished"), ["'finished' is not a condition", "KEY=VALUE"]),
+        (("runs", "--filter", "return>high"), ["'high' is not a number"]),
+        (("runs", "--filter", "status<5"), ["'status' is text, such as 'finished', and 5 is a number", "status=TEXT"]),
+        (("runs", "--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
+        (("runs", "--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
+        (("tasks", "--sort", "task"), ["apply only to the list of runs"]),
     ],
 )
 def test_what_is_wrong_is_told_in_one_message(root, words, told):
-    said = wheelleg("list", "runs", *words)
+    said = wheelleg("list", *words)
     assert said.status == 2
     assert all(text in said.err for text in told), said.err
 
@@ -112,14 +109,3 @@ def test_what_is_wrong_is_told_in_one_message(root, words, told):
 def test_that_no_run_matches_is_said(root, words, of):
     said = wheelleg("list", "runs", "--filter", "return>1e3", *words)
     assert (said.status, said.out) == (0, f"no run of {of} matches\n")
-
-
-def test_other_lists_do_not_pass_them_over(root):
-    said = wheelleg("list", "tasks", "--sort", "task")
-    assert said.status == 2
-    assert "are for runs" in said.err
-
-
-def test_a_damaged_sweep_hides_no_run(root):
-    (next((root / "sweeps").iterdir()) / "sweep.json").write_text("{")
-    assert len(listed()) == 5

@@ -1,5 +1,3 @@
-"""``wheelleg list runs`` and ``list sweeps``."""
-
 from __future__ import annotations
 
 import json
@@ -51,16 +49,8 @@ def test_columns_that_no_run_fills_leave_their_room_to_the_ids(tmp_path):
         run.manifest().add("evaluation", results={"protocol": "gate_stand", "metrics": {"stand/survival": 0.5}})
     lines = wheelleg("list", "runs", "--root", tmp_path).out.splitlines()
     assert " ".join(lines[0].split()) == "id task status done return time-out evaluated took"
+    assert all("gate_stand 50.0%" in line for line in lines[1:3])
     assert [line.split()[0] for line in lines[1:3]] == [run.name for run in sorted((tmp_path / "walk").iterdir())][::-1]
-
-
-def test_an_evaluated_run_tells_under_which_protocol_and_who_survived(root):
-    run = RunDirectory.open("latest", root)
-    metrics = {"walk/survival": 0.984, "walk/error_vx": 0.01, "push/survival": 0.5}
-    run.manifest().add("evaluation", results={"protocol": "walk", "metrics": metrics})
-    lines = wheelleg("list", "runs", "--root", root).out.splitlines()
-    assert any("walk 98.4%" in line for line in lines)
-    assert any("evaluated" in line for line in lines)
 
 
 def test_json_tells_everything(root):
@@ -70,8 +60,5 @@ def test_json_tells_everything(root):
     assert newest["seeds"] == [2]
     assert newest["played"] == {"survival": 0.9996, "episodes": 2512, "unfinished": 12}
     assert newest["started"] == "2026-01-01T02:00:00.000000Z"
-
-
-def test_no_sweep_is_an_empty_list(root):
     assert json.loads(wheelleg("list", "sweeps", "--root", root, "--json").out) == []
     assert wheelleg("list", "sweeps", "--root", root).out.split() == ["id", "status", "jobs", "swept", "took"]

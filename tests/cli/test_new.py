@@ -1,7 +1,6 @@
-"""``wheelleg new``: a project that works at once, appears whole or not at all, and overwrites nothing."""
-
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,8 @@ from patience import PATIENCE_S
 from project.robots import urdf
 
 from wheelleg_exp import packages as projects
+from wheelleg_exp.cli.completion import answer
+from wheelleg_exp.project import create
 
 pytestmark = pytest.mark.slow
 
@@ -34,25 +35,12 @@ def _no_project_stays():
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own, in the current folder."""
     return subprocess.run(
         [sys.executable, "-m", *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
 
 
-def inside(folder: Path) -> list[str]:
-    """The names of what a folder holds."""
-    return sorted(path.name for path in folder.iterdir())
-
-
-def config(*words: str) -> dict:
-    said = wheelleg("compose", "--resolve", *words)
-    assert said.status == 0, said.err
-    return yaml.safe_load(said.out)
-
-
 def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
-    """Words that choose a robot: the stock one, a URDF, or one of the corpus."""
     if name == "stock":
         return []
     if name == "urdf":
@@ -61,9 +49,6 @@ def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[
     if folder is None:
         pytest.skip(ABSENT)
     return ["--robot", str(folder / "assets" / name)]
-
-
-# --- it works at once ---
 
 
 @pytest.mark.slow
@@ -93,43 +78,34 @@ def test_a_new_project_checks_and_trains(robot, request, tmp_path, monkeypatch):
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """A project of the stock robot, in whose folder the test stands."""
     said = wheelleg("new", "myrobot")
     assert said.status == 0, said.err
     monkeypatch.chdir(tmp_path / "myrobot")
     return tmp_path / "myrobot", said
 
 
-def test_it_says_what_was_made_and_what_comes_next(made):
+def test_it_says_what_was_made_and_its_commands_compose(made):
     root, said = made
     assert said.out.startswith(f"created myrobot: {len([p for p in root.rglob('*') if p.is_file()])} files\n")
     assert "legs: l01, r01, l02, r02" in said.out
     assert "wheels: l03, r03" in said.out
     commands = [line.removeprefix("next:").strip() for line in said.out.splitlines() if "wheelleg " in line]
-    for command in commands:
-        words = [word for word in command.split()[2:] if "=" in word]
-        assert wheelleg("compose", *words).status == 0, command
-
-
-def test_the_commands_of_its_readme_compose(made):
-    root, _ = made
-    commands = [line for line in (root / "README.md").read_text().splitlines() if line.startswith("wheelleg ")]
-    assert len(commands) >= 5
-    for command in commands:
+    of_readme = [line for line in (root / "README.md").read_text().splitlines() if line.startswith("wheelleg ")]
+    assert len(of_readme) >= 5
+    for command in (*commands, *of_readme):
         words = [word for word in command.split("#")[0].split()[2:] if "=" in word]
         assert wheelleg("compose", *words).status == 0, command
 
 
-def test_its_config_is_its_own(made):
-    composed = config("task=myrobot")
-    assert composed["env"]["robot"]["asset"] == "myrobot/wheelleg.usda"
-    assert composed["env"]["robot"]["profile"] == composed["task"]["name"] == "myrobot"
-    assert composed["env"]["rewards"]["myrobot_upright"]["_target_"] == "myrobot.terms.upright"
-    assert composed["env"]["actions"]["myrobot_wheels"]["joint_names"] == ["l03", "r03"]
-    assert config("task=stand")["env"]["robot"]["asset"] == "wheelleg/wheelleg.usda"
-
-
-def test_its_robot_is_read_from_its_own_assets(made, monkeypatch):
+def test_its_config_is_its_own(made, monkeypatch):
+    composed, stock = (
+        yaml.safe_load(wheelleg("compose", "--resolve", f"task={task}").out)["env"] for task in ("myrobot", "stand")
+    )
+    assert composed["robot"]["asset"] == "myrobot/wheelleg.usda"
+    assert composed["robot"]["profile"] == "myrobot"
+    assert composed["rewards"]["myrobot_upright"]["_target_"] == "myrobot.terms.upright"
+    assert composed["actions"]["myrobot_wheels"]["joint_names"] == ["l03", "r03"]
+    assert stock["robot"]["asset"] == "wheelleg/wheelleg.usda"
     root, _ = made
     (root / "assets" / "myrobot" / "wheelleg.usda").unlink()
     said = wheelleg("check", "task=myrobot")
@@ -138,9 +114,6 @@ def test_its_robot_is_read_from_its_own_assets(made, monkeypatch):
 
 
 def test_its_numbers_have_no_findings_but_the_robots_own(made):
-    """The stock robot's armatures and motors are what they are, and accepted; the rest is the project's to choose."""
-    import json
-
     _, told = made
     said = wheelleg("check", "--physics", "--json", "task=myrobot")
     document = json.loads(said.out)
@@ -164,7 +137,6 @@ def test_it_passes_the_linters_of_this_repository(made):
 
 
 def test_a_command_of_the_shell_works_in_it(made):
-    """In a fresh process, as a user has it: nothing is installed, and the folder is not on the path."""
     said = run("wheelleg_exp.cli.main", "explain", "env.rewards.myrobot_upright.std", "task=myrobot")
     assert said.returncode == 0, said.stderr
     assert "tilt that leaves 1/e of the reward" in said.stdout
@@ -179,9 +151,6 @@ def test_a_folder_may_be_named_with_its_place(tmp_path):
     assert wheelleg("check", "--config-dir", "robots/myrobot", "task=myrobot").status == 0
 
 
-# --- nothing is overwritten, and nothing is half made ---
-
-
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])
 def test_what_is_there_already_stays(kind, tmp_path):
     place = tmp_path / "myrobot"
@@ -189,7 +158,7 @@ def test_what_is_there_already_stays(kind, tmp_path):
     said = wheelleg("new", "myrobot")
     assert said.status == 2
     assert "exists already" in said.err
-    assert inside(tmp_path) == ["myrobot"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["myrobot"]
 
 
 @pytest.mark.parametrize(
@@ -202,7 +171,7 @@ def test_what_is_there_already_stays(kind, tmp_path):
         (["myrobot", "--robot", "bare.urdf"], "no joints"),
         (["myrobot", "--robot", "broken.urdf"], "broken.urdf"),
         (["myrobot", "--robot", "robots"], "is a folder"),
-        ([], "NAME: is missing"),
+        ([], "NAME: the argument is missing"),
     ],
 )
 def test_a_mistake_is_told_and_leaves_nothing(words, said, tmp_path):
@@ -211,41 +180,33 @@ def test_a_mistake_is_told_and_leaves_nothing(words, said, tmp_path):
     bare = '<robot name="b"><link name="body"><inertial><mass value="1"/>{}</inertial></link></robot>'
     (tmp_path / "bare.urdf").write_text(bare.format('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'))
     (tmp_path / "broken.urdf").write_text("<robot")
-    before = inside(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
     answer = wheelleg("new", *words)
     assert answer.status == 2
     assert said in answer.err
     assert ".tmp" not in answer.err
-    assert inside(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
-def test_an_interrupt_leaves_nothing(tmp_path, monkeypatch):
-    from wheelleg_exp.project import create
+@pytest.mark.parametrize(
+    ("patched", "error", "status", "message"),
+    [
+        ("find_mistakes", KeyboardInterrupt(), 130, ""),
+        ("write", OSError(28, "No space left on device"), 3, "no space left on device"),
+    ],
+)
+def test_a_failure_or_interrupt_leaves_nothing(tmp_path, monkeypatch, patched, error, status, message):
+    def fail(*_, **__):
+        raise error
 
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(create, "_require_valid", interrupted)
-    assert wheelleg("new", "myrobot").status == 130
-    assert inside(tmp_path) == []
-
-
-def test_a_place_that_cannot_be_written_is_said(tmp_path, monkeypatch):
-    from wheelleg_exp.project import create
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(create, "write", full)
+    monkeypatch.setattr(create, patched, fail)
     said = wheelleg("new", "myrobot")
-    assert said.status == 3
-    assert "no space left on device" in said.err
-    assert inside(tmp_path) == []
+    assert said.status == status
+    assert message in said.err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_tab_offers_folders_and_robot_files(tmp_path):
-    from wheelleg_exp.cli.completion import answer
-
     urdf(tmp_path)
     (tmp_path / "robots").mkdir()
     assert answer("wheelleg new ro") == ["robots/"]

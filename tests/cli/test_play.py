@@ -1,5 +1,3 @@
-"""``wheelleg play``: finding the run and the checkpoint, and what is printed."""
-
 from __future__ import annotations
 
 import json
@@ -16,14 +14,13 @@ QUICK = ["env.num_envs=2", "recording.enabled=false"]
 
 @pytest.fixture
 def run(tmp_path, tmp_path_factory, monkeypatch):
-    """A copy of the trained run below ``runs`` of the working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     return copied(trained_once(tmp_path_factory), tmp_path)
 
 
 def told(said, *words):
-    """Exit status 2 and one line on standard error that holds the words."""
+    """Check that a command failed with status 2 and one line on standard error that contains the words."""
     assert said.status == 2, said.err
     assert said.out == ""
     (line,) = said.err.splitlines()
@@ -42,27 +39,24 @@ def test_figures_are_a_table_and_the_recording_can_be_opened(run):
     assert Path(opened).resolve().is_relative_to(run.play)
 
 
-@pytest.mark.parametrize("way", ["latest", "id", "task and id", "path"])
-def test_a_run_is_found_by_latest_id_or_path(run, way):
-    name = {"latest": "latest", "id": run.id, "task and id": f"stand/{run.id}", "path": run.path}[way]
-    said = wheelleg("play", name, *QUICK, "--json")
-    assert said.status == 0, said.err
-    assert json.loads(said.out)["run"] == str(run.path)
-
-
-def test_a_run_elsewhere_is_found_below_root(run, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path.parent)
-    said = wheelleg("play", "latest", "--root", tmp_path / "runs", *QUICK, "--json")
+@pytest.mark.parametrize("way", ["latest", "id", "task and id", "path", "root"])
+def test_a_run_is_found_by_latest_id_or_path(run, way, tmp_path, monkeypatch):
+    names = {"id": run.id, "task and id": f"stand/{run.id}", "path": run.path}
+    words = [names.get(way, "latest"), *QUICK, "--json"]
+    if way == "root":
+        monkeypatch.chdir(tmp_path.parent)
+        words += ["--root", tmp_path / "runs"]
+    said = wheelleg("play", *words)
     assert said.status == 0, said.err
     assert json.loads(said.out)["run"] == str(run.path)
 
 
 def test_json_is_one_document_even_without_figures(run):
-    """Nobody settles within 0.3 s, so that height and pitch are not numbers."""
 
     def refuse(word):
         raise AssertionError(f"{word} is no JSON")
 
+    # The robot does not settle within an episode of 0.3 s, so the figures of height and pitch are NaN.
     said = wheelleg("play", "latest", *QUICK, "play.settle_s=5.0", "--json")
     assert said.status == 0, said.err
     document = json.loads(said.out, parse_constant=refuse)
@@ -76,11 +70,6 @@ def test_a_checkpoint_is_chosen_by_iteration_name_or_path(run, words):
     assert said.status == 0, said.err
     content = json.loads((Path(json.loads(said.out)["folder"]) / "figures.json").read_text())
     assert content["checkpoint"].endswith("model_0.pt")
-
-
-def test_a_checkpoint_that_is_not_there_is_told(run):
-    told(wheelleg("play", "latest", "--checkpoint", "7"), "iteration 7", "0, 1, 2", "model_2.pt")
-    told(wheelleg("play", "latest", "--checkpoint", "nowhere.pt"), "nowhere.pt")
 
 
 QUICKLY = {
@@ -110,28 +99,24 @@ def test_a_file_that_is_no_checkpoint_is_told(run, file):
     told(wheelleg("play", "latest", "--checkpoint", run.path / file), file, "model_<iteration>.pt")
 
 
-def test_a_run_that_is_none_is_told(run, tmp_path):
+def test_a_run_or_checkpoint_that_does_not_exist_is_told(run, tmp_path):
+    told(wheelleg("play"), "RUN")
     told(wheelleg("play", "latst"), "latst", "did you mean 'latest'?")
     told(wheelleg("play", "runs/stand"), "not a run directory", "manifest.json")
     told(wheelleg("play", tmp_path), "not a run directory")
     told(wheelleg("play", run.play.parent / "params"), "not a run directory", str(run.path))
     told(wheelleg("play", "latest", "--root", tmp_path / "nowhere"), "no run")
-
-
-def test_a_missing_run_is_told(run):
-    told(wheelleg("play"), "RUN")
+    told(wheelleg("play", "latest", "--checkpoint", "7"), "iteration 7", "0, 1, 2", "model_2.pt")
+    told(wheelleg("play", "latest", "--checkpoint", "nowhere.pt"), "nowhere.pt")
+    for path in run.checkpoints():
+        path.unlink()
+    told(wheelleg("play", "latest"), "no checkpoint")
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"format": 99}'])
 def test_a_run_with_a_broken_manifest_is_told(run, content):
     (run.path / "manifest.json").write_text(content)
     told(wheelleg("play", run.path), "manifest")
-
-
-def test_a_run_without_checkpoints_is_told(run):
-    for path in run.checkpoints():
-        path.unlink()
-    told(wheelleg("play", "latest"), "no checkpoint")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""Long work below the commands is shown, though what does it prints nothing."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""``wheelleg train -m``: what it says, and what it refuses before anything has begun."""
-
 from __future__ import annotations
 
 import json
@@ -28,9 +26,6 @@ def swept(tmp_path_factory):
     return swept_once(tmp_path_factory)
 
 
-# What is wrong is said before the first job begins, and nothing is written.
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -54,20 +49,12 @@ def test_mistakes_end_with_status_2_and_leave_nothing(tmp_path, words, told):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_help_tells_the_option():
-    said = wheelleg("train", "--help")
-    assert "-m, --multirun" in said.out
-    assert "hydra/launcher=joblib" in said.out
-
-
-# Jobs that only pretend: the override run.name says what each does.
-
+# The override run.name determines how a job ends that replaces a training.
 PRETENDING = STAND_IN.replace('(what,) = request["overrides"]', 'what = request["overrides"][0].split("=")[1]')
 
 
 @pytest.fixture
 def pretend(monkeypatch):
-    """Jobs do not train; the table, the statuses and the index are the same."""
     monkeypatch.setattr(training_job, "_BOOT", PRETENDING)
 
 
@@ -126,13 +113,6 @@ def test_jobs_that_crowd_the_machine_are_warned_of(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("pretend")
-def test_a_line_that_every_job_says_is_said_once():
-    said = wheelleg("train", "-m", "run.name=talk,talk")
-    assert said.err.count("something") == 1
-    assert said.status == 0
-
-
-@pytest.mark.usefixtures("pretend")
 def test_in_a_terminal_every_running_job_has_a_line(monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
@@ -147,19 +127,14 @@ def test_in_a_terminal_every_running_job_has_a_line(monkeypatch):
 @pytest.mark.usefixtures("pretend")
 def test_a_sweep_that_is_started_twice_in_a_second_has_two_folders(tmp_path):
     for _ in range(2):
-        assert wheelleg("train", "-m", "run.name=finish1").status == 0
-    assert len(list((tmp_path / "runs" / "sweeps").iterdir())) == 2
-
-
-@pytest.mark.usefixtures("pretend")
-def test_the_users_root_holds_the_index(tmp_path):
-    assert wheelleg("train", "-m", "run.name=finish1", "run.root=elsewhere").status == 0
+        said = wheelleg("train", "-m", "run.name=talk,talk", "run.root=elsewhere")
+        assert said.status == 0
+        assert said.err.count("something") == 1  # A line that several jobs repeat is shown once.
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["elsewhere"]
-    assert list((tmp_path / "elsewhere" / "sweeps").glob("*/sweep.json"))
+    assert len(list((tmp_path / "elsewhere" / "sweeps").glob("*/sweep.json"))) == 2
 
 
 def test_jobs_find_the_environment_that_a_run_alone_finds():
-    """Counting cores with joblib leaves nothing behind in it."""
     code = (
         "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import train_sweep;"
         "jobs = types.SimpleNamespace(jobs=[0] * 1000, n_jobs=-1, launcher='joblib');"
@@ -167,9 +142,6 @@ def test_jobs_find_the_environment_that_a_run_alone_finds():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "True"]
-
-
-# A real one.
 
 
 @pytest.mark.train
@@ -186,11 +158,11 @@ def test_the_last_lines_tell_the_jobs_and_what_comes_next(swept):
     assert any("diff runs/stand/" in line for line in lines)
     assert any("play runs/stand/" in line for line in lines)
     assert "retry:" not in swept.said.out
-
-
-@pytest.mark.train
-def test_warnings_of_the_physics_check_are_told_once_for_all_jobs(swept):
+    # The warnings of the physics check are shown once for all jobs.
     assert " ".join(swept.said.err.split()).count("check.silence.episode_end silences it") == 1
+    said = wheelleg("list", "runs", "--root", swept.root, "--json")
+    listed = {row["path"]: (row["status"], row["task"]) for row in json.loads(said.out)}
+    assert [listed[str(swept.index.run_of(job))] for job in swept.index.jobs] == [("finished", "stand")] * 2
 
 
 @pytest.mark.train
@@ -200,12 +172,3 @@ def test_multirun_yaml_names_the_sweep_and_its_folder(swept):
     assert multirun["hydra"]["launcher"]["n_jobs"] == 2
     assert multirun["hydra"]["sweep"]["dir"] == str(swept.folder)
     assert multirun["hydra"]["overrides"]["task"] == ["seed=0,1", *SMALL, "run.name=small"]
-
-
-@pytest.mark.train
-def test_the_list_of_runs_shows_the_jobs_and_not_the_sweep(swept):
-    said = wheelleg("list", "runs", "--root", swept.root, "--json")
-    listed = {row["path"]: row for row in json.loads(said.out)}
-    for job in swept.index.jobs:
-        assert listed[str(swept.index.run_of(job))]["status"] == "finished"
-    assert {row["task"] for row in listed.values()} == {"stand"}

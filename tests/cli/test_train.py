@@ -1,12 +1,13 @@
-"""``wheelleg train``: what it says, and where it writes."""
-
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
+
+from wheelleg_exp.run import run_directory
 
 pytestmark = pytest.mark.train
 
@@ -32,59 +33,32 @@ def test_the_last_lines_say_what_was_made_and_what_comes_next(trained):
     assert any(line.endswith("recording.rrd") for line in lines)
 
 
-def test_progress_and_tables_go_to_standard_error(trained):
+def test_progress_tables_and_warnings_go_to_standard_error(trained):
     assert "run directory: " in trained.said.err
     for word in ("Robot", "Observations 'policy': (135,)", "Rewards: 17", "alive"):
         assert word in trained.said.err
         assert word not in trained.said.out
-
-
-def test_findings_of_the_physics_check_are_warnings(trained):
     said = " ".join(trained.said.err.split())
-    # Episodes of 0.3 s hold less than three time constants of the fall.
+    # An episode of 0.3 s is shorter than three time constants of the robot's fall.
     assert "warning: env.episode_length_s: an episode of 0.3 s holds 2.8 time constants of the fall" in said
     assert "check.silence.episode_end silences it" in said
 
 
-@pytest.fixture(scope="module")
-def answered(tmp_path_factory):
-    """``--json`` in a folder of its own, with the default root and no recording."""
-    folder = tmp_path_factory.mktemp("answered")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        words = [*SMALL, "agent.max_iterations=1", "recording.enabled=false"]
-        return folder, wheelleg("train", "--json", *words)
-
-
-def test_json_is_one_document_and_nothing_else(answered):
-    folder, said = answered
+def test_json_is_one_document_and_the_run_is_below_the_working_folder_by_default(tmp_path):
+    said = wheelleg("train", "--json", *SMALL, "agent.max_iterations=1", "recording.enabled=false")
     assert said.status == 0, said.err
     document = json.loads(said.out)
     assert set(document) == {"run", "status", "results"}
     assert document["status"] == "finished"
     assert document["results"]["iterations"] == 1
-    assert Path(document["run"]).is_relative_to(folder)
-
-
-def test_a_recording_that_is_switched_off_is_not_there(answered):
-    folder, _ = answered
-    assert not list(folder.rglob("*.rrd"))
-
-
-def test_runs_stand_below_the_working_folder_by_default(answered):
-    folder, _ = answered
-    assert [path.name for path in folder.iterdir()] == ["runs"]
-    (run,) = (folder / "runs" / "stand").iterdir()
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+    (run,) = (tmp_path / "runs" / "stand").iterdir()
+    assert Path(document["run"]) == run
     assert (run / "manifest.json").is_file()
+    assert not list(run.rglob("*.rrd"))
 
 
 def test_a_taken_name_is_never_shared(tmp_path, monkeypatch):
-    """Two runs of the same second stand side by side."""
-    from datetime import datetime
-
-    from wheelleg_exp.run import run_directory
-
     class Frozen(datetime):
         @classmethod
         def now(cls, tz=None):
@@ -96,13 +70,6 @@ def test_a_taken_name_is_never_shared(tmp_path, monkeypatch):
     taken.mkdir(parents=True)
     said = wheelleg("train", *words)
     assert said.status == 0, said.err
-    assert "recording.rrd" not in said.out  # there is nothing to open
+    assert "recording.rrd" not in said.out  # The run has no recording to open.
     assert sorted(path.name for path in taken.parent.iterdir()) == [taken.name, f"{taken.name}-2"]
     assert list(taken.iterdir()) == []
-
-
-def test_help_tells_the_options():
-    said = wheelleg("train", "--help")
-    assert said.status == 0
-    assert "--config-dir" in said.out
-    assert "--json" in said.out

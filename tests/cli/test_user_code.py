@@ -1,5 +1,3 @@
-"""Code of a user's own never ends a command as if all had gone well."""
-
 from __future__ import annotations
 
 import io
@@ -38,7 +36,7 @@ ENDINGS = {
 
 @pytest.fixture
 def pet(tmp_path, monkeypatch, tmp_path_factory):
-    """A project with one term, whose module has the given text; one stands in its folder."""
+    """Write a project with one term, whose module contains a given text, into the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
 

@@ -1,5 +1,3 @@
-"""What the commands print fits the screen: 100 columns, or the terminal's width."""
-
 from __future__ import annotations
 
 import re
@@ -11,18 +9,12 @@ from wheelleg_exp.cli.printing import terminal as tables
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, wrapped
 
 COMMANDS_THAT_LIST = (
-    ["list", "tasks"],
-    ["list", "terms"],
-    ["list", "options"],
-    ["list", "groups"],
+    *(["list", kind] for kind in ("tasks", "terms", "options", "groups")),
     ["check", "--list"],
     ["check", "--physics", "--all"],
     ["check", "--physics", "task=stand", "~check"],
-    ["explain", "env.rewards.base_height"],
-    ["explain", "env.rewards.base_height.weight"],
-    ["explain", "reward@env.rewards"],
-    ["explain", "env.sim.integrator"],
-    ["explain", "agent"],
+    *(["explain", key] for key in ("env.rewards.base_height", "env.rewards.base_height.weight", "agent")),
+    *(["explain", key] for key in ("reward@env.rewards", "env.sim.integrator")),
     ["diff", "stand", "task=stand robot=explicit sim=fine reward@env.rewards=[alive] curriculum@env.curriculum=[]"],
     ["compose"],
     ["compose", "--provenance", "env.rewards.alive.weight=2"],
@@ -33,8 +25,6 @@ LONG = "one two three " * 12
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """Pretend that standard output is a terminal of a width."""
-
     def be(columns):
         monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
         monkeypatch.setenv("COLUMNS", str(columns))

@@ -13,7 +13,6 @@ from jobs.small import cache_of
 
 @pytest.fixture(autouse=True, scope="module")
 def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Convert robots into one folder for all tests, and compute with one thread."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
@@ -25,4 +24,4 @@ def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "gym", None)  # the library of that name is not here, and a folder of tests is
+    monkeypatch.setitem(sys.modules, "gym", None)  # a folder of tests must not be imported as the library gym

@@ -11,52 +11,40 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
-PAGES = ("clients",)
-# What these libraries warn of, about themselves and about spaces without bounds.
+PAGE = (DOCS / "clients.md").read_text(encoding="utf-8")
+SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+# These libraries warn about themselves and about spaces without bounds.
 pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.slow]
 
 
-def snippets(page):
-    return re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
-
-
-def needs_graphics(snippet):
-    return "rgb_array" in snippet
-
-
-@pytest.mark.parametrize(
-    ("page", "number"), [(page, number) for page in PAGES for number in range(len(snippets(page)))]
-)
-def test_a_snippet_runs(page, number, request):
-    snippet = snippets(page)[number]
+@pytest.mark.parametrize("number", range(len(SNIPPETS)))
+def test_a_snippet_runs(number, request):
+    snippet = SNIPPETS[number]
     for word, library in NEEDS.items():
         if word in snippet and importlib.util.find_spec(library) is None:
             pytest.skip(f"{library} is not installed: nox -s clients")
-    if needs_graphics(snippet):
+    if "rgb_array" in snippet:
         request.getfixturevalue("graphics")
-    exec(compile(snippet, f"docs/{page}.md", "exec"), {"np": np})  # the first snippet of a page imports numpy
+    exec(compile(snippet, "docs/clients.md", "exec"), {"np": np})  # the first snippet of the page imports numpy
     if "RecordVideo" in snippet:
         assert Path("videos/rl-video-episode-0.mp4").stat().st_size > 1000
 
 
 def test_the_table_names_what_is_tested():
-    """Every pinned library with its version, and tests that are there."""
-    table = (DOCS / "clients.md").read_text(encoding="utf-8")
     pins = (Path(__file__).parent / "requirements.txt").read_text(encoding="utf-8")
     for name, version in re.findall(r"^([\w-]+)==(\S+)$", pins, re.MULTILINE):
-        assert f"{name} {version}" in table
-    named = re.findall(r"`(tests/[\w/]+\.py)`", table)
+        assert f"{name} {version}" in PAGE
+    named = re.findall(r"`(tests/[\w/]+\.py)`", PAGE)
     assert len(named) >= 6
     assert [name for name in named if not (DOCS.parent / name).is_file()] == []
 
 
-def test_every_page_has_snippets():
-    assert [len(snippets(page)) > 1 for page in PAGES] == [True] * len(PAGES)
+def test_the_page_has_snippets():
+    assert len(SNIPPETS) > 1
 
 
 @pytest.fixture
 def graphics():
-    """Skip where drawing is not possible."""
     import gymnasium
 
     from wheelleg_exp.rendering.renderer import NoGraphics

@@ -36,7 +36,7 @@ def test_its_wrapper_takes_both(num_envs):
 
 
 def test_what_it_returns_is_what_we_return():
-    """It flattens a Dict in the order of the space, in which critic comes before policy."""
+    """skrl flattens a Dict in the order of the space, in which critic comes before policy."""
     options = {"num_envs": 2, "overrides": SHORT}
     env, plain = wrap_env(gymnasium.make_vec(ENV_ID, **options)), gymnasium.make_vec(ENV_ID, **options)
     env._seed = 3
@@ -46,5 +46,5 @@ def test_what_it_returns_is_what_we_return():
     expected, rewards, *_ = plain.step(np.ones((2, 6), np.float32))
     np.testing.assert_array_equal(found, np.hstack([expected[group] for group in plain.single_observation_space]))
     np.testing.assert_allclose(reward.flatten(), rewards, rtol=1e-6)
-    assert env.render() == (None, None)  # as its trainers call it, whatever the mode
+    assert env.render() == (None, None)  # skrl's trainers call render in every mode
     env.close()

@@ -50,7 +50,6 @@ def test_ppo_learns_on_it(policy):
 
 
 def test_a_batch_of_its_own_gives_the_numbers_of_the_environment():
-    """Two environments, the seeds one apart; at an end it resets, and keeps what was seen last."""
     theirs = make_vec_env(ENV_ID, n_envs=2, seed=5, env_kwargs={"action_bound": 1.0, "overrides": SHORT})
     ours = [make() for _ in range(2)]
     first = [env.reset(seed=5 + i)[0] for i, env in enumerate(ours)]
@@ -71,7 +70,7 @@ def test_a_batch_of_its_own_gives_the_numbers_of_the_environment():
 
 
 def test_its_processes_hold_our_environments():
-    """A process of its own has not imported us: the id says whom to import."""
+    """A new process has not imported this package, so the id names the package."""
     env = make_vec_env(
         f"wheelleg_exp:{ENV_ID}", n_envs=2, seed=5, env_kwargs={"overrides": SHORT}, vec_env_cls=SubprocVecEnv,
         vec_env_kwargs={"start_method": "spawn"},

@@ -20,7 +20,7 @@ ID = "wheelleg_exp:Wheelleg-Velocity-v0"
 
 
 def film(path):
-    """Return the pictures of a video (n, h, w, 3) and their rate."""
+    """Return the images (n, h, w, 3) of a video and their rate."""
     with av.open(str(path)) as container:
         rate = float(container.streams.video[0].average_rate)
         return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]), rate
@@ -46,8 +46,8 @@ def test_a_single_environment_is_filmed(env):
     shown = env.render()
     env.close()
     pictures, rate = film(Path("videos/rl-video-episode-0.mp4"))
-    assert (pictures.shape, rate) == ((21, 64, 96, 3), 60)  # the first and one a step
-    assert np.abs(pictures[-1].astype(int) - shown).mean() < 6  # but for what the codec loses
+    assert (pictures.shape, rate) == ((21, 64, 96, 3), 60)
+    assert np.abs(pictures[-1].astype(int) - shown).mean() < 6  # up to the losses of the codec
 
 
 def test_a_batch_is_filmed_side_by_side(env):

@@ -35,17 +35,17 @@ def offline(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def kept(path: Path) -> Iterator[Any]:
-    """Yield the records of a file that ``wandb sync`` would send: LevelDB's log format behind 7 bytes."""
+    """Yield the records that ``wandb sync`` would send from a file: LevelDB's log format after 7 bytes."""
     data, start, content = path.read_bytes(), 7, b""
     while start + 7 <= len(data):
         left = _BLOCK - start % _BLOCK
-        if left < 7:  # the rest of a block that holds no header
+        if left < 7:  # a block ends without another header
             start += left
             continue
         size, kind = struct.unpack_from("<HB", data, start + 4)
         content += data[start + 7 : start + 7 + size]
         start += 7 + size
-        if kind in (1, 4):  # a whole record, or its last piece
+        if kind in (1, 4):  # the kinds of a whole record and of the last piece of a record
             record = Record()
             record.ParseFromString(content)
             yield record

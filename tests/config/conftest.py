@@ -1,4 +1,4 @@
-"""The small tree stands in for the stock configs."""
+"""Replace the stock configs by a small config tree."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ STAND_INS = {"env.sim": SimOptions, "env.scene": SceneOptions, "env.robot": Robo
 
 @pytest.fixture
 def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A small stock tree, found where the real one would be."""
     folder = small_tree.write(tmp_path / "configs", small_tree.STOCK)
     (tmp_path / "shelf_terms.py").write_text(small_tree.TARGETS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -36,13 +35,12 @@ def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def user(tmp_path: Path) -> Path:
-    """A user's config folder, beside the stock one."""
     return small_tree.write(tmp_path / "mine" / "configs", small_tree.USER)
 
 
 @pytest.fixture
 def edit(stock: Path) -> Callable[..., None]:
-    """Write or change files of the stock tree: ``edit("train.yaml", "old", "new")``, or the whole text."""
+    """Return a function that replaces a text in a config file, or the whole file."""
 
     def change(name: str, *texts: str) -> None:
         if len(texts) == 1:
@@ -57,5 +55,4 @@ def edit(stock: Path) -> Callable[..., None]:
 
 @pytest.fixture
 def composed(stock: Path) -> Callable[..., Composed]:
-    """Compose on the small tree."""
     return lambda *overrides, **named: compose(overrides, **named)

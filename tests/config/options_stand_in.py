@@ -1,4 +1,4 @@
-"""Stand-ins for the dataclasses that read the sections of the tree."""
+"""Small dataclasses that replace the dataclasses of the config sections in tests."""
 
 from __future__ import annotations
 

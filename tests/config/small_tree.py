@@ -1,4 +1,4 @@
-"""A small stock tree, a user's tree and a module of targets, written into a folder for a test."""
+"""Write a small stock config tree, a user config tree, and a module of targets into a folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.composing.provenance import Provenance
-from wheelleg_exp.config.config_tree import build
+from wheelleg_exp.config.tree_lookup import build
 from wheelleg_exp.terms.key_syntax import split_path
 
 TARGETS = '''
@@ -228,12 +228,12 @@ USER = {
 
 
 def replayed(places: Provenance) -> dict[str, Any]:
-    """Return the raw values of all sources as a nested mapping, in their order."""
+    """Return the raw values of all sources as a nested mapping, in the order of the sources."""
     return build({split_path(path): source.value for path, source in places.items()})
 
 
 def write(folder: Path, files: dict[str, str]) -> Path:
-    """Write the files below a folder, dedented, and return the folder."""
+    """Write dedented texts to files below ``folder``, and return ``folder``."""
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

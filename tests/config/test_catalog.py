@@ -1,5 +1,3 @@
-"""What there is, with one line each."""
-
 from __future__ import annotations
 
 import pytest
@@ -10,11 +8,7 @@ from wheelleg_exp.errors import ConfigError
 
 def test_tasks_come_with_the_comment_on_top(stock, user):
     found = {entry.name: entry.help for entry in catalog.tasks([user])}
-    assert found == {
-        "stand": "Stand still.",
-        "walk": "Walk along.",
-        "hop": "Hop, in a folder of the user's own.",
-    }
+    assert found == {"stand": "Stand still.", "walk": "Walk along.", "hop": "Hop, in a folder of the user's own."}
 
 
 def test_terms_come_with_the_first_line_of_their_targets_docstring(stock):

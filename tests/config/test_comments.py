@@ -1,5 +1,3 @@
-"""Comments of YAML files: whose they are."""
-
 from __future__ import annotations
 
 from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment

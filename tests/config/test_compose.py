@@ -1,5 +1,3 @@
-"""Composing: the forms of overrides that people use, Hydra's globals, and what a composed config holds."""
-
 from __future__ import annotations
 
 import subprocess
@@ -13,86 +11,56 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from omegaconf.errors import ReadonlyConfigError
 
-from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.tree_lookup import at
+
+FOO = {"_target_": "shelf_terms.alive", "weight": 2}
+POLICY, CRITIC = "env.observations.policy.terms", "env.observations.critic.terms"
 
 
-def test_the_order_of_a_list_is_the_order_of_the_terms(composed):
-    observations = composed().config["env"]["observations"]
-    assert list(observations["policy"]["terms"]) == ["speed", "joints"]
-    assert list(observations["critic"]["terms"]) == ["joints", "speed"]
+@pytest.mark.parametrize(
+    ("override", "path", "names"),
+    [
+        (None, POLICY, ["speed", "joints"]),
+        (None, CRITIC, ["joints", "speed"]),
+        (None, "env.commands", []),
+        (None, "env.curriculum", []),
+        ("env.rewards.alive.weight=4", "env.rewards", ["alive", "height"]),
+        (f"observation@{POLICY}=[joints]", POLICY, ["joints"]),
+        (f"observation@{POLICY}=[joints]", CRITIC, ["joints", "speed"]),
+        ("+reward@env.rewards=smooth", "env.rewards", ["alive", "height", "smooth"]),
+        ("event@env.events=[]", "env.events", []),
+        ("~env.events.push", "env.events", []),
+        ("+env.recorders=null", "env.recorders", []),
+        ("env.rewards.height=null", "env.rewards", ["alive"]),
+        (f"{POLICY}.speed=null", POLICY, ["joints"]),
+    ],
+)
+def test_an_override_gives_a_section_these_terms_in_order(composed, override, path, names):
+    config = composed(*filter(None, [override]))
+    assert list(at(config.config, path)) == names
+    is_null_term = str(override).endswith("=null") and not str(override).startswith("+")
+    assert config.removed_terms == ((override.removesuffix("=null"),) if is_null_term else ())
 
 
-def test_an_override_of_a_leaf_keeps_its_place(composed):
-    rewards = composed("env.rewards.alive.weight=4").config["env"]["rewards"]
-    assert list(rewards) == ["alive", "height"]
-    assert rewards["alive"]["weight"] == 4
+@pytest.mark.parametrize(
+    ("override", "path", "value"),
+    [
+        ("env.rewards.alive.weight=4", "env.rewards.alive.weight", 4),
+        # The task's comment has priority over the comment in the term's file.
+        (None, "env.rewards.height.weight", -50.0),
+        (None, "env.recorders", None),
+        ("+env.rewards.foo={_target_: shelf_terms.alive, weight: 2}", "env.rewards.foo", FOO),
+        ("++env.rewards.height={weight: 3}", "env.rewards.height.weight", 3),
+        ("++env.rewards.height={weight: 3}", "env.rewards.height.target_height", 0.07),
+        ("robot=physical", "env.robot", {"asset": "real.usda"}),
+    ],
+)
+def test_an_override_gives_a_key_this_value(composed, override, path, value):
+    assert at(composed(*filter(None, [override])).config, path) == value
 
 
-def test_the_body_of_a_task_wins_over_the_file_of_a_term(composed):
-    assert composed().config["env"]["rewards"]["height"]["weight"] == -50.0
-
-
-def test_a_list_on_the_command_line_replaces_the_list_of_the_task(composed):
-    terms = composed("observation@env.observations.policy.terms=[joints]").config
-    assert list(terms["env"]["observations"]["policy"]["terms"]) == ["joints"]
-    assert list(terms["env"]["observations"]["critic"]["terms"]) == ["joints", "speed"]
-
-
-def test_a_term_can_be_appended(composed):
-    assert list(composed("+reward@env.rewards=smooth").config["env"]["rewards"]) == [
-        "alive",
-        "height",
-        "smooth",
-    ]
-
-
-def test_a_term_can_be_deleted(composed):
-    config = composed("~env.events.push")
-    assert config.config["env"]["events"] == {}
-    assert config.removed_terms == ()
-
-
-def test_a_term_set_to_null_is_removed_and_still_known(composed):
-    config = composed("env.rewards.height=null")
-    assert list(config.config["env"]["rewards"]) == ["alive"]
-    assert config.removed_terms == ("env.rewards.height",)
-    assert config.raw.env.rewards.height is None
-
-
-def test_a_null_observation_term_is_removed_from_its_group_alone(composed):
-    config = composed("env.observations.policy.terms.speed=null")
-    assert list(config.config["env"]["observations"]["policy"]["terms"]) == ["joints"]
-    assert config.removed_terms == ("env.observations.policy.terms.speed",)
-
-
-def test_an_emptied_list_leaves_an_empty_section(composed):
-    assert composed("event@env.events=[]").config["env"]["events"] == {}
-
-
-def test_composing_adds_no_section_that_an_environment_is_built_without(composed):
-    assert "recorders" not in composed().config["env"]
-    assert composed("+env.recorders=null").config["env"]["recorders"] == {}
-
-
-def test_a_section_that_no_file_mounts_is_empty(composed):
-    env = composed().config["env"]
-    assert env["commands"] == {}
-    assert env["curriculum"] == {}
-
-
-def test_a_term_can_be_written_on_the_command_line(composed):
-    config = composed("+env.rewards.foo={_target_: shelf_terms.alive, weight: 2}")
-    assert config.config["env"]["rewards"]["foo"] == {"_target_": "shelf_terms.alive", "weight": 2}
-
-
-def test_a_mapping_is_merged_into_a_term(composed):
-    config = composed("++env.rewards.height={weight: 3}")
-    assert config.config["env"]["rewards"]["height"]["weight"] == 3
-    assert config.config["env"]["rewards"]["height"]["target_height"] == 0.07
-
-
-def test_a_robot_can_be_swapped_by_its_name(composed):
-    assert composed("robot=physical").config["env"]["robot"] == {"asset": "real.usda"}
+def test_a_null_term_stays_in_the_raw_config(composed):
+    assert composed("env.rewards.height=null").raw.env.rewards.height is None
 
 
 def test_interpolations_are_resolved_in_the_plain_config_and_kept_in_the_raw_one(composed):
@@ -125,12 +93,7 @@ def test_the_raw_config_cannot_be_changed(composed):
 
 
 def test_composing_gives_what_hydra_gives(composed, stock):
-    overrides = [
-        "task=walk",
-        "env.rewards.height.weight=-3",
-        "~env.events.push",
-        "+reward@env.rewards=smooth",
-    ][:3]
+    overrides = ["task=walk", "env.rewards.height.weight=-3", "~env.events.push"]
     with initialize_config_dir(str(stock), version_base="1.3"):
         expected = hydra_compose("train", overrides)
     assert OmegaConf.to_container(composed(*overrides).raw) == OmegaConf.to_container(expected)
@@ -183,7 +146,3 @@ def test_neither_torch_nor_mujoco_is_imported_to_compose():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_overrides_may_come_as_any_sequence(stock):
-    assert compose(("seed=2",)).overrides == ["seed=2"]

@@ -1,5 +1,3 @@
-"""``wheelleg diff``: what differs by meaning, and nothing that only looks different."""
-
 from __future__ import annotations
 
 import json
@@ -20,8 +18,6 @@ from wheelleg_exp.run.start_run import start_run
 
 @pytest.fixture
 def diff(stock, tmp_path):
-    """Compare two sides of the small tree."""
-
     def compare_texts(a, b, config_dirs=()):
         return compare(*load_sides(a, b, tmp_path / "runs", config_dirs))
 
@@ -30,8 +26,6 @@ def diff(stock, tmp_path):
 
 @pytest.fixture
 def make_run(stock, tmp_path):
-    """Make a run directory as training would, without training."""
-
     def make(*overrides, minute=0, task="stand"):
         composed = compose(overrides)
         directory = RunDirectory.create(tmp_path / "runs", task, 1, now=datetime(2026, 1, 1, 1, minute))
@@ -81,11 +75,8 @@ def test_a_default_object_equals_the_node_that_makes_it():
     assert not compare(*sides)
     named = words.replace("name: robot", "name: robot, joint_names: [l01]")
     (change,) = compare(*load_sides("stand", f"stand {named}", Path("runs"))).parameters
-    assert (change.kind, change.path, change.where_b) == (
-        "added",
-        "env.rewards.lin_vel_z.asset_cfg",
-        f"override {named}",
-    )
+    path = "env.rewards.lin_vel_z.asset_cfg"
+    assert (change.kind, change.path, change.where_b) == ("added", path, f"override {named}")
 
 
 def test_the_order_of_terms_counts_only_where_it_acts(diff, edit):
@@ -105,9 +96,8 @@ def test_a_changed_parameter_has_both_values_and_both_places(diff):
     assert found.terms == ()
     (change,) = found.parameters
     assert (change.kind, change.path, change.a, change.b) == ("changed", "env.rewards.height.weight", -50.0, 3)
-    assert (change.where_a, change.where_b) == (
-        "configs/task/stand.yaml:23", "override env.rewards.height.weight=3",
-    )  # fmt: skip
+    assert change.where_a == "configs/task/stand.yaml:23"
+    assert change.where_b == "override env.rewards.height.weight=3"
 
 
 def test_terms_added_and_removed_say_who_did_it(diff):
@@ -122,10 +112,8 @@ def test_terms_added_and_removed_say_who_did_it(diff):
 
 def test_a_users_task_is_a_side(diff, user):
     found = diff("stand", "hop", [user])
-    assert {change.path: change.kind for change in found.terms} == {
-        "env.rewards.height": "removed",
-        "env.rewards.bounce": "added",
-    }
+    kinds = {change.path: change.kind for change in found.terms}
+    assert kinds == {"env.rewards.height": "removed", "env.rewards.bounce": "added"}
 
 
 @pytest.mark.parametrize(

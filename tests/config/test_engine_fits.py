@@ -1,5 +1,3 @@
-"""What an engine cannot do is said by the check, before anything is built."""
-
 from __future__ import annotations
 
 import importlib.util

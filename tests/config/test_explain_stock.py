@@ -1,5 +1,3 @@
-"""What there is to say about the keys of the stock tasks."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,10 +7,10 @@ import pytest
 from wheelleg_exp.config import key_slots as known
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.config_tree import leaves
 from wheelleg_exp.config.explaining import key_documentation as fixed
 from wheelleg_exp.config.explaining.explanation import explain_key
 from wheelleg_exp.config.explaining.key_documentation import parameters_in, unit_in
+from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl.options import Agent
 from wheelleg_exp.terms.config_sections import Env, keys_of

@@ -1,8 +1,4 @@
-"""Each mistake ends with status 2 and one message: the key, the place, and the nearest valid name.
-
-``mistakes.yaml`` is the table of mistakes. Consequences of a mistake are not reported, a mistake at several keys is
-reported once, and no message is a library's own.
-"""
+"""Run ``wheelleg check`` on each mistake in ``mistakes.yaml``, and compare the error message."""
 
 from __future__ import annotations
 
@@ -23,7 +19,6 @@ MISTAKES = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text(en
 
 @pytest.fixture
 def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
-    """Run ``wheelleg check``, with the words that come after it."""
     monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
     monkeypatch.delitem(sys.modules, "shelf_broken", raising=False)
     return lambda words: main(["check", *words])
@@ -119,25 +114,12 @@ def test_debug_shows_the_traceback(command, capsys):
 
 
 def test_all_mistakes_are_told_at_once(command, capsys):
-    words = [
-        "env.num_envs=0",
-        "+env.sim.x=1",
-        "env.rewards.alive._target_=os.system",
-        "~env.rewards.height.target_height",
-    ]
-    assert command(words) == 2
+    words = ["env.num_envs=0", "+env.sim.x=1", "env.rewards.alive._target_=os.system", "~env.events.psh"]
+    assert command([*words, "~env.rewards.height.target_height"]) == 2
     message = capsys.readouterr().err
-    assert "4 mistakes" in message
-    for key in ("env.num_envs", "env.sim.x", "env.rewards.alive._target_", "env.rewards.height"):
+    assert "5 mistakes" in message
+    for key in ("env.num_envs", "env.sim.x", "env.rewards.alive._target_", "env.rewards.height", "env.events.psh"):
         assert f"\n  {key}: " in message
-
-
-def test_all_wrong_overrides_are_told_at_once(command, capsys):
-    assert command(["env.rewards.heigth.weight=1", "~env.events.psh", "seed=2"]) == 2
-    message = capsys.readouterr().err
-    assert "2 mistakes" in message
-    assert "env.rewards.heigth.weight" in message
-    assert "env.events.psh" in message
 
 
 @pytest.mark.parametrize(
@@ -173,7 +155,7 @@ def test_a_user_file_that_a_stock_file_hides_is_told(command, user, capsys):
     assert "mine/configs/reward/alive.yaml" in message
 
 
-# What is broken -> other mistakes, which are told beside it; nothing else is.
+# Each broken entry, and the only other mistakes that the check reports with it.
 BESIDE = [("env.num_envs=0", "env.num_envs: 0 is out of range"), ("env.rewards.height.weight=heavy", "'heavy'")]
 BROKEN = {
     "does not parse": "alive:\n  weight: [\n",

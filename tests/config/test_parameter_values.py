@@ -1,5 +1,3 @@
-"""What a parameter may be: every stock config holds it, and what it may not be is refused before anything is made."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -31,7 +29,7 @@ MODIFIER = "{_target_: wheelleg_exp.mdp.modifiers."
 ENTITY = "{_target_: wheelleg_exp.managers.SceneEntityCfg, name: robot, "
 TERM = "_target_: wheelleg_exp.mdp."
 
-# override -> what is expected, and the key where it is told when that is not the override's own
+# The expected value that the error for each override names, and the reported key if it differs from the override's key.
 WRONG: dict[str, str | tuple[str, str]] = {
     # the environment
     "env.num_envs=0": "a whole number, at least 1",
@@ -81,23 +79,15 @@ WRONG: dict[str, str | tuple[str, str]] = {
     f"+{T}base_ang_vel.clip=[2,1]": "[low, high]",
     f"+{T}base_ang_vel.noise={NOISE}GaussianNoise, std: -1}}": ("at least 0", f"{T}base_ang_vel.noise.std"),
     f"+{T}joint_pos_rel.noise={NOISE}UniformNoise, n_min: 1, n_max: 0}}": (
-        "at least 1",
-        f"{T}joint_pos_rel.noise.n_max",
-    ),
+        "at least 1", f"{T}joint_pos_rel.noise.n_max"),
     f"+{T}joint_vel_rel.noise={NOISE}ConstantNoise, bias: nan}}": ("a finite number", f"{T}joint_vel_rel.noise.bias"),
     f"+{T}last_action.noise=0.1": "a mapping with a _target_",
     f"+{T}joint_vel_rel.modifiers=[{MODIFIER}Integrator, dt: 0}}]": (
-        "more than 0",
-        f"{T}joint_vel_rel.modifiers[0].dt",
-    ),
+        "more than 0", f"{T}joint_vel_rel.modifiers[0].dt"),
     f"+{T}joint_pos_rel.modifiers=[{MODIFIER}DigitalFilter, A: [], B: []}}]": (
-        "not empty",
-        f"{T}joint_pos_rel.modifiers[0].B",
-    ),
+        "not empty", f"{T}joint_pos_rel.modifiers[0].B"),
     f"+{T}velocity_commands.modifiers=[{MODIFIER}Clip, bounds: [1]}}]": (
-        "[low, high]",
-        f"{T}velocity_commands.modifiers[0].bounds",
-    ),
+        "[low, high]", f"{T}velocity_commands.modifiers[0].bounds"),
     # events
     "env.events.push_robot.interval_range_s=[-1,1]": "at least 0",
     "env.events.push_robot.velocity_range.x=[1,-1]": "[low, high]",
@@ -118,21 +108,13 @@ WRONG: dict[str, str | tuple[str, str]] = {
     "env.rewards.base_height.target_height=nan": "a finite number",
     "env.rewards.leg_joint_deviation.asset_cfg.joint_names=[]": "not empty",
     f"+env.terminations.tilted={{{TERM}terminations.bad_orientation, limit_angle: 4}}": (
-        "at most 3.14159",
-        "env.terminations.tilted.limit_angle",
-    ),
+        "at most 3.14159", "env.terminations.tilted.limit_angle"),
     f"+env.terminations.fast={{{TERM}terminations.joint_vel_out_of_manual_limit, max_velocity: 0}}": (
-        "more than 0",
-        "env.terminations.fast.max_velocity",
-    ),
+        "more than 0", "env.terminations.fast.max_velocity"),
     f"+env.rewards.fast={{{TERM}rewards.joint_vel_limits, weight: 1, soft_ratio: 0}}": (
-        "more than 0",
-        "env.rewards.fast.soft_ratio",
-    ),
+        "more than 0", "env.rewards.fast.soft_ratio"),
     f"+env.rewards.effort={{{TERM}rewards.joint_torques_l2, weight: -1, asset_cfg: {{name: robot}}}}": (
-        "_target_: wheelleg_exp.managers.term_interface.SceneEntityCfg",
-        "env.rewards.effort.asset_cfg",
-    ),
+        "_target_: wheelleg_exp.managers.term_interface.SceneEntityCfg", "env.rewards.effort.asset_cfg"),
     "env.curriculum.lin_vel_z_weight.num_steps=-5": "at least 0",
     "env.curriculum.lin_vel_z_weight.weight=inf": "a finite number",
     # the agent
@@ -157,39 +139,37 @@ WRONG: dict[str, str | tuple[str, str]] = {
     "agent.num_steps_per_env=0": "at least 1",
     "agent.torch_threads=0": "at least 1",
     "+agent.clip_actions=-1": "more than 0",
-    # what is recorded and where
+    # the recording and the run directory
     "recording.interval=0": "at least 1",
     "recording.max_mb=-1": "at least 0",
     "+run.max_patch_mb=nan": "a finite number",
-}
-# Wrong together with what else is set, so that each needs a command line of its own.
+}  # fmt: skip
+# These values contradict other settings, so each override needs a separate command line.
 TOGETHER = {
     "+env.events.add_base_mass.distribution=log_uniform": (
+        "env.events.add_base_mass.mass_distribution_params", "[low, high], above 0"),
+    "agent.algorithm.num_mini_batches=20000": ("agent.algorithm.num_mini_batches", "at most 12288"),
+    "+agent.actor.distribution_cfg.init_sdt=1": ("agent.actor.distribution_cfg.init_sdt", "did you mean 'init_std'"),
+    "env.events.add_base_mass.operation=abs": (
         "env.events.add_base_mass.mass_distribution_params",
         "[low, high], above 0",
     ),
-    "agent.algorithm.num_mini_batches=20000": ("agent.algorithm.num_mini_batches", "at most 12288"),
-    "+agent.actor.distribution_cfg.init_sdt=1": ("agent.actor.distribution_cfg.init_sdt", "did you mean 'init_std'"),
-    "env.events.add_base_mass.operation=abs": ("env.events.add_base_mass.mass_distribution_params", "masses above 0"),
     "env.events.add_base_mass.operation=scale": (
         "env.events.add_base_mass.mass_distribution_params",
-        "factors above 0",
+        "[low, high], above 0",
     ),
     "+env.events.add_base_mass.distribution=gaussian env.events.add_base_mass.mass_distribution_params=[1,-1]": (
-        "env.events.add_base_mass.mass_distribution_params",
-        "[mean, standard deviation]",
-    ),
+        "env.events.add_base_mass.mass_distribution_params", "[mean, standard deviation]"),
     "env.commands.base_velocity.heading_command=true": ("env.commands.base_velocity.ranges.heading", "[low, high]"),
-}
+}  # fmt: skip
 
 
 def _place(override: str) -> tuple[str, str]:
-    """Return the key at which a mistake is told, and words of what was expected."""
     wanted = WRONG[override]
     return (override.split("=")[0].lstrip("+"), wanted) if isinstance(wanted, str) else (wanted[1], wanted[0])
 
 
-# Regular expressions cannot be keys on the command line: file, line, key, what is expected.
+# Regular expressions cannot be keys on the command line, so these mistakes are in a file.
 FILE = """\
 # @package _global_
 # stand, with wrong values by joint.
@@ -213,7 +193,6 @@ IN_FILE = {
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, str]:
-    """What ``check`` says of the wrong values, many at once, by where they stand."""
     found: dict[str, str] = {}
     for batch in _batches():
         for error in check(compose(["task=stand", *batch])):
@@ -222,7 +201,6 @@ def told() -> dict[str, str]:
 
 
 def _batches() -> list[list[str]]:
-    """Return the wrong values as command lines that set no key twice."""
     batches: list[dict[str, str]] = []
     for override in WRONG:
         key = override.split("=")[0]
@@ -291,7 +269,6 @@ def _run_without_training(folder: Path) -> RunDirectory:
 
 @pytest.fixture(scope="module")
 def stand() -> tuple[dict[str, Any], Path]:
-    """The stock task's config and its robot's MJCF."""
     config = compose(["task=stand", "env.num_envs=2"]).config
     return config, prepare_asset(config).output
 
@@ -315,11 +292,7 @@ def test_whatever_builds_the_agent_refuses_it_in_the_same_words(override, stand)
     assert [str(caught.value)] == checked
 
 
-# --- the annotations themselves ---
-
-
 def _targets() -> list[str]:
-    """Return what configs may build of this package: terms, noise, modifiers, actuators, sensors, entities."""
     parts = ["noise.ConstantNoise", "noise.UniformNoise", "noise.GaussianNoise", "noise.NoiseModelWithAdditiveBias"]
     parts += [f"modifiers.{name}" for name in ("Scale", "Bias", "Clip", "DigitalFilter", "Integrator")]
     sim = ["actuators.ImplicitActuator", "actuators.IdealPDActuator", "contact.ContactSensor"]

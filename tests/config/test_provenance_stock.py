@@ -1,4 +1,4 @@
-"""The replay of every stock task holds, leaf by leaf, what Hydra's own compose API makes of the same words."""
+"""Compare the replayed sources of every stock task with the config of Hydra's compose API."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from omegaconf import OmegaConf, open_dict
 from small_tree import replayed
 
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.config_tree import leaves
+from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.paths import configs_dir
 
 pytestmark = pytest.mark.slow
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
 
-# One of every kind of override that Hydra has, and how they meet.
+# Each kind of Hydra override, alone and in combination.
 RECIPES = {
     "leaves": [
         "env.rewards.alive.weight=-30",
@@ -62,7 +62,7 @@ def _of_hydra(primary: str, overrides: list[str]) -> dict:
     return OmegaConf.to_container(config, resolve=False)
 
 
-# What a kind of override does is the same on every task: each meets one of them, in turn.
+# The effect of an override does not depend on the task, so each override is tested with only one task.
 @pytest.mark.parametrize(("task", "recipe"), zip(cycle(TASKS), RECIPES, strict=False))
 def test_every_leaf_of_a_task_is_hydras_in_value_and_order(task, recipe):
     words = [f"task={task}", *RECIPES[recipe]]
@@ -91,10 +91,8 @@ def test_a_leaf_stands_at_its_line_with_its_value(task):
 
 
 def compose_raw(words, primary="train"):
-    """Return the provenance alone: some recipes make configs that miss values."""
     return compose(words, primary=primary).provenance
 
 
 def _orders(node) -> list:
-    """Return the order of keys of every mapping."""
     return [] if not isinstance(node, dict) else [list(node), *(_orders(child) for child in node.values())]

@@ -1,5 +1,3 @@
-"""What stands twice where one alone can act: terms in lists, joints in action terms."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -71,7 +69,6 @@ AGAIN = {
 
 @pytest.mark.parametrize("kind", AGAIN)
 def test_a_joint_whose_target_two_actions_set_is_told(kind):
-    """A position and a velocity target of one joint may both be set: the drive adds their torques."""
     errors = _told("task=stand", f"+env.actions.again={{_target_: {A}{kind}, joint_names: [l01]}}")
     if AGAIN[kind] is None:
         assert errors == []

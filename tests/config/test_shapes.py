@@ -1,5 +1,3 @@
-"""``compose --shapes``: the layout that the built environment has, without simulating."""
-
 from __future__ import annotations
 
 import json
@@ -42,9 +40,8 @@ def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
         value = observations[name]
         if isinstance(value, dict):
             assert group.shape is None
-            assert {term.name: (3, *term.shape) for term in group.terms} == {
-                n: tuple(t.shape) for n, t in value.items()
-            }
+            shapes_of_terms = {term.name: (3, *term.shape) for term in group.terms}
+            assert shapes_of_terms == {name: tuple(tensor.shape) for name, tensor in value.items()}
         else:
             assert group.shape is not None
             assert (3, *group.shape) == tuple(value.shape)

@@ -1,5 +1,3 @@
-"""The stock configs themselves: every task composes, has no mistakes, and its provenance is complete."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,9 +1,10 @@
-"""Configs that many tests ask for, composed once in a process."""
+"""Compose configs for tests, each distinct config once per process."""
 
 from __future__ import annotations
 
 import copy
 from functools import lru_cache
+from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed, compose
 
@@ -11,5 +12,14 @@ _once = lru_cache(maxsize=128)(lambda words: compose(list(words)))
 
 
 def composed(*words: str) -> Composed:
-    """Return what the words compose to, of the caller's own."""
+    """Return a new copy of the config that the overrides compose."""
     return copy.deepcopy(_once(words))
+
+
+def term(path: str, **fields: Any) -> dict[str, Any]:
+    """Return the config node of a stock term, such as ``events.push_by_adding_velocity``."""
+    return {"_target_": f"wheelleg_exp.mdp.{path}", **fields}
+
+
+def event(name: str, mode: str, **fields: Any) -> dict[str, Any]:
+    return term(f"events.{name}", mode=mode, **fields)

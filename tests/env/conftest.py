@@ -1,4 +1,4 @@
-"""Spies for the tests of the environment."""
+"""Spy managers for the tests of the environment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walks everything that can be reached from an object and lists its numbers by path; knows of no ``state_dict``."""
+"""Walk all objects that an object refers to, and list their numbers by path, without calling ``state_dict``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ _ENDS = (type, types.FunctionType, types.BuiltinFunctionType, types.MethodType, 
 
 
 class Crawl:
-    """The numbers below ``root``, by path, and the classes of the objects that were met on the way."""
-
     def __init__(self, root: Any, skip: frozenset[str] = frozenset()) -> None:
         self.classes: set[type] = set()
         self._seen: set[int] = set()
@@ -30,9 +28,9 @@ class Crawl:
             return
         if id(value) in self._seen or isinstance(value, _ENDS) or type(value).__module__.startswith("mujoco"):
             return
-        if not isinstance(value, tuple):  # equal ones may or may not be one object
+        if not isinstance(value, tuple):  # Python may or may not merge equal tuples into one object.
             self._seen.add(id(value))
-            self._alive.append(value)  # an id that is used again would hide what it belongs to
+            self._alive.append(value)  # A new object with the id of a freed object would be skipped.
         if isinstance(value, torch.Tensor):
             yield path, value.detach().clone()
         elif isinstance(value, np.ndarray):
@@ -62,7 +60,7 @@ class Crawl:
 
 
 def differing(a: Crawl, b: Crawl) -> list[str]:
-    """Return the paths at which two walks do not show the same."""
+    """Return the paths at which the values of two walks differ."""
     paths = dict.fromkeys([*a.leaves, *b.leaves])
     return [path.lstrip(".") for path in paths if not _same(a.leaves.get(path, _NONE), b.leaves.get(path, _NONE))]
 

@@ -15,13 +15,11 @@ from wheelleg_exp.env.captured_values import Values
 from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture
 from wheelleg_exp.sim.batch_engine import BatchEngine
 
-# Operations that a CUDA graph cannot hold: the host waits for a number, or sends one.
+# A CUDA graph cannot record these operations, because they copy numbers between host and GPU.
 WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
 
 
 class Tape(TorchDispatchMode):
-    """Notes torch operations with their memory, and repeats them on the same memory."""
-
     def __init__(self, streams=()) -> None:
         super().__init__()
         self.notes: list = []
@@ -39,7 +37,7 @@ class Tape(TorchDispatchMode):
             work()
 
     def replay(self):
-        if self.is_new:  # a CUDA graph does not run the kernels that it records, but the tape has run them
+        if self.is_new:  # Recording a tape already runs its operations; recording a CUDA graph runs no kernel.
             self.is_new = False
             return
         for operation, args, kwargs, result in self.notes:
@@ -63,7 +61,7 @@ def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> Ma
 
 
 def make_part(work, term, *, values: Values | None = None, make_graph=Tape):
-    """Return a captured part of a term, before each run of which the settings are compared."""
+    """Return a captured part of a term, and a function that compares the settings and then runs the part."""
     values = values or Values(term)
     part = CapturedPart(work, values, make_graph)
 

@@ -1,4 +1,4 @@
-"""A captured part gives the same numbers as its work, whatever its terms hold and whoever changes their settings."""
+"""Test that a captured part returns the same numbers as its Python code, for all kinds of attributes and settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNDECLARED = "runs without a CUDA graph: 'kept' of Keeper changes"
 
 
 def outputs(run, term: TermBase, name: str, values: list) -> list[float]:
-    """Return what a part returns for one value of an attribute after the other."""
+    """Return the results of a captured part for several values of an attribute."""
     found = []
     for value in values:
         setattr(term, name, value)
@@ -25,8 +25,6 @@ def outputs(run, term: TermBase, name: str, values: list) -> list[float]:
 
 
 class Counter(TermBase):
-    """Counts its calls in a number."""
-
     def __init__(self) -> None:
         self.count = 0
 
@@ -44,8 +42,6 @@ def test_a_term_that_counts_runs_without_a_graph():
 
 
 class Rebinder(TermBase):
-    """Binds an attribute to another tensor in each step."""
-
     def __init__(self) -> None:
         self.now, self.last = torch.zeros(2), torch.zeros(2)
 
@@ -65,8 +61,6 @@ def test_a_buffer_may_be_rebound():
 
 
 class Handover(Rebinder):
-    """Returns a buffer itself."""
-
     def work(self) -> torch.Tensor:
         self.last += 1.0
         return self.now
@@ -81,8 +75,6 @@ def test_a_returned_buffer_is_the_present_one():
 
 
 class Difference(TermBase):
-    """Compares two attributes that are set between the steps."""
-
     def __init__(self) -> None:
         self.now, self.last = torch.zeros(2), torch.zeros(2)
 
@@ -94,7 +86,7 @@ class Difference(TermBase):
 def test_a_tensor_that_moves_from_one_buffer_to_another_keeps_its_numbers(order):
     term = Difference()
     values = vars(term)
-    term.__dict__ = {name: values[name] for name in order}  # the order in which the buffers are copied
+    term.__dict__ = {name: values[name] for name in order}  # The graph copies the buffers in this order.
     _, run = make_part(term.work, term)
     for step in range(1, 9):
         term.last = term.now
@@ -103,8 +95,6 @@ def test_a_tensor_that_moves_from_one_buffer_to_another_keeps_its_numbers(order)
 
 
 class Shared(TermBase):
-    """Two buffers that are one tensor at first."""
-
     def __init__(self, *order: str) -> None:
         one = torch.zeros(2)
         for name in order:
@@ -132,8 +122,6 @@ def test_buffers_that_share_a_tensor_may_part(order, doubles):
 
 
 class View(TermBase):
-    """Reads a view of its own memory, set between the steps."""
-
     def __init__(self) -> None:
         self.memory = torch.arange(20.0)
         self.seen = self.memory[:4]
@@ -154,8 +142,6 @@ def test_a_buffer_that_is_seen_through_another_is_not_overwritten():
 
 
 class Reader(TermBase):
-    """Reads one buffer. Another one, which it does not read, changes its shape."""
-
     def __init__(self) -> None:
         self.now, self.unused = torch.zeros(2), torch.zeros(1)
 
@@ -188,8 +174,6 @@ def test_a_buffer_may_be_replaced_by_another_tensor_of_any_shape():
 
 
 class Keeper(TermBase):
-    """Keeps the last value in some kind of container."""
-
     def __init__(self, kind: str) -> None:
         self.now, self.kind = torch.zeros(1), kind
         last = torch.zeros(1)
@@ -230,8 +214,6 @@ def test_a_term_with_undeclared_state_runs_without_a_graph(kind):
 
 
 class Scaled(TermBase):
-    """Reads settings of many kinds."""
-
     def __init__(self) -> None:
         self.now, self.scale, self.ranges, self.mode, self.clip = torch.ones(1), 1.0, (0.0, 1.0), "a", None
         self.keeps, self.kept = False, deque()
@@ -271,8 +253,6 @@ def test_a_setting_that_changes_in_each_step_is_named_in_a_warning():
 
 
 class Waiter(TermBase):
-    """Waits for a number, as a graph cannot."""
-
     def __init__(self) -> None:
         self.now = torch.zeros(1)
 
@@ -300,8 +280,6 @@ def test_a_term_that_uses_undeclared_state_later_runs_without_a_graph_from_then_
 
 
 class TwoParts(TermBase):
-    """Keeps a tuple that one part replaces and another part reads."""
-
     def __init__(self) -> None:
         self.now, self.kept = torch.zeros(1), (torch.zeros(1),)
 
@@ -346,7 +324,7 @@ def test_an_entry_or_attribute_that_is_added_is_a_setting():
     assert [float(run()) for _ in range(5)] == [50.0] * 5
     term.late = 0.5
     assert [float(run()) for _ in range(5)] == [25.0] * 5
-    term.factors = [2.0, 3.0, 1.0]  # another list
+    term.factors = [2.0, 3.0, 1.0]
     assert [float(run()) for _ in range(5)] == [30.0] * 5
     assert not part.fails
 

@@ -1,4 +1,4 @@
-"""A captured step gives the same numbers as the step without graphs, to the bit. A tape replaces the CUDA graph."""
+"""Test that a captured step is bit-identical to the step without graphs. A tape replaces the CUDA graph."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def resets(env: ManagerBasedRLEnv) -> CapturedPart:
 
 
 def counts(part: CapturedPart) -> list[int]:
-    """Return for how many environments a reset has a recording."""
+    """Return the numbers of environments for which a reset has been recorded."""
     return sorted({key[0][0][0] for key in part.recordings})
 
 
@@ -63,7 +63,6 @@ def test_a_captured_step_equals_the_step_through_resets_and_a_changed_weight():
 
 
 def test_a_captured_environment_saves_and_loads_its_state():
-    """In the middle of a training: after resets of several sizes, with a curriculum that has changed a weight."""
     plain, captured = pair("walk")
     actions = random_actions(plain, 60)
     for action in actions[:40]:
@@ -84,7 +83,7 @@ def test_a_captured_environment_saves_and_loads_its_state():
 
 
 def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
-    """Make someone clip observed angular velocities within the tenth step; return the step, once it has run."""
+    """Change the clip of observed angular velocities in the tenth step; return a list that this step appends to."""
     terms = [terms["base_ang_vel"] for terms in env.observation_manager._groups.values()]
     done: list[int] = []
 
@@ -98,7 +97,7 @@ def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
     if who == "an observer":
         env.observers.append(clip)
     elif who == "a curriculum":
-        env.curriculum_manager._terms["clip"] = clip  # so that the manager counts as having a term
+        env.curriculum_manager._terms["clip"] = clip  # The curriculum manager must not be empty.
         env.curriculum_manager.compute = clip
         env.curriculum_manager.reset = lambda ids: {}
     else:
@@ -117,10 +116,10 @@ def test_a_setting_that_changes_within_a_step_counts_in_that_step(who):
 
 
 def _cause_failure(env: ManagerBasedRLEnv, what: str) -> torch.Tensor:
-    """Make a number NaN or inf in the coming step; return the actions for that step."""
+    """Make a number NaN or inf in the next step; return the actions for that step."""
     action = torch.zeros(16, 6)
     if "a reward" in what:
-        env.action_manager.action[3] = 1e30  # makes the squared action rate inf
+        env.action_manager.action[3] = 1e30  # The squared action rate becomes inf.
     if "physics" in what:
         action[5] = torch.nan
     if "that ends" in what:
@@ -147,7 +146,7 @@ def test_an_episode_whose_reward_is_not_finite_ends_in_that_step(observed, what)
             assert reward.isfinite().all()
             keys = extras.get("non_finite", {"keys": {}})["keys"]
             log = float(extras["log"]["Episode_Reward/alive"]) if index == 5 and "another" in what else 0.0
-            rows = torch.tensor([0, 1, 2])  # the remaining environments draw in another order after the failure
+            rows = torch.tensor([0, 1, 2])  # After the failure, random numbers of other rows differ.
             shown = observations["critic"][rows], reward if index < 6 else reward[rows], terminated
             found.append((*shown, keys, log, sorted(i for ids in reset_ids for i in ids)))
     plain, captured = found[:7], found[7:]
@@ -157,7 +156,7 @@ def test_an_episode_whose_reward_is_not_finite_ends_in_that_step(observed, what)
         assert theirs[5] == ours[5]
     assert plain[5][3]
     assert not plain[6][3]
-    if "another" in what:  # alive for 6 steps of 1/60 s in episodes of 0.5 s; the one that fails for 5
+    if "another" in what:  # Episodes last 6 steps of 1/60 s, and the failed one 5.
         assert plain[5][4] == pytest.approx((0.2 + 0.5 / 3) / 2)
         assert captured[5][4] == pytest.approx(plain[5][4] if observed else 0.2)
 
@@ -183,13 +182,12 @@ def test_a_reset_has_a_recording_for_each_number_of_environments_that_occurs_oft
         found.append(counts(resets(env)))
         assert torch.equal(env.scene.sim.state, plain.scene.sim.state)
     assert found[6] == [7, 9]
-    assert found[9] == [7, 9]  # 3 occurred three times and 7 as often: no reason to record again
+    assert found[9] == [7, 9]  # The sizes 3 and 7 occurred equally often, so no recording is replaced.
     assert found[12] == [3, 7] or found[12] == [3, 9]
     assert sum(resets(env)._counts.values()) == 10
 
 
 def test_recordings_are_found_by_a_comparison_of_places_alone(monkeypatch):
-    """No part and no reset replaces a container of tensors, so that the places need not be searched again."""
     env = make_env("walk", captured=True)
     actions = random_actions(env, 90)
     for action in actions[:60]:
@@ -270,12 +268,10 @@ def test_a_setting_that_a_curriculum_changes_in_each_step_counts_in_each_step(ki
     for _ in range(10):
         captured.step(torch.zeros(16, plain.action_manager.total_action_dim))
     parts = captured.graph_capture.parts
-    assert [part._missed for name, part in parts.items() if name != "_reset_rows"] == [0] * 6  # recorded again
+    assert [part._missed for name, part in parts.items() if name != "_reset_rows"] == [0] * 6
 
 
 class FakeCapture:
-    """Replaces ``torch.cuda.graph``: a capture whose work failed fails at its end and leaves its own stream current."""
-
     streams: list[str]
 
     def __init__(self, graph, capture_error_mode="") -> None:

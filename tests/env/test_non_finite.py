@@ -17,14 +17,14 @@ ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
 
 @pytest.fixture(autouse=True)
 def _no_log(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo's, about states that it has reset
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings about reset states to a file in the current folder.
 
 
 def _keys(extras: dict[str, Any]) -> dict[int, list[str]]:
     return extras["non_finite"]["keys"]
 
 
-# --- an environment's own ---
+# --- failures of one environment ---
 
 
 def test_a_state_that_goes_to_nan_ends_its_environment_though_no_termination_looks(make_env):
@@ -50,7 +50,7 @@ def test_what_terms_make_of_such_a_state_is_not_told_as_theirs(make_env):
 
     def breaking_step():
         step()
-        if next(count) == 1:  # the last physics step of the control step: nothing has reset it yet
+        if next(count) == 1:  # After the last physics step of a control step, MuJoCo has not yet reset the state.
             env.scene.sim.view("qvel")[1] = math.nan
 
     env.scene.sim.step = breaking_step
@@ -64,8 +64,11 @@ def test_an_action_that_is_not_finite_is_told_as_the_actions_fault(make_env):
     env.reset()
     action = STILL.clone()
     action[3, 2] = math.nan
-    *_, extras = env.step(action)
+    observations, reward, terminated, _, extras = env.step(action)
     assert _keys(extras) == {3: ["env.actions"]}
+    assert terminated.tolist() == [False, False, False, True]
+    assert observations["policy"].isfinite().all()
+    assert reward.isfinite().all()
 
 
 def test_rewards_that_are_finite_each_and_too_large_together_are_told(make_env):
@@ -86,7 +89,7 @@ def test_large_numbers_whose_sum_overflows_are_no_failure(make_env):
     env.step(STILL)
 
 
-# --- the run's ---
+# --- failures of the whole run ---
 
 
 def test_an_observation_that_is_not_finite_names_its_term(make_env):

@@ -1,4 +1,4 @@
-"""The order of construction, of a step and of a reset, call by call."""
+"""Test the order of all manager calls during construction, a step, and a reset."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ S = spies.HERE
 
 @pytest.fixture
 def env(make_env, monkeypatch):
-    """An environment of spies only, 3 wide, two physics steps a control step."""
+    """Return three environments whose managers are spies, with two physics steps per control step."""
     from wheelleg_exp.sim.scene import Scene
 
     said = {"write_data_to_sim": "write", "update": "update", "show_written": "refresh", "play": "play"}
@@ -96,7 +96,7 @@ def test_construction(env):
         "recorder made",
         "action made",
         "observation made",
-        "observation",  # once, for its size
+        "observation",
         "observation reset [0, 1, 2]",
         "termination made",
         "reward made",
@@ -118,7 +118,7 @@ def test_a_step_without_an_end(env):
         "termination",
         "reward",
         "observer",
-        "observation",  # without noise or memory, for recorders
+        "observation",  # Recorders read observations without noise and history.
         "recorder post_step",
         "command compute",
         "event interval [0, 1, 2]",
@@ -171,7 +171,6 @@ def test_without_automatic_resets_nothing_is_reset(env):
 
 
 def test_a_reset(env):
-    """No command is computed: standing and heading do not act yet."""
     assert _calls(env.reset) == [
         "recorder pre_reset [0, 1, 2]",
         "curriculum [0, 1, 2] at length [0, 0, 0]",

@@ -14,7 +14,6 @@ TILES = ["env.scene.terrain.num_rows=2", "env.scene.terrain.num_cols=2"]
 
 @pytest.mark.parametrize("task", [["task=walk"], ["task=terrain", *TILES]], ids=lambda words: words[0])
 def test_drives_at_their_limits_do_not_shake_the_robot_apart(task, tmp_path_factory, monkeypatch):
-    """With 9 N·m on a wheel of 1.1e-4 kg·m² the speed changed by 680 rad/s in a step of 1/120 s, at random actions."""
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.getbasetemp() / "wheelleg-cache"))
     env = build_env(compose([*SMALL, *task]).config)
     env.reset()
@@ -23,5 +22,5 @@ def test_drives_at_their_limits_do_not_shake_the_robot_apart(task, tmp_path_fact
         env.step(2.0 * torch.randn(32, 6, generator=draws))
         data = env.scene["robot"].data
         fastest = max(fastest, float(data.root_ang_vel_b.abs().max()))
-        assert float(data.joint_vel.abs().max()) < 100.0  # rad/s; targets reach 45
+        assert float(data.joint_vel.abs().max()) < 100.0  # The unit is rad/s, and targets reach 45 rad/s.
     assert 1.0 < fastest < 60.0  # rad/s

@@ -12,8 +12,9 @@ import torch
 from managers import spies
 from sim.small_envs import ACTUATORS, env_config
 
+from env.composed import event, term
 from env.crawler import Crawl, differing
-from env.test_determinism import SECTIONS, E, O
+from env.test_determinism import SECTIONS
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import TermBase
 from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, noise, observations, rewards
@@ -22,171 +23,105 @@ from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import ContactSensor, Imu, RayCaster
 
-C = "wheelleg_exp.mdp.curriculums."
-M = "wheelleg_exp.mdp.modifiers."
-R = "wheelleg_exp.mdp.rewards."
-T = "wheelleg_exp.mdp.terminations."
-N = "wheelleg_exp.mdp.noise."
-A = "wheelleg_exp.mdp.actions."
 HIPS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_hip"]}
-
 SENSOR = "wheelleg_exp.sim.sensors."
 PATTERN = {"_target_": SENSOR + "GridPattern", "resolution": 0.1, "size": [0.2, 0.2]}
+RAYS = {"_target_": SENSOR + "RayCaster", "pattern": PATTERN}
+NOISE = {"_target_": SENSOR + "ImuNoise", "std": 0.1, "bias_walk": 0.1}
 SENSORS = {
-    "scan": {
-        "_target_": SENSOR + "RayCaster",
-        "body_name": "base",
-        "pattern": PATTERN,
-        "ray_cast_drift_range": {"z": [-0.1, 0.1]},
-    },
-    "imu": {
-        "_target_": SENSOR + "Imu",
-        "body_name": "base",
-        "gyroscope": {"_target_": SENSOR + "ImuNoise", "std": 0.1, "bias_walk": 0.1},
-    },
-    "held": {
-        "_target_": SENSOR + "RayCaster",
-        "body_name": "left_wheel",
-        "pattern": PATTERN,
-        "update_period": 0.05,
-    },
+    "scan": {**RAYS, "body_name": "base", "ray_cast_drift_range": {"z": [-0.1, 0.1]}},
+    "imu": {"_target_": SENSOR + "Imu", "body_name": "base", "gyroscope": NOISE},
+    "held": {**RAYS, "body_name": "left_wheel", "update_period": 0.05},
 }
 
-# What may differ right after loading, because nothing reads it before it is computed anew.
+# These values may differ after loading, because the environment recomputes them before their next use.
 DERIVED = frozenset(
     {
-        "._views['sensordata']",  # results of the last solve: sensors take them up behind each step
+        "._views['sensordata']",  # MuJoCo results, which sensors read after each physics step
         "._views['actuator_force']",
         ".sensors['contact']._readings",
         ".sensors['contact']._pressures",
         ".sensors['contact']._normals",
-        "._ended",  # masks on their way to the host, of the last step
-        "._has_worked",  # what messages tell: whether a term has run before, and what it returned
+        "._ended",  # masks of the last step that are being copied to the host
+        "._has_worked",  # used in error messages only
         ".form",
-        ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
+        ".robot.data._cache",  # quantities that are derived from the state on demand
         ".sensors['contact']._norms",
         ".sensors['contact']._largest_norm",
         ".sensors['contact']._counts",
-        ".sensors['contact'].data._history",  # of the forces, once asked for
-        ".robot.data._shows_outputs",  # about the cache
-        ".robot.data.motion_at_start",  # read within a control step alone
-        ".command_manager.step_errors",  # of the step alone
-        ".reward_manager._factors",  # taken anew where a curriculum has changed a weight
+        ".sensors['contact'].data._history",
+        ".robot.data._shows_outputs",
+        ".robot.data.motion_at_start",  # only used within a control step
+        ".command_manager.step_errors",
+        ".reward_manager._factors",  # recomputed if a curriculum has changed a weight
         ".reward_manager._weights",
-        ".robot._has_new_targets",  # set where a control step begins
+        ".robot._has_new_targets",  # set at the start of a control step
         ".action_manager._is_new",
     }
 )
 
 
 def everything() -> dict:
-    """Every class of the term library, and the stateful settings of the managers."""
+    """Return a config with every stateful class of the term library."""
     sections = copy.deepcopy(SECTIONS)
     left, right = {"joint_names": ["left_hip"]}, {"joint_names": ["right_hip"]}
+    axles = {"joint_names": [".*_axle"]}
     sections["actions"] = {
-        "position": {"_target_": A + "JointPositionAction", **left, "scale": 0.2, "clip": {".*": [-1.0, 1.0]}},
-        "relative": {"_target_": A + "RelativeJointPositionAction", **right, "scale": 0.1},
-        "velocity": {"_target_": A + "JointVelocityAction", "joint_names": [".*_axle"], "scale": 2.0},
-        "effort": {"_target_": A + "JointEffortAction", "joint_names": [".*_axle"], "scale": 0.1},
+        "position": term("actions.JointPositionAction", **left, scale=0.2, clip={".*": [-1.0, 1.0]}),
+        "relative": term("actions.RelativeJointPositionAction", **right, scale=0.1),
+        "velocity": term("actions.JointVelocityAction", **axles, scale=2.0),
+        "effort": term("actions.JointEffortAction", **axles, scale=0.1),
     }
+    lift = {"pose_range": {"z": [0.0, 0.1]}, "velocity_range": {}}
+    gains = {f"{name}_distribution_params": [0.5, 1.5] for name in ("stiffness", "damping")}
+    limits = {"lower_limit_distribution_params": [-1.5, -1.0], "upper_limit_distribution_params": [1.0, 1.5]}
+    passive = {"friction_distribution_params": [0.0, 0.1], "armature_distribution_params": [0.01, 0.02]}
+    gravity = {"gravity_distribution_params": [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]], "per_env": True}
+    force = {"force_range": [-2.0, 2.0], "torque_range": [-0.1, 0.1], "duration_s": [0.02, 0.1], "pause_s": [0.0, 0.2]}
+    turn = {"interval_range_s": [0.2, 0.5], "velocity_range": {"yaw": [-1.0, 1.0]}}
+    inertia = {"inertia_distribution_params": [0.5, 1.5]}
     sections["events"] |= {
-        "set": {
-            "_target_": E + "set_root_velocity",
-            "mode": "interval",
-            "interval_range_s": [0.2, 0.5],
-            "velocity_range": {"yaw": [-1.0, 1.0]},
-        },
-        "orientation": {
-            "_target_": E + "reset_root_state_with_random_orientation",
-            "mode": "reset",
-            "min_step_count_between_reset": 20,
-            "pose_range": {"z": [0.0, 0.1]},
-            "velocity_range": {},
-        },
-        "gains": {
-            "_target_": E + "randomize_actuator_gains",
-            "mode": "reset",
-            "stiffness_distribution_params": [0.5, 1.5],
-            "damping_distribution_params": [0.5, 1.5],
-            "operation": "scale",
-        },
-        "parameters": {
-            "_target_": E + "randomize_joint_parameters",
-            "mode": "reset",
-            "friction_distribution_params": [0.0, 0.1],
-            "armature_distribution_params": [0.01, 0.02],
-            "lower_limit_distribution_params": [-1.5, -1.0],
-            "upper_limit_distribution_params": [1.0, 1.5],
-            "asset_cfg": HIPS,
-        },
-        "encoders": {"_target_": E + "randomize_encoder_bias", "mode": "reset", "bias_range": [-0.05, 0.05]},
-        "gravity": {
-            "_target_": E + "randomize_physics_scene_gravity",
-            "mode": "reset",
-            "gravity_distribution_params": [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]],
-            "operation": "add",
-            "per_env": True,
-        },
-        "inertia": {
-            "_target_": E + "randomize_rigid_body_inertia",
-            "mode": "reset",
-            "inertia_distribution_params": [0.5, 1.5],
-            "operation": "scale",
-        },
-        "impulse": {
-            "_target_": E + "apply_body_impulse",
-            "mode": "step",
-            "force_range": [-2.0, 2.0],
-            "torque_range": [-0.1, 0.1],
-            "duration_s": [0.02, 0.1],
-            "pause_s": [0.0, 0.2],
-        },
+        "set": event("set_root_velocity", "interval", **turn),
+        "orientation": event(
+            "reset_root_state_with_random_orientation", "reset", min_step_count_between_reset=20, **lift
+        ),
+        "gains": event("randomize_actuator_gains", "reset", operation="scale", **gains),
+        "parameters": event("randomize_joint_parameters", "reset", asset_cfg=HIPS, **passive, **limits),
+        "encoders": event("randomize_encoder_bias", "reset", bias_range=[-0.05, 0.05]),
+        "gravity": event("randomize_physics_scene_gravity", "reset", operation="add", **gravity),
+        "inertia": event("randomize_rigid_body_inertia", "reset", operation="scale", **inertia),
+        "impulse": event("apply_body_impulse", "step", **force),
     }
-    uniform = {"_target_": N + "UniformNoise", "n_min": -0.01, "n_max": 0.01}
+    uniform = term("noise.UniformNoise", n_min=-0.01, n_max=0.01)
+    chain = [
+        term("modifiers.Scale", multiplier=2.0),
+        term("modifiers.Bias", value=0.1),
+        term("modifiers.Clip", bounds=[-3.0, 3.0]),
+        term("modifiers.Integrator", dt=0.02),
+        term("modifiers.DigitalFilter", A=[0.5], B=[0.5, 0.2]),
+    ]
+    biased = term("noise.NoiseModelWithAdditiveBias", noise_cfg=uniform, bias_noise_cfg={**uniform, "operation": "abs"})
     sections["observations"]["policy"]["terms"] |= {
-        "modified": {
-            "_target_": O + "base_lin_vel",
-            "modifiers": [
-                {"_target_": M + "Scale", "multiplier": 2.0},
-                {"_target_": M + "Bias", "value": 0.1},
-                {"_target_": M + "Clip", "bounds": [-3.0, 3.0]},
-                {"_target_": M + "Integrator", "dt": 0.02},
-                {"_target_": M + "DigitalFilter", "A": [0.5], "B": [0.5, 0.2]},
-            ],
-            "noise": {"_target_": N + "ConstantNoise", "bias": 0.5},
-        },
-        "normal": {"_target_": O + "joint_pos_limit_normalized", "asset_cfg": HIPS},
-        "biased": {
-            "_target_": O + "joint_vel",
-            "noise": {
-                "_target_": N + "NoiseModelWithAdditiveBias",
-                "noise_cfg": uniform,
-                "bias_noise_cfg": {**uniform, "operation": "abs"},
-            },
-            "clip": [-5.0, 5.0],
-            "scale": 0.5,
-        },
+        "modified": term("observations.base_lin_vel", modifiers=chain, noise=term("noise.ConstantNoise", bias=0.5)),
+        "normal": term("observations.joint_pos_limit_normalized", asset_cfg=HIPS),
+        "biased": term("observations.joint_vel", noise=biased, clip=[-5.0, 5.0], scale=0.5),
     }
-    sections["observations"]["critic"] = {"terms": {"v": {"_target_": O + "base_lin_vel"}}, "history_length": 2}
+    sections["observations"]["critic"] = {"terms": {"v": term("observations.base_lin_vel")}, "history_length": 2}
     sections["robot"] = {"actuators": copy.deepcopy(env_config()["robot"]["actuators"])}
     sections["robot"]["actuators"]["axles"]["_target_"] = ACTUATORS + "IdealPDActuator"
     sections["scene"] = {"sensors": {"contact": env_config()["scene"]["sensors"]["contact"], **SENSORS}}
     for name in ("is_terminated_term", "action_acceleration_l2", "joint_vel_rate_l2"):
-        sections["rewards"][name] = {"_target_": R + name, "weight": -1.0}
-    stuck = {"_target_": T + "stuck", "command_name": "v", "distance": 0.01, "time": 0.3}
+        sections["rewards"][name] = term(f"rewards.{name}", weight=-1.0)
+    stuck = term("terminations.stuck", command_name="v", distance=0.01, time=0.3)
     sections["terminations"] = {**sections.get("terminations", {}), "stuck": stuck}
     schedule = {"modify_fn": "wheelleg_exp.mdp.schedules.linear"}
     schedule["modify_params"] = {"start": 1.0, "end": 2.0, "num_steps": 50}
+    levels = {"reward_term_name": "is_terminated_term", "command_name": "v", "limit_ranges": {"lin_vel_x": [-9.0, 9.0]}}
     sections["curriculum"] = {
         **sections.get("curriculum", {}),
-        "levels": {
-            "_target_": C + "command_range_levels",
-            "reward_term_name": "is_terminated_term",
-            "command_name": "v",
-            "limit_ranges": {"lin_vel_x": [-9.0, 9.0]},
-        },
-        "setting": {"_target_": C + "modify_term_cfg", "address": "rewards.joint_vel_rate_l2.weight", **schedule},
-        "anything": {"_target_": C + "modify_env_param", "address": "max_episode_length_s", **schedule},
+        "levels": term("curriculums.command_range_levels", **levels),
+        "setting": term("curriculums.modify_term_cfg", address="rewards.joint_vel_rate_l2.weight", **schedule),
+        "anything": term("curriculums.modify_env_param", address="max_episode_length_s", **schedule),
     }
     return sections
 
@@ -211,7 +146,7 @@ MODELS = {
 
 
 def driven(model):
-    """Return the robot's section with a model behind the hips."""
+    """Return the robot section with a network as the actuator model of the hips."""
     robot = everything()["robot"]
     target = model if "." in model else ACTUATORS + model
     hips = {"_target_": target, "joint_names_expr": [".*_hip"], **MODELS.get(model, {**GAINS, **LIMITS})}
@@ -220,22 +155,19 @@ def driven(model):
 
 
 def act(env, steps, start=0):
-    """Step with actions that depend on the step's number alone; return what each step gave."""
+    """Run steps whose actions depend only on the step number; return the results of each step."""
     given = []
     for k in range(start, start + steps):
-        action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=_generator(k))
+        generator = torch.Generator().manual_seed(k)
+        action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=generator)
         obs, reward, terminated, time_outs, extras = env.step(action)
         log = {name: float(value) for name, value in extras.get("log", {}).items()}
         given.append(copy.deepcopy((obs, reward, terminated, time_outs, log)))
     return given
 
 
-def _generator(seed):
-    return torch.Generator().manual_seed(seed)
-
-
 def restored(env, make, lived=0):
-    """Return a new environment of another seed, which has lived for some steps, with the state of ``env``."""
+    """Return a new environment with another seed, stepped ``lived`` times and then loaded with the state of ``env``."""
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
     other = make(seed=91)
@@ -282,20 +214,14 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     library |= _classes(modifiers, modifiers.Modifier)
     for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
         library |= _classes(module, TermBase)
-    library -= {actuators.ActuatorNetMLP, actuators.ActuatorNetLSTM}  # restored beside their files, in tests/sim
+    library -= {actuators.ActuatorNetMLP, actuators.ActuatorNetLSTM}  # Tests in tests/sim cover these actuators.
     stock = {target.rpartition(".")[2] for path in configs_dir().rglob("*.yaml") for target in _targets(path)}
     left = {c.__qualname__ for c in library - found if not inspect.isabstract(c)} - stock - BASES
     assert left == set(), "neither here nor among the stock nodes, all of which tests/env/test_stock_nodes.py restores"
 
 
 BASES = {
-    "ActuatorBase",
-    "BinaryJointAction",
-    "Modifier",
-    "JointAction",
-    "JointTerm",
-    "TermBase",
-    "ActionTerm",
+    *("ActuatorBase", "BinaryJointAction", "Modifier", "JointAction", "JointTerm", "TermBase", "ActionTerm"),
     "CommandTerm",
 }
 
@@ -328,7 +254,7 @@ def test_the_walk_notices_any_of_them(make, spoil):
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) != []
 
 
-# --- what users' own terms may keep ---
+# --- user-defined terms: supported state ---
 
 OWN = {
     "list": spies.HERE + "RemembersInAList",
@@ -369,15 +295,7 @@ def test_an_actuators_memory_is_saved(make, model):
     assert equal(act(env, 10, 15), act(other, 10, 15))
 
 
-REFUSED_AT_ONCE = [
-    "RemembersInAnIterator",
-    "RemembersInAFile",
-    "RemembersInAConfig",
-    "RemembersInASimulation",
-]
-
-
-@pytest.mark.parametrize("kind", REFUSED_AT_ONCE)
+@pytest.mark.parametrize("kind", [f"RemembersIn{place}" for place in ("AnIterator", "AFile", "AConfig", "ASimulation")])
 def test_state_that_cannot_be_saved_is_refused_when_the_term_is_made(make, kind):
     own = everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}
     with pytest.raises(ConfigError) as caught:
@@ -464,7 +382,7 @@ def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):
     env = build()
     env.reset()
     act(env, 15)
-    env.max_episode_length = 40  # as a curriculum may set it
+    env.max_episode_length = 40  # A curriculum may set this attribute.
     other = restored(env, build, lived=8)
     assert equal(act(env, 30, 15), act(other, 30, 15))
     assert other.own_calls == env.own_calls
@@ -475,7 +393,6 @@ def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):
 
 
 def test_settings_that_a_curriculum_changed_are_state(make):
-    """Of every manager: fields and parameters, a number in place of a number and a list changed in place."""
     env = make()
     env.reset()
     env.reward_manager.get_term_cfg("track").params["std"] = 0.75
@@ -515,7 +432,6 @@ def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
 
 
 def test_model_fields_that_were_edited_after_the_constants_were_derived_go_round(make):
-    """An edit without ``set_const`` does not move MuJoCo's derived constants; nor may loading."""
     env = make()
     env.reset()
     act(env, 3)

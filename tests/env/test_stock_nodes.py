@@ -1,7 +1,7 @@
 """Every node of the stock configs, found by itself: what it gives, that a look changes nothing, and exact resume.
 
-Terms of one group are mounted together, since each has a name of its own; actions, robots, scenes and solvers exclude
-one another and are tried one by one.
+Terms of one group are tested in one environment, because their names differ. Actions, robots, scenes, and solvers
+exclude one another and are tested one by one.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ MOUNTS = {
     "recorder": "env.recorders",
 }
 APART = ("action", "robot", "scene", "sim")
-# What trains or measures, and what these make.
+# The environment does not build the nodes of these config groups.
 NOT_BUILT = ("agent", "pipeline", "protocol", "recording", "run", "task")
-# Options that a plane has no place for, and their groups.
+# These options need a terrain of tiles; the values are their config groups.
 ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "event"}
-# Pictures, which stand in groups of their own, and what draws them, where something can be drawn.
+# Camera options need a rendering backend; the values are their config groups.
 PICTURES: dict[str, str] = {"sensors/camera_image": "observation", "sensors/depth_image": "observation"}
 DRAWN = {"camera"}
 SIZE = [
@@ -45,26 +45,18 @@ SIZE = [
     "env.episode_length_s=0.2",
     "env.scene.sensors.contact_forces.track_air_time=true",
 ]
-# Of every sensor, whatever its name, what it takes from the last solve.
-DERIVED = KNOWN | {
-    "._readings",
-    "._pressures",
-    "._normals",
-    "._norms",
-    "._largest_norm",
-    "._counts",
-    ".data._history",
-}
+# Every sensor recomputes these attributes from the physics results.
+DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._largest_norm", "._counts", ".data._history"}
 DERIVED |= {
     f".sensors['{name}'].{what}"
     for name in ("height_scanner", "lidar", "camera")
     for what in ("_data", "_outdated", "_pictures")
 }
-DERIVED |= {".recorder_manager", "reset_order[7]", "._parts['env.recorders']"}  # what has been recorded is no state
+DERIVED |= {".recorder_manager", "reset_order[7]", "._parts['env.recorders']"}  # Recorded data is not state.
 
 
 def files(group: str) -> list[str]:
-    """Return the options of a group, those in folders below it included."""
+    """Return the options of a config group and of the folders below it."""
     folder = configs_dir() / group
     return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
 
@@ -77,7 +69,7 @@ def test_every_group_is_tried_or_named_as_one_that_is_not():
 
 
 def needs(group: str, options: list[str]) -> dict[str, set[str]]:
-    """Return the commands and sensors that some nodes name."""
+    """Return the names of the commands and sensors to which the options of a group refer."""
     found: dict[str, set[str]] = {"command": set(), "sensor": set()}
 
     def walk(value):
@@ -99,7 +91,7 @@ def needs(group: str, options: list[str]) -> dict[str, set[str]]:
 
 
 def options_by_key(group: str) -> dict[str, str]:
-    """Return the option of a group that carries each term's key."""
+    """Return the option of a config group that defines each term, by the term's key."""
     found = {}
     for option in files(group):
         for key in yaml.safe_load((configs_dir() / group / f"{option}.yaml").read_text()) or {}:
@@ -108,7 +100,7 @@ def options_by_key(group: str) -> dict[str, str]:
 
 
 def mounting(group: str, options: list[str]) -> list[str]:
-    """Return the overrides that put nodes into the stock task, with the commands and sensors that they name."""
+    """Return the overrides that add options to the stock task, with the commands and sensors to which they refer."""
     wanted = {group: options}
     for other, keys in needs(group, options).items():
         known = options_by_key(other) if (configs_dir() / other).is_dir() else {}
@@ -129,12 +121,12 @@ def built(overrides: list[str]):
     """Return the environment of the stock task with some overrides."""
     found = composed("task=stand", *SIZE, *overrides)
     for reward in found.config["env"]["rewards"].values():
-        reward["weight"] = reward["weight"] or 1.0  # one of weight 0 is not called
+        reward["weight"] = reward["weight"] or 1.0  # The manager does not call a reward of weight 0.
     return build_env(found.config, asset_roots=found.asset_roots)
 
 
 def hold(overrides: list[str]) -> None:
-    """Build, run, look, save, restore: every property that each node has to have."""
+    """Check every property that each stock config node must have."""
     with no_global_draws():
         env = built(overrides)
         env.reset()
@@ -146,7 +138,7 @@ def hold(overrides: list[str]) -> None:
 
 
 def given(env) -> None:
-    """Hold shapes, kinds and numbers of what terms give."""
+    """Check the shapes, dtypes, and values of observations, rewards, and terminations."""
     manager = env.observation_manager
     for group in manager.active_terms:
         for name, value in manager.split(group, manager.obs_buf[group]).items():
@@ -166,7 +158,7 @@ def given(env) -> None:
 
 
 def looks(env) -> None:
-    """Hold that reading observations and describing the environment leave everything as it was."""
+    """Check that reading observations and describing the environment change no state."""
     before = Crawl(env, DERIVED)
     first, second = env.observation_manager.peek(), env.observation_manager.peek()
     env.describe()
@@ -176,10 +168,10 @@ def looks(env) -> None:
 
 
 def restores(env, overrides: list[str]) -> None:
-    """Hold that another environment, after the same steps from a saved state, is the same to the bit."""
+    """Check that a restored environment is bit-identical after the same steps."""
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
-    other = built(overrides)  # the same seed, of which a ground is made as well
+    other = built(overrides)  # The terrain also depends on the seed.
     other.reset()
     act(other, 3, start=1000)
     file.seek(0)
@@ -220,6 +212,6 @@ def test_what_needs_a_ground_of_tiles(option):
 def test_each_option_that_excludes_others(group, option):
     mount = "@env.actions" if group == "action" else ""
     chosen = option
-    if group == "action":  # beside the action that drives the other joints
+    if group == "action":
         chosen = f"[{option}]"
     hold([f"{group}{mount}={chosen}"])

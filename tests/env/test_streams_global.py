@@ -7,96 +7,45 @@ import copy
 import pytest
 import torch
 
+from env.composed import event, term
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.determinism import no_global_draws
 
-E = "wheelleg_exp.mdp.events."
-O = "wheelleg_exp.mdp.observations."
-N = "wheelleg_exp.mdp.noise."
 BASE = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["base"]}
 SPAN = {"x": [-0.1, 0.1], "yaw": [-0.3, 0.3]}
 JOINTS = {"position_range": [0.9, 1.1], "velocity_range": [-0.1, 0.1]}
-# Events that draw, one of each kind.
+FRICTION = {"static_friction_range": [0.2, 1.2], "dynamic_friction_range": [0.2, 1.0], "restitution_range": [0.0, 0.1]}
+OFTEN = {"interval_range_s": [0.02, 0.05], "velocity_range": SPAN}
+# The config has one event of each class that draws random numbers.
 EVENTS = {
-    "material": {
-        "_target_": E + "randomize_rigid_body_material",
-        "mode": "startup",
-        "static_friction_range": [0.2, 1.2],
-        "dynamic_friction_range": [0.2, 1.0],
-        "restitution_range": [0.0, 0.1],
-        "num_buckets": 16,
-    },
-    "mass": {
-        "_target_": E + "randomize_rigid_body_mass",
-        "mode": "startup",
-        "mass_distribution_params": [0.8, 1.3],
-        "operation": "scale",
-    },
-    "com": {
-        "_target_": E + "randomize_rigid_body_com_cumulative",
-        "mode": "reset",
-        "com_range": {"x": [-0.1, 0.1]},
-        "asset_cfg": BASE,
-    },
-    "wrench": {
-        "_target_": E + "set_permanent_body_wrench",
-        "mode": "reset",
-        "force_range": [-0.1, 0.1],
-        "torque_range": [-0.01, 0.01],
-        "asset_cfg": BASE,
-    },
-    "push": {
-        "_target_": E + "push_by_adding_velocity",
-        "mode": "interval",
-        "interval_range_s": [0.02, 0.05],
-        "velocity_range": SPAN,
-    },
-    "shove": {
-        "_target_": E + "set_root_velocity",
-        "mode": "interval",
-        "interval_range_s": [0.02, 0.05],
-        "is_global_time": True,
-        "velocity_range": SPAN,
-    },
-    "place": {
-        "_target_": E + "reset_root_state_uniform",
-        "mode": "reset",
-        "pose_range": SPAN,
-        "velocity_range": SPAN,
-    },
-    "turn": {
-        "_target_": E + "reset_root_state_with_random_orientation",
-        "mode": "reset",
-        "pose_range": {"x": [-0.1, 0.1]},
-        "velocity_range": SPAN,
-    },
-    "scale": {"_target_": E + "reset_joints_by_scale", "mode": "reset", **JOINTS},
-    "offset": {"_target_": E + "reset_joints_by_offset", "mode": "reset", **JOINTS},
+    "material": event("randomize_rigid_body_material", "startup", num_buckets=16, **FRICTION),
+    "mass": event("randomize_rigid_body_mass", "startup", mass_distribution_params=[0.8, 1.3], operation="scale"),
+    "com": event("randomize_rigid_body_com_cumulative", "reset", com_range={"x": [-0.1, 0.1]}, asset_cfg=BASE),
+    "wrench": event(
+        *("set_permanent_body_wrench", "reset"), force_range=[-0.1, 0.1], torque_range=[-0.01, 0.01], asset_cfg=BASE
+    ),
+    "push": event("push_by_adding_velocity", "interval", **OFTEN),
+    "shove": event("set_root_velocity", "interval", is_global_time=True, **OFTEN),
+    "place": event("reset_root_state_uniform", "reset", pose_range=SPAN, velocity_range=SPAN),
+    "turn": event(
+        "reset_root_state_with_random_orientation", "reset", pose_range={"x": [-0.1, 0.1]}, velocity_range=SPAN
+    ),
+    "scale": event("reset_joints_by_scale", "reset", **JOINTS),
+    "offset": event("reset_joints_by_offset", "reset", **JOINTS),
 }
+RANGES = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0], "heading": [-3.0, 3.0]}
+SHARES = {"rel_standing_envs": 0.3, "heading_command": True, "rel_heading_envs": 0.5}
 COMMANDS = {
-    name: {
-        "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
-        "resampling_time_range": [0.02, 0.05],
-        "rel_standing_envs": 0.3,
-        "heading_command": True,
-        "rel_heading_envs": 0.5,
-        "ranges": {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0], "heading": [-3.0, 3.0]},
-    }
+    name: term("commands.UniformVelocityCommand", resampling_time_range=[0.02, 0.05], ranges=RANGES, **SHARES)
     for name in ("v", "w")
 }
+BIAS = {"noise_cfg": term("noise.GaussianNoise"), "bias_noise_cfg": term("noise.UniformNoise", operation="abs")}
 OBSERVATIONS = {
-    "uniform": {"_target_": O + "base_ang_vel", "noise": {"_target_": N + "UniformNoise"}},
-    "gaussian": {"_target_": O + "projected_gravity", "noise": {"_target_": N + "GaussianNoise"}},
-    "bias": {
-        "_target_": O + "joint_pos",
-        "noise": {
-            "_target_": N + "NoiseModelWithAdditiveBias",
-            "noise_cfg": {"_target_": N + "GaussianNoise"},
-            "bias_noise_cfg": {"_target_": N + "UniformNoise", "operation": "abs"},
-        },
-    },
+    "uniform": term("observations.base_ang_vel", noise=term("noise.UniformNoise")),
+    "gaussian": term("observations.projected_gravity", noise=term("noise.GaussianNoise")),
+    "bias": term("observations.joint_pos", noise=term("noise.NoiseModelWithAdditiveBias", **BIAS)),
 }
-TERMINATIONS = {"time_out": {"_target_": "wheelleg_exp.mdp.terminations.time_out", "time_out": True}}
+TERMINATIONS = {"time_out": term("terminations.time_out", time_out=True)}
 DRAWING = [f"events.{name}" for name in EVENTS]
 DRAWING += [f"commands.{name}" for name in COMMANDS]
 DRAWING += [f"observations.policy.terms.{name}" for name in OBSERVATIONS]
@@ -109,7 +58,7 @@ def sections():
 
 
 def lived(env):
-    """The environment after resets and steps in which every term has drawn; none of its episodes ends in between."""
+    """Reset and step the environment until every term has drawn random numbers; no episode ends in these steps."""
     for _ in range(2):
         env.reset()
         for _ in range(4):

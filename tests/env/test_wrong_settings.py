@@ -1,4 +1,4 @@
-"""Settings of the right type that make no sense are refused with their key, not by a traceback, not in silence."""
+"""Test that invalid settings of the right type raise ConfigError with their key."""
 
 from __future__ import annotations
 
@@ -8,31 +8,17 @@ import pytest
 import torch
 from sim.small_envs import ACTUATORS, PLANE
 
+from env.composed import event, term
 from wheelleg_exp.errors import ConfigError
 
-E = "wheelleg_exp.mdp.events."
-MATERIAL = {
-    "_target_": E + "randomize_rigid_body_material",
-    "mode": "startup",
-    "static_friction_range": [0.6, 1.2],
-    "dynamic_friction_range": [0.5, 1.0],
-    "restitution_range": [0.0, 0.1],
-    "num_buckets": 4,
-}
-MASS = {"_target_": E + "randomize_rigid_body_mass", "mode": "startup", "operation": "add"}
-WRENCH = {
-    "_target_": E + "set_permanent_body_wrench",
-    "mode": "reset",
-    "force_range": [-1.0, 1.0],
-    "torque_range": [0.0, 0.0],
-}
-JOINTS = {
-    "_target_": E + "reset_joints_by_scale",
-    "mode": "reset",
-    "position_range": [1.0, 1.0],
-    "velocity_range": [0.0, 0.0],
-}
-PUSH = {"_target_": E + "push_by_adding_velocity", "mode": "interval", "velocity_range": {}}
+FRICTION = {"static_friction_range": [0.6, 1.2], "dynamic_friction_range": [0.5, 1.0], "restitution_range": [0.0, 0.1]}
+MATERIAL = event("randomize_rigid_body_material", "startup", num_buckets=4, **FRICTION)
+MASS = event("randomize_rigid_body_mass", "startup", operation="add")
+WRENCH = event("set_permanent_body_wrench", "reset", force_range=[-1.0, 1.0], torque_range=[0.0, 0.0])
+JOINTS = event("reset_joints_by_scale", "reset", position_range=[1.0, 1.0], velocity_range=[0.0, 0.0])
+PUSH = event("push_by_adding_velocity", "interval", velocity_range={})
+PLAIN = {"_target_": PLANE, "static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
+ROBOT = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot"}
 
 
 def _run(env):
@@ -72,19 +58,7 @@ def test_events(make_env, node, key):
     [
         ("sim", {"gravity": [0.0, 0.0]}, "env.sim.gravity"),
         ("scene", {"terrain": {"_target_": PLANE, "static_friction": 0.5}}, "env.scene.terrain"),
-        (
-            "scene",
-            {
-                "terrain": {
-                    "_target_": PLANE,
-                    "static_friction": 0.5,
-                    "dynamic_friction": 0.5,
-                    "restitution": 0.0,
-                    "x": 1,
-                }
-            },
-            "env.scene.terrain",
-        ),
+        ("scene", {"terrain": PLAIN | {"x": 1}}, "env.scene.terrain"),
         ("scene", {"terrain": {"_target_": ACTUATORS + "ImplicitActuator"}}, "env.scene.terrain"),
         ("robot", {"base": "fixed"}, "env.robot.base"),
     ],
@@ -127,22 +101,11 @@ def test_terms_of_a_group_that_do_not_fit_together(make_env):
 
 
 def test_a_contact_reward_on_what_is_no_contact_sensor(make_env):
-    cfg = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot"}
-    node = {
-        "_target_": "wheelleg_exp.mdp.rewards.undesired_contacts",
-        "weight": 1.0,
-        "threshold": 1.0,
-        "sensor_cfg": cfg,
-    }
+    node = term("rewards.undesired_contacts", weight=1.0, threshold=1.0, sensor_cfg=ROBOT)
     _refused(make_env, "env.rewards.r", rewards={"r": node})
 
 
 def test_left_and_right_of_different_numbers(make_env):
-    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot"}
-    node = {
-        "_target_": "wheelleg_exp.mdp.rewards.joint_symmetry_l1",
-        "weight": 1.0,
-        "left_cfg": entity | {"joint_names": ["left_hip"]},
-        "right_cfg": entity | {"joint_names": ["right_.*"]},
-    }
+    left, right = ROBOT | {"joint_names": ["left_hip"]}, ROBOT | {"joint_names": ["right_.*"]}
+    node = term("rewards.joint_symmetry_l1", weight=1.0, left_cfg=left, right_cfg=right)
     _refused(make_env, "env.rewards.r", rewards={"r": node})

@@ -1,4 +1,4 @@
-"""What tests of evaluations share: the stock task, short protocols, scripted policies."""
+"""Fixtures for tests of evaluations: the stock task, short protocols, and scripted policies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def task() -> tuple[dict[str, Any], Path]:
 
 
 def protocol(name: str, *words: str) -> dict[str, Any]:
-    """Return a composed protocol with few resamples, plain."""
+    """Return a composed protocol with few bootstrap resamples, as plain data."""
     return compose([f"protocol={name}", "protocol.resamples=20", *words], primary="evaluate").config["protocol"]
 
 
@@ -39,8 +39,6 @@ def not_numbers(env):
 
 
 class Told:
-    """A command term of which somebody hears a multiple."""
-
     def __init__(self, term: Any, factor: float) -> None:
         self._term, self._factor = term, factor
 
@@ -50,7 +48,7 @@ class Told:
 
 
 def balancer(factor: float):
-    """Return what makes the reference controller, which hears a multiple of the command: 0 never moves, -1 is wrong."""
+    """Return a function that makes a reference controller whose command is multiplied by ``factor``."""
 
     def make(env):
         policy = Reference(env)
@@ -61,6 +59,6 @@ def balancer(factor: float):
 
 
 def stub_env(**data: Any) -> SimpleNamespace:
-    """Return as much of an environment as the effort meter reads."""
+    """Return an object with the attributes of an environment that the effort meter reads."""
     robot = SimpleNamespace(data=SimpleNamespace(**data))
     return SimpleNamespace(device=torch.device("cpu"), scene=SimpleNamespace(robot=robot, sensors={}))

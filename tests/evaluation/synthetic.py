@@ -1,4 +1,4 @@
-"""Trajectories written by hand."""
+"""Build trajectories of synthetic episodes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DT = 1 / 60
 
 
 def parts(n: int = 1) -> RobotParts:
-    """Return two legs of one joint and two wheels; 0.2 m apart; limits of 2 and 10 N·m, 0.5 kg."""
+    """Return a robot of 0.5 kg with two legs of one joint, and two wheels with a track of 0.2 m."""
     index = torch.tensor
     return RobotParts(
         joint_names=("hip_a", "hip_b", "roll_a", "roll_b"),
@@ -30,7 +30,7 @@ def parts(n: int = 1) -> RobotParts:
 
 
 def still(seconds: float, n: int = 1) -> Trajectories:
-    """Return episodes in which nothing happens and nobody ends."""
+    """Return episodes of robots that stand still and survive."""
     steps = round(seconds / DT)
 
     def room(*shape: int) -> torch.Tensor:
@@ -54,12 +54,12 @@ def still(seconds: float, n: int = 1) -> Trajectories:
 
 
 def times(made: Trajectories) -> torch.Tensor:
-    """Return the moment at the end of each step, s, (T,)."""
+    """Return the time at the end of each step, s, (T,)."""
     return torch.arange(1, made.steps + 1) * DT
 
 
 def fall(made: Trajectories, episode: int, at_s: float) -> None:
-    """Let an episode fail at a moment."""
+    """Make an episode fail at the time ``at_s``."""
     step = round(at_s / DT)
     made.fell_at[episode] = step
     made.alive[step - 1 :, episode] = False

@@ -1,7 +1,8 @@
-"""Deliberately bad policies against the gates of the stock pipeline: none gets through one that it should not."""
+"""Test that the gates of the stock pipeline reject deliberately bad policies."""
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -13,47 +14,27 @@ from wheelleg_exp.evaluation import Evaluation, evaluate
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 
 PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipeline"]["phases"]
+
+
+def words(test: str, **settings: Any) -> tuple[str, ...]:
+    return tuple(f"protocol.{test}.{name}={value}" for name, value in settings.items())
+
+
+KINDS = ("grid", "waves", "obstacles", "stairs", "stairs_inverted", "slope_inverted")
+WALK = words("walk", episodes=1, horizon_s=4.0, steady_s=2.0, lin_vel_x="[-0.3,0.0,0.3]")
 SMALL = {
-    "gate_stand": ("protocol.stand.episodes=4", "protocol.stand.horizon_s=4.0", "protocol.stand.survival_s=[4.0]"),
-    "gate_walk": (
-        "protocol.walk.episodes=1",
-        "protocol.walk.horizon_s=4.0",
-        "protocol.walk.steady_s=2.0",
-        "protocol.walk.lin_vel_x=[-0.3,0.0,0.3]",
-    ),
-    "walk": (
-        "protocol.walk.episodes=1",
-        "protocol.walk.horizon_s=4.0",
-        "protocol.walk.steady_s=2.0",
-        "protocol.walk.lin_vel_x=[-0.3,0.0,0.3]",
-        "protocol.walk.ang_vel_z=[-0.5,0.0,0.5]",
-        "protocol.steps.episodes=1",
-        "protocol.steps.stand_s=1.0",
-        "protocol.steps.drive_s=2.0",
-    ),
-    "push": (
-        "protocol.push.episodes=1",
-        "protocol.push.iterations=2",
-        "protocol.push.highest=0.4",
-        "protocol.push.directions=2",
-        "protocol.push.at_s=1.1",
-        "protocol.push.after_s=2.0",
-    ),
+    "gate_stand": words("stand", episodes=4, horizon_s=4.0, survival_s="[4.0]"),
+    "gate_walk": WALK,
+    "walk": (*WALK, *words("walk", ang_vel_z="[-0.5,0.0,0.5]"), *words("steps", episodes=1, stand_s=1.0, drive_s=2.0)),
+    "push": words("push", episodes=1, iterations=2, highest=0.4, directions=2, at_s=1.1, after_s=2.0),
     "robust": (
-        "protocol.robust.episodes=1",
-        "protocol.robust.horizon_s=2.0",
-        "protocol.robust.friction=[0.6]",
-        *(f"protocol.robust.{sweep}=[]" for sweep in ("mass", "com", "delay_s", "noise", "gains")),
+        *words("robust", episodes=1, horizon_s=2.0, friction="[0.6]"),
+        *words("robust", **dict.fromkeys(("mass", "com", "delay_s", "noise", "gains"), "[]")),
     ),
     "terrain": (
         "protocol.strip=null",
-        "protocol.terrain.episodes=2",
-        "protocol.terrain.levels=2",
-        "protocol.terrain.horizon_s=3.0",
-        *(
-            f"protocol.terrain.scene.terrain.sub_terrains.{kind}=null"
-            for kind in ("grid", "waves", "obstacles", "stairs", "stairs_inverted", "slope_inverted")
-        ),
+        *words("terrain", episodes=2, levels=2, horizon_s=3.0),
+        *words("terrain.scene.terrain.sub_terrains", **dict.fromkeys(KINDS, "null")),
     ),
 }
 BAD = {"zeros": zeros, "noise": noise, "wrong sign": balancer(-1.0), "never moves": balancer(0.0)}
@@ -61,7 +42,7 @@ BAD = {"zeros": zeros, "noise": noise, "wrong sign": balancer(-1.0), "never move
 
 @pytest.fixture(scope="module")
 def found(task):
-    """Evaluations by name of the policy and of the protocol, each made once."""
+    """Return a function that evaluates a policy by a protocol, at most once for each pair."""
 
     @cache
     def of(policy: str, name: str) -> Evaluation:
@@ -94,7 +75,6 @@ def test_who_falls_does_not_pass_the_gate_of_standing(found, policy):
 
 
 def test_who_never_moves_fails_at_driving_alone(found):
-    """It stands as well as the one that drives, so what stops it is skill and nothing else."""
     asked = gate("walk")
     never, good = (judge(asked, values(found(policy, "gate_walk"))) for policy in ("never moves", "good"))
     assert {line.split()[0] for line in never.why} - {line.split()[0] for line in good.why} == {
@@ -119,14 +99,13 @@ SHARES = [f"steps/{name}_share_{axis}" for name in ("settle", "reversal", "stop"
 
 
 def told(evaluation: Evaluation, *starts: str) -> dict[str, float]:
-    """Return the metrics whose names begin so, that are numbers."""
+    """Return the finite metrics whose names have the prefix ``starts``."""
     found = {name: value for name, value in values(evaluation).items() if name.startswith(starts)}
     return {name: value for name, value in found.items() if value is not None}
 
 
 @pytest.mark.parametrize("policy", FALLS)
 def test_who_falls_at_once_has_no_success_anywhere(found, policy):
-    """Falls within two seconds: what a metric counts as success is 0, what it measures of the living is not told."""
     stood = found(policy, "gate_stand")
     assert stood.value("stand/survival") == 0.0
     assert stood.value("stand/time_to_failure") < 2.0
@@ -152,7 +131,6 @@ def test_who_falls_at_once_has_no_success_anywhere(found, policy):
 
 
 def test_who_never_moves_has_what_standing_still_deserves(found):
-    """Over vx of -0.3, 0, 0.3 and wz of -0.5, 0, 0.5: one cell of nine asks for nothing; the error is the command."""
     walked = found("never moves", "walk")
     assert walked.value("walk/survival") == 1.0
     assert walked.value("walk/commandable_area") == pytest.approx(1 / 9)
@@ -160,9 +138,11 @@ def test_who_never_moves_has_what_standing_still_deserves(found):
         assert walked.value(f"walk/gain_{axis}") == pytest.approx(0.0, abs=0.05)
         assert walked.value(f"walk/skill_{axis}") == pytest.approx(0.0, abs=0.05)
         assert walked.value(f"walk/error_{axis}") == pytest.approx((6 / 8) ** 0.5 * command, rel=0.1)
+    at_the_wheels = math.hypot(0.3, 0.056 * 0.5) * (6 / 8) ** 0.5  # The track of the wheels is 0.112 m.
+    assert walked.value("walk/error_wheels") == pytest.approx(at_the_wheels, rel=0.1)
     assert {walked.value(name) for name in SHARES} == {0.0}
     assert told(walked, "steps/stop_", "steps/settle_v", "steps/reversal_v").keys() <= set(SHARES)
-    assert found("never moves", "push").value("push/limit_0s") > 0.1  # it stands, and well
+    assert found("never moves", "push").value("push/limit_0s") > 0.1
 
 
 def test_who_goes_the_wrong_way_is_worse_than_who_stands(found):
@@ -178,7 +158,6 @@ def test_who_goes_the_wrong_way_is_worse_than_who_stands(found):
 
 
 def test_who_is_good_has_what_the_bad_ones_have_not(found):
-    """So that the metrics above are not 0 for everyone."""
     walked = found("good", "walk")
     assert walked.value("walk/commandable_area") > 0.5
     assert walked.value("walk/skill_vx") > 0.8

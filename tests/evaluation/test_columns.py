@@ -1,4 +1,4 @@
-"""Columns of episodes against closed forms on trajectories written by hand."""
+"""Test the columns of episodes against closed forms on synthetic trajectories."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import torch
 from evaluation.synthetic import DT, fall, parts, still, times
 from wheelleg_exp.evaluation import motion_columns
 from wheelleg_exp.evaluation.disturbance_tests import recovery
+from wheelleg_exp.evaluation.metric_catalogue import measured
+from wheelleg_exp.evaluation.motion_columns import Motion
 from wheelleg_exp.evaluation.protocol_options import Push, Steps, Walk
 from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
@@ -34,7 +36,7 @@ def test_a_sine_has_its_amplitude_over_root_two_and_a_mean_of_its_middle():
     t = times(made)
     made.pitch[:, 0] = 0.1 + 0.2 * torch.sin(2 * math.pi * t)
     made.height[:, 0] = 0.07 + 0.01 * torch.sin(2 * math.pi * t)
-    columns = motion_columns.posture(made, 1.0, 0.07)
+    columns = measured(Motion(made, parts(), 1.0, 0.07))
     assert one(columns, "pitch_rms_rad") == pytest.approx(math.sqrt(0.1**2 + 0.2**2 / 2), rel=1e-5)
     assert one(columns, "lean_rad") == pytest.approx(0.1, rel=1e-5)
     assert one(columns, "pitch_std_rad") == pytest.approx(0.2 / math.sqrt(2), rel=1e-5)
@@ -47,13 +49,13 @@ def test_what_happens_while_settling_or_after_a_fall_counts_for_nothing():
     made.pitch[:60] = 1.0
     fall(made, 1, 3.0)
     made.pitch[180:, 1] = 1.0
-    assert motion_columns.posture(made, 1.0, None)["pitch_rms_rad"].tolist() == [0.0, 0.0]
+    assert measured(Motion(made, parts(2), 1.0))["pitch_rms_rad"].tolist() == [0.0, 0.0]
 
 
 def test_an_episode_that_ends_while_settling_has_no_posture():
     made = still(5.0)
     fall(made, 0, 0.5)
-    assert math.isnan(one(motion_columns.posture(made, 1.0, 0.07), "height_rmse_m"))
+    assert math.isnan(one(measured(Motion(made, parts(), 1.0, 0.07)), "height_rmse_m"))
     assert math.isnan(one(motion_columns.drift(made, 1.0), "drift_max_m"))
 
 
@@ -63,14 +65,14 @@ def test_a_fall_is_told_at_the_moments_after_it():
     columns = motion_columns.survival(made, [5.0, 20.0, 60.0])
     assert columns["survived_5s"].tolist() == [1.0, 1.0]
     assert columns["survived_20s"].tolist() == [1.0, 0.0]
-    assert "survived_60s" not in columns  # beyond the horizon nothing is known
+    assert "survived_60s" not in columns  # The horizon is shorter than 60 s.
     assert columns["time_to_failure_s"].tolist() == pytest.approx([20.0, 7.0])
 
 
 def test_a_constant_drift_has_its_speed_and_its_way_since_settling():
     made = still(11.0)
     made.pos[:, 0, 0], made.pos[:, 0, 1] = 0.03 * times(made), 0.04 * times(made)
-    made.yaw[:, 0] = torch.remainder(3.0 + 0.1 * times(made) + math.pi, 2 * math.pi) - math.pi  # wraps on its way
+    made.yaw[:, 0] = torch.remainder(3.0 + 0.1 * times(made) + math.pi, 2 * math.pi) - math.pi  # The yaw wraps at pi.
     columns = motion_columns.drift(made, 1.0)
     assert one(columns, "drift_speed_m_s") == pytest.approx(0.05, rel=1e-5)
     assert one(columns, "drift_max_m") == pytest.approx(0.5, rel=1e-4)
@@ -94,23 +96,24 @@ def test_the_slope_of_a_line_is_its_slope_whatever_the_window():
 def test_mirrored_legs_are_alike_by_the_sign_of_their_mirror():
     made = still(3.0)
     made.joint_pos[..., 0], made.joint_pos[..., 1] = 0.5, -0.5
-    assert one(motion_columns.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == 0.0
+    assert one(measured(Motion(made, parts(), 1.0)), "leg_symmetry_rms_rad") == 0.0
     made.joint_pos[..., 1] = 0.5
-    assert one(motion_columns.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == pytest.approx(1.0)
+    assert one(measured(Motion(made, parts(), 1.0)), "leg_symmetry_rms_rad") == pytest.approx(1.0)
 
 
 def test_a_wheel_that_is_up_half_the_time():
     made = still(3.0)
     made.down[::2, 0, 1] = False
-    assert one(motion_columns.stance(made, parts(), 1.0), "wheels_down_share") == pytest.approx(0.5)
+    assert one(measured(Motion(made, parts(), 1.0)), "wheels_down_share") == pytest.approx(0.5)
 
 
 def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_wheel_and_second():
     made = still(11.0)
     made.torque_rms[:, 0, 2], made.torque_rms[:, 0, 3] = 3.0, 5.0
-    made.torque_rms[:60], made.sign_changes[:60] = 9.0, 9.0  # while it settles
-    made.sign_changes[60::6, 0, 1] = 2.0  # one wheel of two
-    columns = motion_columns.effort(made, parts(), 1.0)
+    made.torque_rms[:60], made.sign_changes[:60] = 9.0, 9.0
+    made.sign_changes[60::6, 0, 1] = 2.0
+    motion = Motion(made, parts(), 1.0)
+    columns = measured(motion) | motion_columns.group_effort(motion)
     assert one(columns, "wheel_sign_changes_per_s") == pytest.approx(10.0)
     assert one(columns, "torque_rms_wheels_nm") == pytest.approx(math.sqrt((9.0 + 25.0) / 2))
     assert one(columns, "torque_share_wheels") == pytest.approx(math.sqrt((9.0 + 25.0) / 2) / 10.0)
@@ -120,7 +123,7 @@ def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_whee
 def test_saturation_is_a_share_and_its_worst_joint_is_told():
     made = still(3.0)
     made.saturated[..., 3] = 1.0
-    columns = motion_columns.effort(made, parts(), 1.0)
+    columns = motion_columns.group_effort(Motion(made, parts(), 1.0))
     assert one(columns, "saturation_wheels") == pytest.approx(0.5)
     assert one(columns, "saturation_max_wheels") == pytest.approx(1.0)
     assert one(columns, "saturation_hips") == 0.0
@@ -132,19 +135,19 @@ def test_the_cost_of_transport_is_energy_over_weight_and_way():
     made.command[:, 0, 0] = 0.3
     made.work[..., 0], made.work[..., 1], made.work[..., 2] = 2.0 * DT, 0.5 * DT, 1.0 * DT
     made.work[..., 3] = 3.0
-    columns = motion_columns.energy(made, parts(2), 1.0)
+    columns = measured(Motion(made, parts(2), 1.0))
     assert columns["power_gross_w"].tolist() == pytest.approx([2.0, 2.0], rel=1e-5)
     assert columns["positive_work_j"].tolist() == pytest.approx([10.0, 10.0], rel=1e-5)
     assert columns["peak_power_w"].tolist() == [3.0, 3.0]
     assert one(columns, "cost_of_transport_gross") == pytest.approx(2.0 / (0.5 * 9.81 * 0.3), rel=1e-4)
     assert one(columns, "cost_of_transport_net") == pytest.approx(0.5 / (0.5 * 9.81 * 0.3), rel=1e-4)
-    assert math.isnan(columns["cost_of_transport_net"][1])  # who is told to stand transports nothing
+    assert math.isnan(columns["cost_of_transport_net"][1])  # Episodes with a zero command have no cost of transport.
 
 
 def test_alternating_actions_have_the_greatest_rate_and_acceleration():
     made = still(3.0)
     made.action[:] = torch.where(torch.arange(made.steps) % 2 == 0, 1.0, -1.0).view(-1, 1, 1)
-    columns = motion_columns.smoothness(made, parts(), 1.0)
+    columns = measured(Motion(made, parts(), 1.0))
     assert one(columns, "action_rate_per_s") == pytest.approx(2.0 / DT)
     assert one(columns, "action_acceleration_per_s2") == pytest.approx(4.0 / DT**2)
 
@@ -152,12 +155,11 @@ def test_alternating_actions_have_the_greatest_rate_and_acceleration():
 @pytest.mark.parametrize(("hertz", "share"), [(2.0, 0.0), (20.0, 1.0)])
 def test_power_above_ten_hertz_is_told_from_power_below(hertz, share):
     made = still(11.0)
-    made.torque[..., 2] = 1.0 + torch.sin(2 * math.pi * hertz * times(made)).unsqueeze(1)  # the mean is no power
-    assert one(motion_columns.smoothness(made, parts(), 1.0), "fast_power_share") == pytest.approx(share, abs=1e-4)
+    made.torque[..., 2] = 1.0 + torch.sin(2 * math.pi * hertz * times(made)).unsqueeze(1)  # The mean must not count.
+    assert one(measured(Motion(made, parts(), 1.0)), "fast_power_share") == pytest.approx(share, abs=1e-4)
 
 
 def test_both_errors_come_together_at_the_wheels():
-    """Too fast by 0.03 m/s is that at each wheel; turning too fast by 0.4 rad/s is 0.04 m/s at 0.1 m to either side."""
     made = still(11.0, 4)
     made.command[..., 0], made.command[..., 2] = 0.3, 0.5
     made.vel[..., 0], made.ang[..., 2] = 0.3, 0.5
@@ -197,7 +199,7 @@ def test_where_nothing_is_asked_the_band_is_that_of_the_least_command():
     made = still(11.0, 2)
     made.vel[:, 0, 0], made.vel[:, 1, 0] = 0.02, 0.04
     columns = motion_columns.tracking(made, 1.0, WALK)
-    assert motion_columns.within_band(made, columns, WALK)["in_band"].tolist() == [1.0, 0.0]  # 10 % of 0.3 m/s
+    assert motion_columns.within_band(made, columns, WALK)["in_band"].tolist() == [1.0, 0.0]
 
 
 STEPS = Steps(episodes=1, stand_s=2.0, drive_s=4.0, lin_vel_x=[0.3], ang_vel_z=[], band=0.1)
@@ -205,7 +207,7 @@ FORWARDS = torch.tensor([[0.3, 0.0, 0.0]])
 
 
 def steps_of_a_first_order_lag(tau: float):
-    """Return a robot whose velocity follows its command by v' = (c - v) / tau."""
+    """Return episodes in which the velocity v follows the command c by v' = (c - v) / tau."""
     made = still(14.0)
     segment = ((torch.arange(made.steps) * DT - 2.0 + 1e-6) / 4.0).floor().long() + 1
     made.command[:, 0, 0] = torch.tensor([0.0, 0.3, -0.3, 0.0])[segment.clamp(0, 3)]
@@ -223,7 +225,7 @@ def test_a_first_order_lag_settles_after_its_logarithms():
     assert one(columns, "reversal_s_vx") == pytest.approx(0.4 * math.log(20), abs=2 * DT)
     assert one(columns, "stop_s_vx") == pytest.approx(0.4 * math.log(10), abs=2 * DT)
     assert one(columns, "overshoot_vx") == 0.0
-    assert one(columns, "stop_distance_vx") == pytest.approx(0.3 * 0.4, abs=0.006)  # the integral of the decay
+    assert one(columns, "stop_distance_vx") == pytest.approx(0.3 * 0.4, abs=0.006)
     assert one(columns, "settle_did_vx") == 1.0
 
 
@@ -257,10 +259,10 @@ def test_recovery_is_when_tilt_and_height_are_back_for_good():
         recovered_s=0.3,
         within_s=2.5,
     )
-    made = still(6.0, 4)  # the push does not disturb the last one
+    made = still(6.0, 4)  # The push does not disturb the last robot.
     made.height[:] = 0.07
-    made.pitch[150:180, 0] = 0.3  # from 0.5 s to 1 s after the push
-    made.height[120:300, 1] = 0.05  # three seconds
+    made.pitch[150:180, 0] = 0.3  # The robot tilts from 0.5 s to 1 s after the push.
+    made.height[120:300, 1] = 0.05
     fall(made, 2, 3.0)
     columns = recovery(made, options, torch.full((4,), 0.07))
     assert columns["recovery_s"].tolist()[:2] == pytest.approx([1.0, 3.0])

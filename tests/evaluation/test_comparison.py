@@ -1,4 +1,4 @@
-"""Evaluations side by side, made by hand: what differs is found, what does not is not, and words say so."""
+"""Test comparisons of synthetic evaluations: intervals, tests, and verdicts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ N = 64
 
 
 def made(survived, height, drift=0.0, *, starts="a", scenarios="s") -> Evaluation:
-    """Return an evaluation of ``stand`` whose columns are these."""
+    """Return an evaluation of the ``stand`` test with the given columns."""
     columns = {
         "test": np.full(N, "stand"),
         "survived": np.broadcast_to(np.asarray(survived, dtype=float), N).copy(),
@@ -45,7 +45,6 @@ def test_the_same_policy_against_itself_differs_in_nothing():
 
 
 def test_small_gains_on_the_same_scenarios_are_found_by_pairs():
-    """A tenth of a thousandth less in every scenario is much less than scenarios differ."""
     base = 1e-3 * noise(0)
     found = by_name(differences([made(1.0, base - 1e-7 * noise(1))], [made(1.0, base)]))
     height = found["stand/height_rmse"]
@@ -82,10 +81,9 @@ def test_one_is_better_in_this_and_worse_in_that():
 
 
 def test_a_worst_value_is_told_and_not_judged():
-    """The largest of 64 says nothing of the 65th: a test of all 64 would judge another thing than it names."""
     drifts = np.linspace(0.01, 0.02, N)
     first, second = drifts.copy(), drifts + 1e-3
-    first[-1] = 0.05  # by far the worst, of the method that drifts less in every other episode
+    first[-1] = 0.05  # The first method drifts less in all other episodes.
     rows = by_name(differences([made(1.0, 1e-3, first)], [made(1.0, 1e-3, second)]))
     assert rows["stand/drift"].outcome == "better"
     worst = rows["stand/drift_worst"]
@@ -105,7 +103,6 @@ def test_where_most_episodes_differ_one_way_and_the_means_the_other_there_is_no_
 
 
 def test_ranks_that_point_another_way_than_median_and_mean_are_no_verdict():
-    """Thirty lose 3, thirty win 1 and four 20: mean and median are up, the signed ranks that p is of are down."""
     change = np.concatenate((np.full(30, -3e-3), np.full(30, 1e-3), np.full(4, 2e-2)))
     drifts = np.full(N, 0.05)
     row = by_name(differences([made(1.0, 1e-3, drifts + change)], [made(1.0, 1e-3, drifts)]))["stand/drift"]
@@ -118,7 +115,7 @@ def test_ranks_that_point_another_way_than_median_and_mean_are_no_verdict():
 
 
 def pushed(kick, pulse) -> Evaluation:
-    """Return an evaluation of ``push`` in which both kinds come from two directions."""
+    """Return an evaluation of the ``push`` test with pushes from two directions."""
     names = np.array(["0° over 0 s", "90° over 0 s", "0° over 0.15 s", "90° over 0.15 s"])
     cell = np.repeat(np.arange(4), N // 4)
     limit = np.where(cell < 2, kick, pulse)

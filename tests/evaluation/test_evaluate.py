@@ -1,4 +1,4 @@
-"""Protocols on the stock task: what scripted policies deserve, and what stays the same for every policy."""
+"""Test protocols on the stock task with scripted policies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WALK = (
     "protocol.walk.lin_vel_x=[-0.2,0.0,0.2]",
     "protocol.walk.ang_vel_z=[-0.4,0.0,0.4]",
     "protocol.steps=null",
-    "protocol.settle_s=2.5",  # the answer to a command that is there from the start
+    "protocol.settle_s=2.5",  # The command starts with the episode.
 )
 
 
@@ -28,22 +28,21 @@ def of_zeros(task) -> Evaluation:
     return evaluate(*task, zeros, protocol("stand", *STAND))
 
 
-@pytest.fixture(scope="module")
-def walks(task) -> dict[float, Evaluation]:
-    """Return how the reference walks when it hears the command, nothing, and the opposite."""
-    return {factor: evaluate(*task, balancer(factor), protocol("walk", *WALK)) for factor in (1.0, 0.0, -1.0)}
+def test_a_policy_that_follows_the_command_has_skill_gain_and_area(task):
+    found = evaluate(*task, balancer(1.0), protocol("walk", *WALK))
+    assert found.value("walk/survival") == 1.0
+    assert found.value("walk/skill_vx") > 0.9
+    assert found.value("walk/gain_vx") == pytest.approx(1.0, abs=0.1)
+    assert found.value("walk/gain_wz") == pytest.approx(1.0, abs=0.05)
+    assert (found.value("walk/sign_vx"), found.value("walk/sign_wz")) == (1.0, 1.0)
 
 
-def test_doing_nothing_falls_within_a_second_or_so(of_zeros):
-    assert of_zeros.value("stand/survival") == 0.0
-    assert 0.2 < of_zeros.value("stand/time_to_failure") < 1.3  # 0.28 to 1.2 s were measured
-    assert set(of_zeros.episodes["ended_by"]) <= {"base_contact", "leg_contact", "tilt"}
-
-
-def test_noise_falls_within_a_second_or_so(task):
-    found = evaluate(*task, noise, protocol("stand", *STAND))
+@pytest.mark.parametrize("policy", [zeros, noise])
+def test_a_bad_policy_falls_within_about_a_second(task, policy):
+    found = evaluate(*task, policy, protocol("stand", *STAND))
     assert found.value("stand/survival") == 0.0
-    assert 0.2 < found.value("stand/time_to_failure") < 1.3
+    assert 0.2 < found.value("stand/time_to_failure") < 1.3  # The measured times were 0.28 to 1.2 s.
+    assert set(found.episodes["ended_by"]) <= {"base_contact", "leg_contact", "tilt"}
 
 
 def test_actions_that_are_no_numbers_fail_at_once(task, of_zeros):
@@ -69,40 +68,6 @@ def test_the_reference_stands_as_was_measured_of_it_elsewhere(task):
     assert found.value("stand/wheels_down_share") == 1.0
 
 
-def test_who_follows_the_command_has_skill_gain_and_area(walks):
-    found = walks[1.0]
-    assert found.value("walk/survival") == 1.0
-    assert found.value("walk/skill_vx") > 0.9
-    assert found.value("walk/gain_vx") == pytest.approx(1.0, abs=0.1)
-    assert found.value("walk/gain_wz") == pytest.approx(1.0, abs=0.05)
-    assert (found.value("walk/sign_vx"), found.value("walk/sign_wz")) == (1.0, 1.0)
-
-
-def test_who_never_moves_has_no_skill_however_well_it_stands(walks):
-    found = walks[0.0]
-    assert found.value("walk/survival") == 1.0
-    assert found.value("walk/skill_vx") == pytest.approx(0.0, abs=0.05)
-    assert found.value("walk/skill_wz") == pytest.approx(0.0, abs=0.02)
-    assert found.value("walk/gain_vx") == pytest.approx(0.0, abs=0.05)
-    assert found.value("walk/error_wz") == pytest.approx(0.4 * np.sqrt(6 / 8), rel=0.02)  # of eight moving cells six
-    assert found.value("walk/commandable_area") <= 1 / 9
-    at_the_wheels = np.hypot(0.2, 0.056 * 0.4) * np.sqrt(6 / 8)  # 0.112 m apart
-    assert found.value("walk/error_wheels") == pytest.approx(at_the_wheels, rel=0.02)
-
-
-def test_who_goes_the_wrong_way_is_worse_than_who_stands(walks):
-    found = walks[-1.0]
-    assert found.value("walk/skill_vx") < 0.0
-    assert found.value("walk/skill_wz") < 0.0
-    assert found.value("walk/gain_wz") == pytest.approx(-1.0, abs=0.05)
-    assert (found.value("walk/sign_vx"), found.value("walk/sign_wz")) == (0.0, 0.0)
-
-
-def test_three_policies_are_given_the_same_episodes(walks):
-    assert len({found.scenarios_sha256 for found in walks.values()}) == 1
-    assert len({found.starts_sha256["walk"] for found in walks.values()}) == 1
-
-
 def test_the_limit_of_the_reference_is_what_was_measured_elsewhere(task):
     words = ("protocol.push.episodes=1", "protocol.push.directions=2", "protocol.push.pulses_s=[0.0]")
     words = (*words, "protocol.push.after_s=2.0", "protocol.push.iterations=6")
@@ -111,12 +76,6 @@ def test_the_limit_of_the_reference_is_what_was_measured_elsewhere(task):
     assert limits == pytest.approx(0.32, abs=0.06)  # forwards and backwards
     assert found.episodes["limit_normalised"] == pytest.approx(limits / np.sqrt(9.81 * 0.07), rel=1e-5)
     assert found.value("push/recovered") == 1.0
-
-
-def test_who_falls_by_itself_bears_no_push(task):
-    words = ("protocol.push.episodes=1", "protocol.push.directions=2", "protocol.push.iterations=3")
-    found = evaluate(*task, zeros, protocol("push", *words))
-    assert (found.value("push/limit_0s"), found.value("push/recovered")) == (0.0, 0.0)
 
 
 def test_every_tile_gets_its_episodes_and_who_falls_succeeds_on_none(task):
@@ -149,7 +108,7 @@ def test_a_protocol_with_an_unknown_key_is_refused(task):
 
 def test_pictures_of_results_are_plain(of_zeros):
     content = of_zeros.as_dict()
-    assert content["metrics"]["stand/height_rmse"]["value"] is None  # nobody lived long enough
+    assert content["metrics"]["stand/height_rmse"]["value"] is None  # No robot survived the settling time.
     assert content["about"]["wheels"] == ["l03", "r03"]
     assert content["about"]["profile"] == "article"
     assert torch.is_tensor(content) is False

@@ -1,4 +1,4 @@
-"""How episodes become one number, against cases worked out by hand."""
+"""Test the reductions from episodes to metrics against hand-computed cases."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_skill_is_measured_from_standing_still(score, expected):
 
 def test_a_cell_is_commandable_when_its_mean_errors_are_and_nobody_fell():
     cell, vx, wz = [0, 0, 1, 1, 2, 2, 3, 3], [0.05, 0.13, 0, 0, 0, math.inf, 0, 0], [0, 0, 0.2, 0.1, 0, 0, 0, 0]
-    assert area(of(cell, vx, wz), band=0.1) == pytest.approx(2 / 4)  # the first and the last
+    assert area(of(cell, vx, wz), band=0.1) == pytest.approx(2 / 4)  # The first and the last cell are within the band.
     assert area([np.array([[0.0, 0.0], [0.0, 1.0]]), np.array([[0.0, 0.0], [0.0, 1.0]])], band=0.1).tolist() == [1, 0.5]
 
 
@@ -59,10 +59,7 @@ def test_episodes_count_alike_in_a_quadratic_mean():
 
 
 def test_a_metric_is_of_the_rows_of_its_test_that_have_a_number():
-    episodes = {
-        "test": np.array(["stand", "stand", "walk"]),
-        "height": np.array([1.0, math.nan, 5.0]),
-    }
+    episodes = {"test": np.array(["stand", "stand", "walk"]), "height": np.array([1.0, math.nan, 5.0])}
     found = figure(Metric("stand/height", "stand", ("height",), mean, "m"), episodes, 1, 50)
     assert (found.value, found.low, found.high, found.episodes) == (1.0, 1.0, 1.0, 1)
     nobody = figure(Metric("push/height", "push", ("height",), mean, "m"), episodes, 1, 50)
@@ -74,5 +71,5 @@ def test_the_interval_is_that_of_a_mean():
     draws = np.random.default_rng(3).normal(2.0, 1.0, size=400)
     episodes = {"test": np.full(400, "stand"), "x": draws}
     found = figure(Metric("stand/x", "stand", ("x",), mean), episodes, 1, 4000)
-    error = 1.96 * draws.std() / math.sqrt(400)  # of the central limit theorem
+    error = 1.96 * draws.std() / math.sqrt(400)  # The central limit theorem gives the expected interval.
     assert (found.low, found.high) == pytest.approx((draws.mean() - error, draws.mean() + error), abs=0.01)

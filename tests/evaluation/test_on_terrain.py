@@ -1,4 +1,4 @@
-"""The ground of the terrain protocol: larger tiles than those of training, of the same kinds."""
+"""Test that the terrain protocol has the same kinds of tiles as training, in a larger size."""
 
 from __future__ import annotations
 

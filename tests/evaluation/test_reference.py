@@ -1,4 +1,4 @@
-"""The reference controller against what an independent simulation of the same robot measured, and closed forms."""
+"""Test the reference controller against results of an independent simulation and against closed forms."""
 
 import math
 
@@ -27,7 +27,7 @@ def stock_env(*overrides: str, num_envs: int = 1) -> ManagerBasedRLEnv:
 
 @pytest.fixture(scope="module")
 def rolled():
-    """Eight robots: standing, driving, turning, kicked; columns of time, (T, 8)."""
+    """Return time series (T, 8) of eight robots that stand, drive, turn, or are pushed."""
     env = stock_env(num_envs=len(COMMANDS))
     policy, data = Reference(env), env.scene.robot.data
     env.reset(0)
@@ -38,7 +38,7 @@ def rolled():
             env.scene.sim.view("qvel")[:, 0] += torch.tensor(KICKS, dtype=env.scene.sim.dtype)
             data.invalidate()
         env.step(policy())
-        if step + 1 >= round(STEP_AT / env.step_dt):  # the task draws zeros now and then
+        if step + 1 >= round(STEP_AT / env.step_dt):  # The task also draws zero commands.
             held[:, 0], held[:, 2] = torch.tensor(COMMANDS), torch.tensor(TURNS)
         gravity = data.projected_gravity_b
         columns["z"].append(data.root_pos_w[:, 2])
@@ -60,7 +60,6 @@ def rms(values: torch.Tensor) -> float:
 
 
 def test_the_model_is_the_robot_that_was_authored():
-    """Masses, lengths and inertias as its description says; the pole as it was measured in a simulation."""
     pendulum, _ = pendulum_of(stock_env())
     assert pendulum.mass == pytest.approx(0.38)
     assert pendulum.height == pytest.approx(0.0441, abs=1e-4)
@@ -74,22 +73,21 @@ def test_the_model_is_the_robot_that_was_authored():
 def test_the_gains_are_those_that_were_published_for_it():
     policy = Reference(stock_env())
     assert policy.gains == pytest.approx([-339.1, -1105.2, -324.1, -112.2], rel=1e-3)
-    assert policy.bandwidth == pytest.approx(20.0)  # 1 N·m·s/rad on 0.05 kg·m²
+    assert policy.bandwidth == pytest.approx(20.0)  # The damping is 1 N·m·s/rad, and the inertia 0.05 kg·m².
 
 
 def test_light_armatures_are_followed_within_a_control_step():
     policy = Reference(stock_env("robot=physical"))
     assert policy.bandwidth == pytest.approx(60.0)
-    assert policy.gains == pytest.approx(Reference(stock_env()).gains, rel=1e-6)  # the armature drops out
+    assert policy.gains == pytest.approx(Reference(stock_env()).gains, rel=1e-6)  # The armature cancels.
 
 
 def test_the_linear_model_is_the_falling_of_an_inverted_pendulum_on_weightless_wheels():
-    """Without wheels' mass and radius the body turns about a fixed point: a pole of √(m g h / I)."""
     pendulum = Pendulum(1.0, 0.5, 0.0, 0.25, 0.0, 1e-9, 0.1, 9.81)
     assert pendulum.pole == pytest.approx(math.sqrt(9.81 / 0.5), rel=1e-6)
     a, b = Pendulum(0.38, 0.0441, 0.0, 1.03e-3, 0.18, 0.02, 0.112, 9.81).linear()
     assert max(np.linalg.eigvals(a).real) == pytest.approx(9.25, abs=0.02)
-    assert b[2, 0] > 0 > b[3, 0]  # wheels that speed up push the axle forward and the body back
+    assert b[2, 0] > 0 > b[3, 0]  # Accelerating wheels push the axle forward and the body back.
 
 
 def test_it_stands_as_still_as_was_measured(rolled):
@@ -103,7 +101,6 @@ def test_it_stands_as_still_as_was_measured(rolled):
 
 
 def test_it_stands_where_it_was_told_to_and_comes_back_there_after_a_kick(rolled):
-    """Without an integrator the soft legs' lean moves it by 44 mm."""
     moved = rolled["x"][:, [0, 6]] - rolled["x"][0, [0, 6]]
     assert float(moved[-1].abs().max()) < 1.5e-3
     assert float(moved[:, 0].abs().max()) < 0.02
@@ -119,8 +116,8 @@ def test_a_wrench_leaves_no_offset_once_it_leans_against_it():
     begin = data.root_pos_w[:, 0].clone()
     for _ in range(round(5.0 / env.step_dt)):
         env.step(policy())
-    assert (data.root_pos_w[:, 0] - begin).abs().max() < 6e-3  # of the base, which the lean moves over the axle
-    assert data.projected_gravity_b[:, 0].std() > 0.01  # each leans otherwise
+    assert (data.root_pos_w[:, 0] - begin).abs().max() < 6e-3  # The lean moves the base over the axle.
+    assert data.projected_gravity_b[:, 0].std() > 0.01  # The robots lean differently.
 
 
 @pytest.mark.parametrize(("env_id", "most"), [(1, 0.0022), (2, 0.0065)])
@@ -160,7 +157,7 @@ def test_actions_become_the_targets_that_it_wants_whatever_their_scale_is():
     policies = [Reference(stock_env()), Reference(stock_env(scaled))]
     wheels = [policy()[:, 4:] for policy in policies]
     assert torch.allclose(wheels[0] * 5.0, wheels[1] * 2.5)
-    assert not policies[0]()[:, :4].any()  # the legs hold their defaults
+    assert not policies[0]()[:, :4].any()  # The legs stay at their default positions.
 
 
 def test_actions_without_wheel_speeds_are_refused():

@@ -1,10 +1,11 @@
-"""Rollouts: schedules of commands, worlds that are changed, work over physics steps."""
+"""Test rollouts: command schedules, changed worlds, and mechanical work over physics steps."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,20 +21,17 @@ from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
 from wheelleg_exp.terms.config_sections import read_section
 
-SETTINGS = {"command": "base_velocity", "fall_tilt": 3.2, "contact_force": 0.3, "saturation": 0.99} | {
-    "deadband": 0.001,
-    "settle_s": 0.0,
-}
-
 
 def rollout(task, scenarios, cfg=None) -> Rollout:
     options = read_section(Protocol, protocol("stand"), "protocol")
     cfg = cfg or evaluation_cfg(task[0], options, scenarios.size, scenarios.horizon_s, "flat")
-    return Rollout(build({**cfg, "terminations": {}}, task[1], 5), scenarios, **SETTINGS)
+    return Rollout(
+        build({**cfg, "terminations": {}}, task[1], 5), scenarios, replace(options, fall_tilt=3.2, settle_s=0.0)
+    )
 
 
 def test_commands_come_when_the_table_says_and_every_observation_shows_them(task):
-    # Binary fractions: the term adds the difference to the old command, which rounds other numbers.
+    # Use binary fractions, because the term adds the difference to the old command, which would round other numbers.
     cells = (((0.125, 0.0, 0.0), (-0.25, 0.0, 0.25)), ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0)))
     made = rollout(task, Scenarios("steps", 0.2, (0.0, 0.1), cells, ("a", "b"), 1))
     term = made.env.command_manager.get_term("base_velocity")
@@ -63,7 +61,7 @@ def test_starts_follow_from_the_seed_alone(task):
 def test_digests_of_tables_tell_every_difference():
     zero, one = ((0.0, 0.0, 0.0),), ((0.1, 0.0, 0.0),)
     table = Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2)
-    text = '["stand", 5.0, [0.0], [[[0.0, 0.0, 0.0]]], ["a"], 2, "", 1]'  # a result can be checked years from now
+    text = '["stand", 5.0, [0.0], [[[0.0, 0.0, 0.0]]], ["a"], 2, "", 1]'  # The digest must not change between versions.
     assert table.digest(1) == hashlib.sha256(text.encode()).hexdigest()
     others = [
         Scenarios("walk", 5.0, (0.0,), (zero,), ("a",), 2),
@@ -94,14 +92,14 @@ def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_
     assert float(meter.gross) == pytest.approx(float((torque * way).abs().sum()))
     assert float(meter.net) == pytest.approx(float((torque * way - kinetic).abs().sum()))
     assert float(meter.positive) == pytest.approx(float((torque * way).clamp(min=0).sum()))
-    assert float(meter.peak) == pytest.approx(3.0)  # 2 N·m at 1.5 rad/s; the other brakes
+    assert float(meter.peak) == pytest.approx(3.0)  # One motor has 2 N·m at 1.5 rad/s; the other motor brakes.
     meter.update()
     assert meter.shares().tolist() == [[1.0, 0.0]]
     assert float(meter.gross) == pytest.approx(2 * float((torque * way).abs().sum()))
 
 
 def metered(*torques: float, counted: Sequence[bool] = (True,) * 9) -> list[tuple[float, float]]:
-    """Return RMS torque and sign changes of control steps of two physics steps each; the limit is 10 N·m."""
+    """Return the RMS torques and the sign changes of control steps with two physics steps each."""
     zero = torch.zeros(1, 1)
     others = dict.fromkeys(("joint_vel", "joint_vel_before", "joint_armature"), zero)
     env = stub_env(applied_torque=zero, joint_effort_limits=torch.tensor([[10.0]]), **others)
@@ -131,20 +129,12 @@ def test_a_sign_from_before_what_counts_is_forgotten():
     assert [changes for _, changes in metered(*torques, counted=(False, True, True))] == [0.0, 0.0, 1.0]
 
 
+SWEEPS = ("friction=[0.3]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[1.0]")
+
+
 @pytest.fixture(scope="module")
 def changed(task) -> dict[tuple[str, float], Env]:
-    options = read_section(
-        Protocol,
-        protocol(
-            "robust",
-            "protocol.robust.friction=[0.3]",
-            "protocol.robust.mass=[0.7]",
-            "protocol.robust.com=[0.005]",
-            "protocol.robust.gains=[1.2]",
-            "protocol.robust.noise=[1.0]",
-        ),
-        "protocol",
-    )
+    options = read_section(Protocol, protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS)), "protocol")
     assert options.robust is not None
     cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
     found = worlds(cfg, options.robust, base_link(task[1]), 1 / 60)
@@ -193,4 +183,4 @@ def test_events_within_an_episode_time_outs_rewards_and_curricula_are_gone_and_t
     terminations = task[0]["terminations"]
     assert terminations["time_out"]["time_out"]
     assert cfg["terminations"] == {name: node for name, node in terminations.items() if name != "time_out"}
-    assert "push_robot" in task[0]["events"]  # the task itself is as it was
+    assert "push_robot" in task[0]["events"]  # The task's config is unchanged.

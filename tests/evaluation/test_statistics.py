@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wheelleg_exp.evaluation.significance import (
+from wheelleg_exp.evaluation.method_comparison import (
     clustered,
     holm,
     interquartile_mean,
@@ -20,7 +20,7 @@ def generator() -> np.random.Generator:
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end():
     assert interquartile_mean(np.array([0.0, 1.0, 2.0, 100.0])) == 1.5
-    assert interquartile_mean(np.array([9.0, 1.0, 2.0])) == 4.0  # too few to leave one out
+    assert interquartile_mean(np.array([9.0, 1.0, 2.0])) == 4.0  # With three values, no value is dropped.
     assert np.isnan(interquartile_mean(np.array([])))
 
 
@@ -28,7 +28,7 @@ def test_mcnemar_counts_only_the_pairs_that_differ():
     first = np.array([1] * 10 + [0] * 8 + [1] * 1 + [0] * 5)
     second = np.array([1] * 10 + [1] * 8 + [0] * 1 + [0] * 5)
     found = mcnemar(first, second)
-    assert found.p == pytest.approx(2 * (1 + 9) / 2**9)  # 8 against 1: the two tails of nine tosses of a coin
+    assert found.p == pytest.approx(2 * (1 + 9) / 2**9)
     assert (found.pairs, found.untied) == (24, 9)
     assert found.difference == pytest.approx(7 / 24)
 
@@ -38,7 +38,6 @@ def test_mcnemar_of_equal_outcomes_finds_nothing():
 
 
 def test_wilcoxon_agrees_with_ranks_by_hand():
-    """Differences 1, 2, -3, 4, 5: the lesser sum of ranks is 3; 5 of the 32 signs give 3 or less on one side."""
     found = wilcoxon(np.zeros(5), np.array([1.0, 2.0, -3.0, 4.0, 5.0]))
     assert found.p == pytest.approx(2 * 5 / 32)
     assert found.difference == 2.0
@@ -46,7 +45,6 @@ def test_wilcoxon_agrees_with_ranks_by_hand():
 
 
 def test_the_effect_of_ranks_is_how_often_the_second_is_larger_less_how_often_the_first_is():
-    """Of nine pairs of 1, 3, 4 and 2, 5, 6 the second is larger in seven."""
     found = mann_whitney(np.array([1.0, 3.0, 4.0]), np.array([2.0, 5.0, 6.0]))
     assert found.effect == pytest.approx((7 - 2) / 9)
 
@@ -88,13 +86,11 @@ def test_one_seed_has_the_interval_of_its_episodes():
 
 
 def test_seeds_that_differ_widen_the_interval_however_many_episodes_there_are():
-    """Three seeds without noise within: nine of the 27 draws are all the same, so both ends are the extreme seeds."""
     found = clustered([0.0, 1.0, 2.0], [np.full(5000, value) for value in (0.0, 1.0, 2.0)], generator())
     assert (found.value, found.low, found.high) == (1.0, 0.0, 2.0)
 
 
 def test_the_interval_over_seeds_adds_both_variances():
-    """Between S seeds with variance b² and within each with w², the mean has (b²·(S-1)/S + w²)/S."""
     rng = generator()
     centres = rng.normal(0.0, 1.0, 40)
     found = clustered(list(centres), [rng.normal(c, 0.5, 4000) for c in centres], rng)
@@ -108,7 +104,7 @@ def test_the_interval_covers_the_truth_about_as_often_as_it_says():
         centres = rng.normal(0.0, 1.0, 20)
         found = clustered(list(centres), [np.full(400, c) for c in centres], rng)
         hits += found.low <= 0.0 <= found.high
-    assert 0.86 <= hits / 200 <= 0.98  # of 20 seeds a percentile interval is a little narrow: some 93 %
+    assert 0.86 <= hits / 200 <= 0.98  # With 20 seeds, a percentile interval covers about 93 %.
 
 
 def test_a_metric_that_no_episode_has_is_no_number():

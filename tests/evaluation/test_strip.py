@@ -1,4 +1,4 @@
-"""Level ground, a strip of rough ground, level ground: where it is, what is measured where, and who comes over it."""
+"""Test the strip terrain: its geometry, the measured phases, and the success of crossings."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def test_the_strips_lie_where_the_config_says_and_are_as_rough():
         inside = (x > 0.9) & (x < 1.5)
         assert heights.max() <= amplitude + asked.vertical_scale / 2
         assert heights[:, inside].max() > 0.8 * amplitude
-        flat = heights[:, inside].square().mean().sqrt()  # straight between the points: below a / sqrt(3)
+        flat = heights[:, inside].square().mean().sqrt()  # Linear interpolation gives less than a / sqrt(3).
         assert 0.6 * amplitude / math.sqrt(3) < flat < amplitude / math.sqrt(3)
         assert heights[:, (x < 0.88 - 1e-3) | (x > 1.52 + 1e-3)].max() == 0.0
     node = terrain_tests.strip_ground(asked, FRICTION, seed=3)
-    assert node["border_width"] >= asked.lin_vel_x * asked.horizon_s - asked.before - asked.length  # nobody falls off
+    assert node["border_width"] >= asked.lin_vel_x * asked.horizon_s - asked.before - asked.length
 
 
 def drive(seconds: float = 9.0, n: int = 1, speed: float = 0.3) -> Trajectories:
-    """Return robots that drive at a speed from the first moment, as they are told."""
+    """Return episodes of robots that drive at the commanded speed from the start."""
     made = still(seconds, n)
     made.pos[..., 0] = (speed * times(made)).unsqueeze(1)
     made.vel[..., 0] = speed
@@ -71,20 +71,20 @@ def drive(seconds: float = 9.0, n: int = 1, speed: float = 0.3) -> Trajectories:
 
 
 def test_what_is_measured_where():
-    made, asked = drive(), options(quiet_s=1.0)  # at the strip at 3 s, behind it at 5 s
+    made, asked = drive(), options(quiet_s=1.0)  # The robots reach the strip at 3 s and leave it at 5 s.
     time = times(made)
-    wave = math.sqrt(2.0) * torch.sin(2 * math.pi * 4 * time)  # of RMS 1, in whole periods of each part
+    wave = math.sqrt(2.0) * torch.sin(2 * math.pi * 4 * time)  # The RMS is 1, and each phase has whole periods.
     parts = torch.where(time < 3.0, 0.01, torch.where(time <= 5.0, 0.2, 0.03))
     made.pitch[:, 0] = -0.1 + wave * torch.where(
         time < 2.0, 0.5, parts
-    )  # it leans; who starts is not quiet yet, and does not count
+    )  # The robot leans; the motion at the start does not count.
     made.vel[:, 0, 0] += parts
     found = terrain_tests.crossing(made, asked, settle_s=1.0)
     for name, size in (("before", 0.01), ("on", 0.2), ("behind", 0.03)):
         assert float(found[f"swing_rad_{name}"]) == pytest.approx(size, rel=0.05), name
         assert float(found[f"error_vx_{name}"]) == pytest.approx(size, rel=0.05), name
     assert (float(found["distance_ratio"]), float(found["success"])) == (pytest.approx(1.0, abs=0.01), 1.0)
-    assert float(found["recovered"]) == 0.0  # three times as unquiet as before, to the end
+    assert float(found["recovered"]) == 0.0  # The RMS stays three times as large as before the strip.
     assert math.isnan(float(found["recovery_s"]))
 
 
@@ -92,7 +92,7 @@ def test_what_is_measured_where():
 def test_recovery_is_when_it_is_as_quiet_as_before(swings_s, recovered):
     made, asked = drive(), options(within_s=2.5)
     time = times(made)
-    lean = 0.05  # about which it is quiet: what it leans to drive is no swing
+    lean = 0.05  # A constant lean is not a swing.
     made.pitch[:, 0] = lean + torch.where((time > 3.0) & (time < 5.0 + swings_s), 0.1, 0.0)
     found = terrain_tests.crossing(made, asked, settle_s=1.0)
     assert float(found["recovery_s"]) == pytest.approx(swings_s, abs=3 * DT)
@@ -101,10 +101,10 @@ def test_recovery_is_when_it_is_as_quiet_as_before(swings_s, recovered):
 
 def test_who_falls_stops_or_comes_late_has_not_recovered():
     made, asked = drive(n=4), options()
-    fall(made, 0, 4.0)  # on the strip
-    made.pos[:, 1, 0] = made.pos[:, 1, 0].clamp(max=0.5)  # never comes to it
-    made.pos[:, 2, 0] *= 0.25 / 0.3  # leaves it at 6 s, and has the time
-    made.pos[:, 3, 0] *= 0.2 / 0.3  # leaves it at 7.5 s, and has not
+    fall(made, 0, 4.0)  # The robot falls on the strip.
+    made.pos[:, 1, 0] = made.pos[:, 1, 0].clamp(max=0.5)  # The robot never reaches the strip.
+    made.pos[:, 2, 0] *= 0.25 / 0.3  # The robot leaves the strip at 6 s, early enough.
+    made.pos[:, 3, 0] *= 0.2 / 0.3  # The robot leaves the strip at 7.5 s, too late.
     found = terrain_tests.crossing(made, asked, settle_s=1.0)
     assert found["recovered"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]

@@ -1,6 +1,4 @@
-"""One healthy run for all trials, and a place in which everything is watched."""
-
-from __future__ import annotations
+"""One healthy training run for all trials, and a copy of the run for each trial."""
 
 import functools
 import shutil
@@ -49,8 +47,6 @@ def _composed(words: tuple[str, ...], primary: str, folders: tuple[Path, ...]) -
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out what no trial looks at and what takes its time: drawings, and composing the stock configs again."""
-
     def once(overrides=(), *, primary="train", config_dirs=()):
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
@@ -72,12 +68,12 @@ def trial(
     monkeypatch: pytest.MonkeyPatch,
     quick: None,
 ) -> Trial:
-    """A copy of the healthy run to plant something in, in a folder of its own."""
+    """Return a trial with a copy of the healthy run in a folder of the test."""
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     monkeypatch.setenv(VARIABLE, SECRET)
     run = tmp_path / "runs" / "stand" / trained.run.id
     shutil.copytree(trained.run.path, run)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    assert run_training  # imported before anything is watched
+    assert run_training  # Import the module before the trial compares the files on disk.
     return Trial(tmp_path, RunDirectory(run.resolve()), trained.run)

@@ -1,7 +1,3 @@
-"""An archive of somebody else's with every kind of record, given to every command: no code runs, no trust is added."""
-
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -42,13 +38,7 @@ class Runs:
 
 
 class Archive:
-    """The unpacked archive, in which the user stands. Code in it writes the marker when it runs.
-
-    Attributes:
-        root: its folder, with a project in ``theirs`` and modules that are named as those which commands import.
-        run: a run whose parameters name the project's code.
-        marker: what the code writes.
-    """
+    """An unpacked archive with the project ``theirs``, whose code writes ``marker`` when the code runs."""
 
     def __init__(self, trial: Trial) -> None:
         self.trial, self.marker = trial, trial.canary
@@ -66,7 +56,6 @@ class Archive:
 
     @property
     def configs(self) -> list[str]:
-        """The project's configs: absolute, relative to where the user stands, and to the record of a pipeline."""
         return [str(self.root / "theirs" / "configs"), "theirs/configs", "../../../theirs/configs"]
 
     def write(self, name: str, content: str | bytes) -> Path:
@@ -76,9 +65,8 @@ class Archive:
         return path
 
     def project(self, folder: Path) -> None:
-        declared = '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n'
         texts = {
-            "pyproject.toml": declared,
+            "pyproject.toml": '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n',
             "evil/__init__.py": self.code,
             "evil/terms.py": "def f(env):\n    return 1\n",
         }
@@ -89,8 +77,6 @@ class Archive:
         for name, text in texts.items():
             write_text(folder / name, text)
 
-    # --- records, each with the code's folder in every field that could name one ---
-
     def plant_run(self, *, calls: bool) -> Path:
         trial, folder = self.trial, self.configs[0]
         if calls:
@@ -99,9 +85,8 @@ class Archive:
         sources = [{"path": name, "schema": "file", "provider": "config-dir"} for name in self.configs]
         sources.append({"path": "evil", "schema": "pkg", "provider": "hydra.searchpath"})
         choices = {"task": "evil", "reward@env.rewards": "evil"}
-        write_yaml(
-            self.run / ".hydra" / "hydra.yaml", {"hydra": {"runtime": {"choices": choices, "config_sources": sources}}}
-        )
+        hydra = {"runtime": {"choices": choices, "config_sources": sources}}
+        write_yaml(self.run / ".hydra" / "hydra.yaml", {"hydra": hydra})
         trial.write(".hydra/overrides.yaml", json.dumps(["task=evil", f"hydra.searchpath=[file://{folder}]"]))
         git = json.loads((self.run / "source" / "git.json").read_text())
         other = {**git, "root": str(self.root / "theirs"), "folders": [".", "configs", "evil"]}
@@ -152,19 +137,13 @@ class Archive:
     def plant_sweep(self) -> Path:
         folder = self.root / "runs" / "sweeps" / MOMENT
         words = ["task=evil", f"--config-dir={self.configs[0]}", f"hydra.searchpath=[file://{self.configs[0]}]"]
-        job = {
-            "number": 1,
-            "overrides": words,
-            "swept": words,
-            "status": "finished",
-            "run": os.path.relpath(self.run, folder),
-        }
+        job = {"number": 1, "overrides": words, "swept": words, "status": "finished"}
+        job["run"] = os.path.relpath(self.run, folder)
         data = {"format": 1, "id": MOMENT, "status": "running", "command": ["wheelleg", "train", *words]}
         data |= {"launcher": {"name": "submitit_slurm", "at_once": 1}, "jobs": [job], "process": None}
         write_json(folder / "sweep.json", data | {"working_directory": str(self.root)})
-        write_yaml(
-            folder / "multirun.yaml", {"hydra": {"launcher": {"_target_": "evil.terms.f"}, "sweep": {"dir": "."}}}
-        )
+        hydra = {"launcher": {"_target_": "evil.terms.f"}, "sweep": {"dir": "."}}
+        write_yaml(folder / "multirun.yaml", {"hydra": hydra})
         write_json(folder / "0" / "request.json", {"path": [str(self.root)], "line": "{}", "variables": {}})
         self.project(folder)
         return folder
@@ -181,7 +160,6 @@ class Archive:
         return folder
 
     def call(self) -> bytes:
-        """Return an archive of numpy's with an object that writes the marker when it is unpickled."""
         buffer = io.BytesIO()
         np.savez(buffer, x=np.array([Runs(self.marker)], dtype=object))
         return buffer.getvalue()
@@ -205,7 +183,7 @@ def trusted() -> str:
 
 
 def give(archive: Archive, *words: str | Path, status: tuple[int, ...] = (0, 1, 2)) -> Words:
-    """Run a command; nothing of the archive runs, is joined or trusted, and the answer is one for people."""
+    """Run a command on a foreign archive; the command must not run, join, or trust code from the archive."""
     before = trusted()
     said = wheelleg(*words)
     line = " ".join(map(str, words))
@@ -217,7 +195,7 @@ def give(archive: Archive, *words: str | Path, status: tuple[int, ...] = (0, 1, 
     return said
 
 
-# The words that give a record R to each command. A replay of a run is left out: it runs the run's code, and says so.
+# The command lines with a record r. The replay of a run is missing, because it runs the run's code and warns of this.
 QUICK = (*TINY, "env.num_envs=2", "recording.enabled=false", "agent.max_iterations=1", "agent.logger=null")
 SHORT = ("protocol.stand.episodes=1", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]")
 TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
@@ -241,7 +219,8 @@ TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "list": lambda r: [("list", "runs", "--root", r), ("list", "runs", "--sweep", r)],
     "new": lambda r: [("new", "project", "--robot", r)],
 }
-USING = ("train", "resume", "play", "evaluate", "export", "report", "inspect")  # what a sound run serves
+# These commands succeed on a healthy run.
+USING = ("train", "resume", "play", "evaluate", "export", "report", "inspect")
 OTHERS: dict[str, tuple[str, ...]] = {
     "zero-agent": ("zero-agent", *QUICK, "--steps", "1"),
     "random-agent": ("random-agent", *QUICK, "--steps", "1"),
@@ -253,7 +232,6 @@ OTHERS: dict[str, tuple[str, ...]] = {
 
 
 def recording(archive: Archive) -> Path:
-    """Return a recording that was cut off, as that of a killed run, so that it can be repaired."""
     content = (archive.run / "recording.rrd").read_bytes()
     return archive.write("recordings/recording.rrd", content[: len(content) * 3 // 4])
 
@@ -281,7 +259,8 @@ def test_no_command_runs_code_of_a_record_or_trusts_it(archive, kind):
     record = RECORDS[kind](archive)
     for command, lines in TAKING.items():
         given = [give(archive, *words).status for words in lines(str(record))]
-        assert 0 in given or kind != "run" or command not in USING, command  # the words are those of the command
+        # A healthy run proves that the command line is valid.
+        assert 0 in given or kind != "run" or command not in USING, command
 
 
 def test_no_command_that_is_called_beside_records_runs_their_code(archive):
@@ -291,8 +270,6 @@ def test_no_command_that_is_called_beside_records_runs_their_code(archive):
     for words in OTHERS.values():
         give(archive, *words)
 
-
-# --- a pipeline, which composes its phases again ---
 
 GATE = {"protocol": "stand", "at_least": {"stand/survival": 1.0}}
 PIPELINES: dict[str, Callable[[Archive], dict[str, Any]]] = {
@@ -324,7 +301,7 @@ def test_a_pipeline_in_a_run_is_not_read(archive):
 
 
 def test_the_folders_of_a_pipeline_are_named_and_may_be_given(archive):
-    wrong = ["env.num_envs=0"]  # so that it ends with its configs
+    wrong = ["env.num_envs=0"]  # The command stops after it has checked the config.
     folder = archive.plant_pipeline(config_dirs=archive.configs[:1], overrides=wrong, phase={"task": "evil"})
     said = give(archive, "resume", folder, status=(2,))
     assert f"the pipeline needs {archive.configs[0]}, which is not one of your trusted folders" in said.err
@@ -333,8 +310,6 @@ def test_the_folders_of_a_pipeline_are_named_and_may_be_given(archive):
     assert archive.marker.exists()
     assert archive.configs[0] in trusted()
 
-
-# --- a result, whose words are trained and evaluated again ---
 
 RESULTS: dict[str, Callable[[Archive], tuple[list[Any], list[Any]]]] = {
     "an option": lambda archive: (["task=evil", f"--config-dir={archive.configs[0]}"], []),
@@ -353,9 +328,6 @@ RESULTS: dict[str, Callable[[Archive], tuple[list[Any], list[Any]]]] = {
 def test_a_result_that_is_made_again_runs_no_code_and_trusts_nothing(archive, plant, begun):
     archive.plant_result(*plant(archive), begun=begun)
     give(archive, "results", "evil", "--again", status=(2,))
-
-
-# --- who stands in a record ---
 
 
 @pytest.mark.parametrize("kind", ["run", "pipeline", "sweep", "bundle"])

@@ -1,7 +1,3 @@
-"""Checkpoints, exported policies and event files: numbers and names, of any size, and nothing that runs."""
-
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -18,6 +14,7 @@ import pytest
 import torch
 
 from foreign.trial import Trial
+from wheelleg_exp.jobs.train.scalar_logs import cut_events
 from wheelleg_exp.rl import checkpoint
 
 pytestmark = pytest.mark.train
@@ -36,7 +33,7 @@ def saved(value: Any) -> bytes:
 
 
 def repacked(data: bytes) -> bytes:
-    """Return an archive with its records deflated, and a large one of zeros among them."""
+    """Return the archive with deflated records and one large record of zeros."""
     made = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():
@@ -54,7 +51,7 @@ class Runs:
 
 
 def doubled(depth: int) -> list[Any]:
-    """Return a small object that is endless to walk."""
+    """Return a small object that takes endless time to traverse."""
     value: list[Any] = [0]
     for _ in range(depth):
         value = [value, value]
@@ -62,10 +59,7 @@ def doubled(depth: int) -> list[Any]:
 
 
 def nested(depth: int) -> list[Any]:
-    value: list[Any] = []
-    for _ in range(depth):
-        value = [value]
-    return value
+    return [nested(depth - 1)] if depth else []
 
 
 PLANTS: dict[str, Callable[[Trial], bytes]] = {
@@ -89,7 +83,6 @@ PLANTS: dict[str, Callable[[Trial], bytes]] = {
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
 def test_a_checkpoint_runs_nothing_and_is_as_large_as_its_file(trial, plant):
     trial.write(LAST, plant(trial))
-    trial.record()
     trial.try_("play", 2, LAST)
     for command in ("verify", "compare"):
         trial.try_(command, 1, LAST)
@@ -103,12 +96,8 @@ def test_a_checkpoint_whose_parts_are_anything_is_told(trial, key, value):
         trial.write(f"model_{number}.pt", checkpoint.serialize({**content, key: value}))
     lines = [json.loads(text) for text in trial.run.iterations.read_text().splitlines()]
     trial.write("iterations.jsonl", "".join(json.dumps({**line, "digests": {}}) + "\n" for line in lines))
-    trial.record()
     trial.try_("resume", 2)
     trial.try_("verify", (0, 1))
-
-
-# --- exported policies ---
 
 
 def with_outside_weights(trial: Trial) -> bytes:
@@ -142,12 +131,8 @@ EXPORTED: dict[str, tuple[str, Callable[[Trial], bytes]]] = {
 @pytest.mark.parametrize(("name", "make"), EXPORTED.values(), ids=EXPORTED)
 def test_an_exported_policy_is_not_run(trial, name, make):
     trial.write(f"exported/{name}", make(trial))
-    trial.record()
     trial.try_("verify", (0, 1))
     trial.try_("compare", 1, name)
-
-
-# --- what a training failed with ---
 
 
 def arrays(about: Any) -> bytes:
@@ -172,13 +157,7 @@ def test_what_a_training_failed_with_may_be_anything(trial, make):
     trial.try_("verify", 1, "failure.npz")
 
 
-# --- events ---
-
-
 def test_events_of_any_length_are_cut(trial):
-    """As a resume does, which takes its time."""
-    from wheelleg_exp.jobs.train.scalar_logs import cut_events
-
     kept = [json.loads(text) for text in trial.run.iterations.read_text().splitlines()]
     for content in (struct.pack("<QI", 1 << 63, 0) * 9, b"\xff" * 99, b"", np.arange(99).tobytes()):
         trial.write("events.out.tfevents.0", content)

@@ -1,16 +1,15 @@
-"""Links, pipes, sockets and devices in a run directory, and names that a terminal obeys."""
-
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from jobs.small import wheelleg
 
 from foreign.trial import Trial
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_lock import RunLock
 
 pytestmark = pytest.mark.train
 
@@ -24,40 +23,29 @@ COMMANDS = ("play", "resume", "inspect", "diff", "compare", "replay")
 
 
 def try_all(trial: Trial, name: str, what: str) -> None:
-    """No command follows what stands at a name of the run, and those that use the run say so."""
+    """Check that no command follows the entry ``name`` of the run, and that the commands report the entry."""
     for command in COMMANDS:
         trial.try_(command, 2, name, what)
     trial.try_("verify", 1, f"{name} is {what}")
     trial.try_("list", 0)
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_link_to_a_file_is_not_followed(trial, name):
+@pytest.mark.parametrize("name", [*FILES, *FOLDERS])
+def test_a_link_is_not_followed(trial, name):
     precious = trial.outside()
-    trial.replace(name, lambda path: path.symlink_to(precious))
-    trial.record()
-    try_all(trial, name, "a symbolic link")
-
-
-@pytest.mark.parametrize("name", FOLDERS)
-def test_a_link_to_a_folder_is_not_followed(trial, name):
-    precious = trial.outside()
-    trial.replace(name, lambda path: path.symlink_to(precious.parent))
-    trial.record()
+    trial.replace(name, lambda path: path.symlink_to(precious if name in FILES else precious.parent))
     try_all(trial, name, "a symbolic link")
 
 
 @pytest.mark.parametrize("target", ["/dev/zero", "/dev/stdin", "manifest.json", "nowhere", "."])
 def test_where_a_link_leads_does_not_matter(trial, target):
     trial.replace("model_2.pt", lambda path: path.symlink_to(target))
-    trial.record()
     try_all(trial, "model_2.pt", "a symbolic link")
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_nobody_waits_for_a_pipe(trial, name):
     trial.replace(name, os.mkfifo)
-    trial.record()
     try_all(trial, name, "a pipe, a socket or a device")
 
 
@@ -65,12 +53,11 @@ def test_nobody_waits_for_a_pipe(trial, name):
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
 def test_a_report_says_so_and_reads_nothing_of_it(trial, name, make):
     trial.replace(name, make)
-    trial.record()
     trial.try_("report", 0, name)
 
 
 def test_a_socket_is_no_file(trial, monkeypatch):
-    monkeypatch.chdir(trial.run.path)  # such names are short
+    monkeypatch.chdir(trial.run.path)  # A socket needs a short path.
     with socket.socket(socket.AF_UNIX) as made:
         made.bind("model_9.pt")
     monkeypatch.chdir(trial.root / "here")
@@ -82,15 +69,11 @@ def test_a_manifest_that_is_no_file(trial, make):
     trial.replace("manifest.json", make)
     for command in ("play", "resume", "compare", "replay", "verify", "report"):
         trial.try_(command, 2, "manifest.json")
-    trial.try_("inspect", 0)  # a recording in a folder that is no run
+    trial.try_("inspect", 0)  # The folder contains a recording but is not a run directory.
     trial.try_("list", 0)
 
 
 def test_a_lock_empties_nothing_that_it_leads_to(trial):
-    """Whoever takes it, also where the run is not looked at before."""
-    from wheelleg_exp.errors import RunDirectoryError
-    from wheelleg_exp.run.run_lock import RunLock
-
     precious = trial.outside()
     trial.replace(".lock", lambda path: path.symlink_to(precious))
     with pytest.raises(RunDirectoryError):
@@ -99,26 +82,16 @@ def test_a_lock_empties_nothing_that_it_leads_to(trial):
 
 
 def test_a_checkpoint_named_on_the_command_line_may_be_a_link(trial):
-    """What the user names is the user's own."""
-    from jobs.small import wheelleg
-
     link = trial.root / "here" / "best.pt"
     link.symlink_to(trial.healthy.path / "model_2.pt")
-    words = trial.words("play")
-    assert wheelleg(*words, "--checkpoint", link).status == 0
+    assert wheelleg(*trial.words("play"), "--checkpoint", link).status == 0
 
-
-# --- names and texts that a terminal obeys ---
 
 ODD = "\x1b[2J\x9b31m\r\x07\u202e"
 
 
-def odd_name(folder: Path) -> Path:
-    return folder / f"a{ODD}b"
-
-
 PLANTS: dict[str, Callable[[Trial], None]] = {
-    "file": lambda trial: trial.write(f"play/{ODD}.rrd", b""),
+    "file": lambda trial: (trial.run.path / f"a{ODD}.rrd").write_bytes(b""),
     "bytes": lambda trial: Path(os.fsdecode(os.fsencode(trial.run.path) + b"/\xff\xfe")).write_bytes(b""),
     "task": lambda trial: trial.manifest(task=ODD),
     "error": lambda trial: trial.manifest(status="failed", error={"type": ODD, "message": ODD}),
@@ -139,7 +112,7 @@ def test_no_text_of_a_run_reaches_the_terminal_as_more_than_text(trial, plant):
 
 
 def test_a_run_with_such_a_name_is_told_by_its_codes(trial):
-    moved = odd_name(trial.run.path.parent)
+    moved = trial.run.path.parent / f"a{ODD}b"
     trial.run.path.rename(moved)
     trial.run = RunDirectory(moved)
     for command in ("list", "verify", "report", "play"):

@@ -1,10 +1,5 @@
-"""Projects: whose code a command runs, and who may name them."""
-
-from __future__ import annotations
-
 import itertools
 import os
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,7 +16,6 @@ DECLARED = '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n'
 
 
 def project(folder: Path, canary: Path) -> Path:
-    """A project whose package makes the canary when it is imported; returns its configs."""
     files = {
         "pyproject.toml": DECLARED,
         "evil/__init__.py": f"from pathlib import Path\nPath({str(canary)!r}).touch()\n",
@@ -30,7 +24,7 @@ def project(folder: Path, canary: Path) -> Path:
     }
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(textwrap.dedent(text))
+        (folder / name).write_text(text)
     return folder / "configs"
 
 
@@ -44,10 +38,8 @@ def _forgotten() -> Iterator[None]:
 
 @pytest.fixture
 def asking(trial: Trial) -> Trial:
-    """A run with a term of a project."""
     change = {"_target_": "evil.terms.f", "weight": 1.0}
     trial.yaml("params/env.yaml", lambda env: env["rewards"].update(evil=change))
-    trial.record()
     return trial
 
 
@@ -65,10 +57,8 @@ def test_a_project_in_the_run_is_not_used(asking, name, command):
     project(asking.run.path, asking.canary)
     word = name(asking)
     asking.manifest(config_dirs=[word])
-    if command == "report":
-        asking.try_(command, 0)
-    else:
-        asking.try_(command, 2, "target 'evil.terms.f' is outside the allowed packages")
+    told = () if command == "report" else ("target 'evil.terms.f' is outside the allowed packages",)
+    asking.try_(command, 2 if told else 0, *told)
 
 
 def test_what_to_write_is_said(asking):
@@ -92,7 +82,6 @@ def test_a_folder_that_is_none_is_told(asking, folder):
 
 
 def test_a_link_into_the_run_is_as_the_run(asking):
-    """Of a folder that is remembered what counts is where it leads."""
     configs = project(asking.run.path, asking.canary)
     link = asking.root / "mine"
     link.symlink_to(asking.root / "elsewhere")
@@ -122,8 +111,6 @@ def test_who_stands_in_a_run_does_not_stand_in_its_project(asking, command, monk
     asking.try_(command, (0, 1, 2))
 
 
-# --- projects that one stands in ---
-
 PYPROJECTS = {
     "deep": DECLARED + "a = " + "[" * 100_000,
     "a long number": DECLARED + "a = " + "1" * 5000,
@@ -152,7 +139,6 @@ def test_nobody_waits_for_a_declaration(trial, monkeypatch):
 
 
 def bomb() -> str:
-    """Return a small text that stands for 9 ** 8 values."""
     lines = [f"{c}: &{c} [{', '.join([f'*{p}'] * 9)}]\n" for p, c in itertools.pairwise("abcdefghi")]
     return "a: &a [x, x]\n" + "".join(lines)
 

@@ -1,7 +1,3 @@
-"""Repositories whose settings name programs, or lead elsewhere: a snapshot of the source runs and follows none."""
-
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -21,8 +17,6 @@ HOOKS = ("post-index-change", "pre-commit", "reference-transaction", "post-check
 
 @dataclass
 class Repositories:
-    """A repository, and one in it whose settings are somebody else's; both are one when ``inner`` is ``outer``."""
-
     root: Path
     outer: Path
     inner: Path
@@ -70,7 +64,7 @@ def repositories(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: py
         made.git(outer, "add", "inner")
     if request.param != "own":
         made.git(outer, "commit", "-qm", "second")
-    (made.inner / "f").write_text("a\n" * 49 + "b\n")  # of the same size, so that git has to look into it
+    (made.inner / "f").write_text("a\n" * 49 + "b\n")  # The file size is unchanged, so that git must read the file.
     (made.inner / "new.txt").write_text("new")
     return made
 
@@ -109,7 +103,6 @@ def diffs(made: Repositories) -> None:
 
 
 def download(made: Repositories, url: str = "ssh://nowhere.invalid/x") -> None:
-    """Lack a blob that git would fetch by a program."""
     settings = {"core.repositoryformatversion": "1", "extensions.partialClone": "evil", "remote.evil.promisor": "true"}
     settings |= {"remote.evil.url": url, "core.sshCommand": made.touch, "protocol.ext.allow": "always"}
     blob = made.git(made.inner, "rev-parse", "HEAD:f")

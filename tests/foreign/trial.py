@@ -1,6 +1,4 @@
-"""A run in which something is planted, and what must not happen when a command is given it."""
-
-from __future__ import annotations
+"""A run directory with a planted file, and the effects that a command on this run directory must not have."""
 
 import hashlib
 import os
@@ -26,7 +24,7 @@ State = dict[str, tuple[Any, ...]]
 
 
 def state(root: Path, without: Path | None = None) -> State:
-    """Return kind, size and content of everything below a folder; nothing is followed or waited for."""
+    """Return kind, size, and content of all entries below a folder, without following links or reading pipes."""
     found: State = {}
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders if Path(folder, name) != without]
@@ -44,14 +42,7 @@ def state(root: Path, without: Path | None = None) -> State:
 
 @dataclass
 class Trial:
-    """One planted run.
-
-    Attributes:
-        root: the folder in which all happens; ``here`` in it is where the user stands.
-        run: the planted run.
-        healthy: the run that it was copied from.
-        leaks: texts that must not turn up in what is said or written.
-    """
+    """A planted run directory, the healthy run directory of which it is a copy, and texts that must not be shown."""
 
     root: Path
     run: RunDirectory
@@ -60,52 +51,49 @@ class Trial:
 
     @property
     def canary(self) -> Path:
-        """What planted code makes when it runs."""
+        """The file that planted code creates when the code runs."""
         return self.root / "ran"
 
     def outside(self, text: str = "precious: 1\n") -> Path:
-        """Return a file of the user's own, whose text is nobody's business."""
+        """Create a file of the user, whose text must not be shown, and return its path."""
         path = self.root / "here" / "precious.yaml"
         path.write_text(text)
         self.leaks.append("precious:")
         return path
 
-    # --- planting ---
-
     def write(self, name: str, content: str | bytes) -> None:
-        """Write a file of the run."""
         path = self.run.path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
+        self._record(name)
 
     def yaml(self, name: str, change: Callable[[Any], Any]) -> None:
-        """Change a YAML file of the run."""
         path = self.run.path / name
         value = yaml.safe_load(path.read_text())
         change(value)
         path.write_text(yaml.safe_dump(value, sort_keys=False))
+        self._record(name)
 
     def manifest(self, **changes: Any) -> None:
-        """Write the healthy run's manifest with changes, sealed; the files are those that are here now."""
+        """Write the manifest of the healthy run with changes, and sign it for the current files."""
         data = {**self.healthy.manifest().data, "files": inventory(self.run.path)}
         write_text(self.run.path / "manifest.json", text_with_digest({**data, **changes}))
 
     def replace(self, name: str, make: Callable[[Path], Any]) -> None:
-        """Put something else where a file or folder of the run stands."""
+        """Replace a file or folder of the run."""
         path = self.run.path / name
         if path.exists():
             path.rename(self.root / f"taken_{name.replace('/', '_')}")
         path.parent.mkdir(parents=True, exist_ok=True)
         make(path)
+        self._record(name)
 
-    def record(self) -> None:
-        """Let the manifest record the files as they are now, as whoever planted them would."""
-        self.manifest()
-
-    # --- trying ---
+    def _record(self, name: str) -> None:
+        """Make the manifest record the current files, as the author of a planted file would do."""
+        if name != "manifest.json":
+            self.manifest()
 
     def words(self, command: str) -> list[str | Path]:
-        """Return the command line of a command on the run."""
         run, runs = self.run.path, self.root / "runs"
         return {
             "play": ["play", run, "env.num_envs=2", "recording.enabled=false"],
@@ -121,13 +109,7 @@ class Trial:
         }[command]
 
     def try_(self, command: str, status: int | Collection[int], *told: str) -> Words:
-        """Give a command the run; hold what it does against what it may do.
-
-        Args:
-            command: a key of ``words``.
-            status: the exit status, or those that are allowed.
-            told: texts that the answer, or the report, holds.
-        """
+        """Run a command on the planted run, and check the exit status, the output, and all files."""
         before, inside = state(self.root, self.run.path), state(self.run.path)
         said = wheelleg(*self.words(command))
         report = self.run.path / "report.html"
@@ -149,7 +131,7 @@ class Trial:
         return said
 
     def _require_kept(self, command: str, status: int, before: State) -> None:
-        """No file of the run has changed, but for what the command is there to add."""
+        """Check that the command changed no file of the run, except for the files that the command adds."""
         after = state(self.run.path)
         added = {"report": ("report.html", "manifest.json"), "play": ("play", "manifest.json")}.get(command, ())
         own = (*_LOCKS, *(added if status == 0 else ()))

@@ -12,7 +12,6 @@ from jobs.small import cache_of
 
 @pytest.fixture(autouse=True, scope="module")
 def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Convert robots into one folder for all tests, and compute with one thread."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:

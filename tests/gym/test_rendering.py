@@ -27,7 +27,6 @@ def make_vec(**options):
 
 @pytest.fixture(scope="module")
 def graphics(shared_cache):
-    """Skip where drawing is not possible."""
     env = make()
     env.reset(seed=0)
     try:
@@ -39,13 +38,13 @@ def graphics(shared_cache):
 
 
 def robot(image):
-    """Return where the robot is, (h, w) bool: its parts are darker or more colourful than floor and sky."""
+    """Return the pixels (h, w) bool of the robot, which are darker or more colourful than floor and sky."""
     image = image.astype(int)
     return (image.max(axis=2) < 120) | (np.ptp(image, axis=2) > 60)
 
 
 def near(a, b):
-    """Return whether two pictures are the same, but for what a driver rounds."""
+    """Return whether two images are equal up to the rounding of a graphics driver."""
     return np.abs(a.astype(int) - b).max() <= 4
 
 
@@ -64,14 +63,13 @@ def test_the_robot_stands_in_the_middle_and_fills_the_picture(graphics):
 
 @pytest.mark.pictures
 def test_each_environment_is_drawn_as_it_is(graphics):
-    """Both begin alike but for the draws of the reset; one is given another pose by hand."""
     env = make_vec(render_mode="rgb_array")
     env.reset(seed=0)
     qpos = env.unwrapped.env.scene.sim.view("qpos")
     qpos[1] = qpos[0]
     alike = env.render()
     assert near(alike[0], alike[1])
-    qpos[1, 0] += 100.0  # the camera follows: the robot stays in the middle
+    qpos[1, 0] += 100.0  # the camera follows the robot
     qpos[1, 3:7] = qpos.new_tensor([0.0, 1.0, 0.0, 0.0])  # upside down
     first, second = env.render()
     env.close()
@@ -123,7 +121,7 @@ def test_without_graphics_one_message_says_what_to_install(monkeypatch):
     env.reset(seed=0)
     with pytest.raises(WheellegError, match="apt install libegl1"):
         env.render()
-    env.step(STILL)  # the environment itself goes on
+    env.step(STILL)  # the environment still works
     env.close()
 
 

@@ -1,4 +1,4 @@
-"""The vector env beside Gymnasium's own ``SyncVectorEnv`` over the rows of a batch that is run by hand."""
+"""The vector environment, compared with Gymnasium's ``SyncVectorEnv`` over the rows of a batch."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.gym import ENV_ID
 
 N, STEPS = 4, 90
-# The batch by hand is observed once more where a row is reset, so that nothing may be drawn in an observation;
-# and no integral may be seen: a step integrates once more after a reset. 1 s is 60 control steps.
+# The manual batch computes one more observation where a row is reset, so observations must not draw random numbers or
+# contain integrals. 1 s is 60 control steps.
 WITHOUT_INTEGRAL = [
     f"~env.{key}.travel_error" for key in ("observations.policy.terms", "observations.critic.terms", "rewards")
 ]
@@ -22,7 +22,7 @@ OVERRIDES = ["env.sim.nthread=1", "env.episode_length_s=1.0", *WITHOUT_INTEGRAL]
 
 
 class Batch:
-    """Environments of one batch that are stepped and reset together, as soon as the first of them is asked to."""
+    """A batch of environments that are stepped and reset together."""
 
     def __init__(self, next_step: bool) -> None:
         self.env = build_env(compose(["task=stand", *OVERRIDES, f"env.num_envs={N}"]).config)
@@ -35,7 +35,7 @@ class Batch:
         self.observed, self.log = self.env.reset(seed=seed)[0], None
 
     def round(self, actions: np.ndarray) -> None:
-        """Advance all; then those are reset together that ended now, or in the last round."""
+        """Advance all environments, then reset those that ended in this round, or in the last round."""
         left = self.done
         done = self.step(actions)
         self.done = done & ~left if self.next_step else done
@@ -54,8 +54,6 @@ class Batch:
 
 
 class Row(gymnasium.Env):
-    """One environment of the batch."""
-
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, batch: Batch, row: int, spaces: gymnasium.vector.VectorEnv) -> None:
@@ -77,7 +75,7 @@ class Row(gymnasium.Env):
 
 
 def require_same(found, expected, path="", *, loosely=()):
-    """Require equal types, shapes and values, all the way down; of what is ``loosely`` the same, no values."""
+    """Require equal types, shapes, and values of two trees, except values at the paths ``loosely``."""
     assert type(found) is type(expected), path
     if isinstance(expected, dict):
         assert found.keys() == expected.keys(), path
@@ -108,14 +106,14 @@ def test_everything_is_laid_out_as_gymnasium_does_it(mode):
     theirs = SyncVectorEnv([lambda row=row: Row(batch, row, ours) for row in range(N)], autoreset_mode=mode)
     batch.begin(3)
     require_same(ours.reset(seed=3), theirs.reset(seed=3))
-    # By hand the managers see more of an episode: commands are measured in its last step as well, and in next_step the
-    # step that only waits for the reset counts. What they say has tests of its own.
+    # In the manual batch, the managers also measure commands in the last step of an episode, and in next_step they
+    # count the step that only resets. Separate tests check the managers' logs.
     loosely = ("/log/",) if mode is AutoresetMode.NEXT_STEP else ("Metrics/",)
     seen, ends = set(), 0
     for k in range(STEPS):
         actions = actions_of(k)
         if k == 20:
-            actions[1, 2] = np.nan  # fails, and says so in its info
+            actions[1, 2] = np.nan
         if mode is AutoresetMode.DISABLED:
             batch.step(actions)
         else:
@@ -128,7 +126,7 @@ def test_everything_is_laid_out_as_gymnasium_does_it(mode):
             batch.reset(done)
             options = {"reset_mask": done}
             require_same(ours.reset(options=options), theirs.reset(options={**options}), f"reset {k}")
-            assert options["reset_mask"] is done  # wrappers outside look for it as well
+            assert options["reset_mask"] is done
     assert ends > N
     wanted = {"final_obs", "final_info", "log"} if mode is AutoresetMode.SAME_STEP else {"non_finite", "log"}
     wanted = {"non_finite"} if mode is AutoresetMode.DISABLED else wanted
@@ -136,7 +134,7 @@ def test_everything_is_laid_out_as_gymnasium_does_it(mode):
 
 
 def test_a_step_that_only_waits_counts_for_nothing():
-    """In ``next_step`` the managers' rewards are those that were returned, and so are the lengths."""
+    """With ``next_step`` the managers log the rewards that the environment returned."""
     env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode="next_step")
     env.reset(seed=0)
     returns, before, checked = np.zeros(N), np.zeros(N, bool), 0
@@ -148,7 +146,7 @@ def test_a_step_that_only_waits_counts_for_nothing():
         if before.any():
             log = infos["log"]
             mean = sum(values[before][0] for key, values in log.items() if key.startswith("Episode_Reward/"))
-            assert mean * 1.0 == pytest.approx(returns[before].mean(), rel=1e-4)  # over the longest episode's 1 s
+            assert mean * 1.0 == pytest.approx(returns[before].mean(), rel=1e-4)  # divided by the longest episode's 1 s
             checked += 1
         returns = np.where(before, 0.0, returns + rewards)
         before = terminated | truncated
@@ -156,7 +154,6 @@ def test_a_step_that_only_waits_counts_for_nothing():
 
 
 def test_a_partial_reset_leaves_the_others_as_they_are():
-    """With noise, whose draw would show."""
     noisy = [*OVERRIDES, "env.observations.policy.enable_corruption=true"]
     env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=noisy, autoreset_mode="disabled")
     env.reset(seed=0)

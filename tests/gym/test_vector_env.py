@@ -1,21 +1,17 @@
-"""``gymnasium.make_vec``: batched spaces and same-step autoreset, against a hand-run environment."""
+"""``gymnasium.make_vec``: batched spaces, seeds, logs, and modes of autoreset; test_sync_layout checks the layout."""
 
 from __future__ import annotations
 
 import gymnasium
 import numpy as np
 import pytest
-import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from wheelleg_exp.build import build_env
-from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.gym import ENV_ID
 
 N = 4
 ONE_THREAD = ["env.sim.nthread=1"]
-WITHOUT_INTEGRAL = [f"~env.observations.{group}.terms.travel_error" for group in ("policy", "critic")]
 
 
 def make(*overrides, num_envs=N):
@@ -24,7 +20,6 @@ def make(*overrides, num_envs=N):
 
 @pytest.fixture(scope="module")
 def env(shared_cache):
-    """Every test begins with a reset of its own."""
     return make()
 
 
@@ -65,49 +60,6 @@ def test_results_of_a_step_are_the_callers_own(env):
     assert all(np.array_equal(a, b) for a, b in zip([kept[0]["policy"], *kept[1:]], copies, strict=True))
 
 
-@pytest.fixture
-def by_hand():
-    """The environment without the integral, run by hand and without autoreset."""
-    config = compose(["task=stand", *ONE_THREAD, *WITHOUT_INTEGRAL, f"env.num_envs={N}"]).config
-    env = build_env(config)
-    env.autoreset = "disabled"
-    return env
-
-
-def test_final_obs_is_the_terminal_observation_and_the_returned_one_begins_the_next(by_hand):
-    """Until the first end both run alike; then the hand-run one is reset by hand.
-
-    No integral is observed: a step integrates it once more after a reset.
-    """
-    env = make(*WITHOUT_INTEGRAL)
-    observations, _ = env.reset(seed=3)
-    expected, _ = by_hand.reset(seed=3)
-    assert all(np.array_equal(observations[g], expected[g].numpy()) for g in observations)
-    for action in actions(200):
-        observations, rewards, terminated, truncated, infos = env.step(action)
-        expected, reward, failed, timed_out, _ = by_hand.step(torch.from_numpy(action))
-        np.testing.assert_array_equal(rewards, reward.numpy())
-        assert terminated.tolist() == failed.tolist()
-        assert truncated.tolist() == timed_out.tolist()
-        done = terminated | truncated
-        running = ~done
-        for group in observations:
-            np.testing.assert_array_equal(observations[group][running], expected[group].numpy()[running])
-        if done.any():
-            break
-        assert "final_obs" not in infos
-    assert infos["_final_obs"].tolist() == done.tolist()
-    assert done.any()
-    assert not done.all()
-    for group in observations:
-        last = np.stack([row[group] for row in infos["final_obs"][done]])
-        np.testing.assert_array_equal(last, expected[group].numpy()[done])
-    assert all(row is None for row in infos["final_obs"][running])
-    begun, _ = by_hand.reset(env_ids=torch.from_numpy(done).nonzero().squeeze(1))
-    for group in observations:
-        np.testing.assert_array_equal(observations[group][done], begun[group].numpy()[done])
-
-
 def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
     env.reset(seed=3)
     for action in actions(200):
@@ -116,28 +68,23 @@ def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
             break
     row = observations["policy"][terminated][0]
     gravity = row[15:30].reshape(5, 3)
-    assert (gravity == gravity[0]).all()  # the first sample fills the history
+    assert (gravity == gravity[0]).all()  # the first sample of an episode fills the history
     assert gravity[0, 2] < -0.99
     assert (row[95:125] == 0).all()  # no last action
     assert not (infos["final_obs"][terminated][0]["policy"][95:125] == 0).all()
 
 
-def test_time_outs_are_truncations():
+def test_time_outs_are_truncations_and_the_managers_log_comes_with_the_resets_alone():
     env = make("env.episode_length_s=0.1")
     env.reset(seed=0)
-    ends = [env.step(np.zeros((N, 6), np.float32))[2:4] for _ in range(12)]
-    assert [truncated.all() for _, truncated in ends] == [k in (5, 11) for k in range(12)]
-    assert not any(terminated.any() for terminated, _ in ends)
-
-
-def test_the_managers_log_comes_with_the_resets_alone():
-    env = make("env.episode_length_s=0.1")
-    env.reset(seed=0)
-    infos = [env.step(np.zeros((N, 6), np.float32))[4] for _ in range(7)]
-    assert ["log" in info for info in infos] == [k == 5 for k in range(7)]
+    steps = [env.step(np.zeros((N, 6), np.float32)) for _ in range(12)]
+    infos = [step[4] for step in steps]
+    assert ["log" in info for info in infos] == [k in (5, 11) for k in range(12)]
+    assert [step[3].all() for step in steps] == [k in (5, 11) for k in range(12)]
+    assert not any(step[2].any() for step in steps)
     log = infos[5]["log"]
     assert log["Episode_Termination/time_out"].tolist() == [1.0] * N
-    # 6 steps of weight 5 over the longest episode's 0.1 s
+    # 6 steps with the weight 5, divided by the longest episode's 0.1 s
     assert log["Episode_Reward/alive"] == pytest.approx([5.0 * 6 / 60 / 0.1] * N)
 
 
@@ -164,19 +111,6 @@ def test_the_same_seed_gives_the_same_episodes_again_and_elsewhere(env):
 def test_a_seed_for_each_environment_is_not_passed_over(env, seed):
     with pytest.raises(ValueError, match="one seed"):
         env.reset(seed=seed)
-
-
-def test_task_and_overrides_are_composed():
-    env = gymnasium.make_vec(
-        ENV_ID, num_envs=2, task="stand", overrides=[*ONE_THREAD, "env.observations.critic.history_length=1"]
-    )
-    assert env.observation_space["critic"].shape == (2, 36)
-
-
-def test_an_unknown_task_is_told_with_the_nearest():
-    with pytest.raises(ConfigError) as caught:
-        gymnasium.make_vec(ENV_ID, num_envs=2, task="stnd")
-    assert (caught.value.key, caught.value.nearest) == ("task", "stand")
 
 
 def test_no_environments_at_all_are_refused():
@@ -216,14 +150,14 @@ def test_whose_numbers_were_not_finite_is_told(env):
         ("same_step", AutoresetMode.SAME_STEP),
         ("next_step", AutoresetMode.NEXT_STEP),
         ("disabled", AutoresetMode.DISABLED),
-        ("NextStep", AutoresetMode.NEXT_STEP),  # the enum's value, as SyncVectorEnv takes it
+        ("NextStep", AutoresetMode.NEXT_STEP),  # SyncVectorEnv accepts the enum's value, too
         (AutoresetMode.DISABLED, AutoresetMode.DISABLED),
     ],
 )
 def test_the_mode_of_autoreset_is_said_where_wrappers_look(given, mode):
     env = gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode=given, overrides=ONE_THREAD)
     assert env.metadata["autoreset_mode"] is mode
-    assert env.unwrapped.autoreset_mode is mode  # an attribute of SyncVectorEnv, which TorchRL reads
+    assert env.unwrapped.autoreset_mode is mode  # TorchRL reads this attribute of SyncVectorEnv
     assert type(env.unwrapped).metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # no other env's
 
 

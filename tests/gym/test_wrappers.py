@@ -26,7 +26,6 @@ def make_vec(mode="same_step", **options):
 
 
 def flat(env):
-    """Return the policy's observations alone, as one vector."""
     return wrappers.FlattenObservation(wrappers.FilterObservation(env, ["policy"]))
 
 
@@ -35,7 +34,7 @@ def flat_vec(env):
 
 
 def ignoring_precision(make_it):
-    """Gymnasium's RescaleAction warns of its own float64 bounds."""
+    """Call a function without the warning of Gymnasium's RescaleAction about its float64 bounds."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*precision lowered by casting to float32")
         return make_it()
@@ -132,7 +131,6 @@ def test_actions_and_rewards_of_a_batch_are_transformed(mode):
 
 
 def test_observations_of_a_batch_are_transformed():
-    """Gymnasium's own wrappers of observations want next_step."""
     env = vector.NormalizeObservation(flat_vec(make_vec("next_step")))
     assert env.observation_space.shape == (N, 135)
     env.reset(seed=0)

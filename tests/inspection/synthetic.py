@@ -1,5 +1,3 @@
-"""Recordings written with rerun alone, whose every figure is known beforehand."""
-
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
@@ -14,8 +12,6 @@ AMPLITUDE = 0.3
 
 
 class Writer:
-    """Writes columns of numbers and words to a recording."""
-
     def __init__(self, path: Path, recording_id: str = "synthetic", application: str = "wheelleg") -> None:
         self.path = path
         self.stream = rr.RecordingStream(application, recording_id=recording_id, send_properties=False)
@@ -46,7 +42,6 @@ class Writer:
         return self.path
 
     def kill(self) -> Path:
-        """Leave the file as a killed process does: without an index."""
         self.stream.flush()
         data = self.path.read_bytes()
         self.stream.disconnect()
@@ -65,16 +60,10 @@ def times(steps, iterations=None):
 
 
 def pitch(steps=STEPS):
-    """Two whole periods of a sine."""
     return AMPLITUDE * np.sin(4 * np.pi * np.arange(1, steps + 1) / steps)
 
 
 def drive(writer: Writer, branch: str = "", offset: float = 0.0) -> None:
-    """An episode that falls in step 50, one that times out in step 150, and one that goes on.
-
-    The velocity is 0.25 m/s over its command, the yaw rate 0.5 rad/s to either side in turn, the effort of the hip at
-    its limit in every fourth step; the first foot pushes with its step's number of newtons, the second not at all.
-    """
     at, rows = (f"{branch}/" if branch else ""), np.arange(1, STEPS + 1)
     fallen, over = rows == 50, rows == 150
     writer.numbers(f"{at}base/height", np.full(STEPS, 0.1 + offset))
@@ -105,7 +94,6 @@ def play(path: Path, **options) -> Path:
 
 
 def training(path: Path, envs: Mapping[int, float] = {2: 0.0, 5: 1.0}) -> Path:
-    """Two environments, the second's base higher by its offset, ten iterations of twenty steps, and a curve."""
     writer = Writer(path)
     for env_id, offset in envs.items():
         drive(writer, f"env_{env_id}", offset)

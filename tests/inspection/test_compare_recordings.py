@@ -1,5 +1,3 @@
-"""Two recordings side by side."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -11,19 +9,21 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 def written(path, **changed):
-    """Write a sine pitch and a constant height, or what is given instead."""
     writer = Writer(path, recording_id=path.stem)
     for name, values in {"pitch": pitch(), "height": np.full(200, 0.1), **changed}.items():
         writer.numbers(f"base/{name}", values)
     return Recording(writer.close())
 
 
-def test_two_recordings_of_the_same_are_equal_whatever_their_ids(tmp_path):
+def test_recordings_of_the_same_are_equal_whatever_their_ids_and_even_if_one_was_killed(tmp_path):
     one, two = (Recording(play(tmp_path / f"{i}.rrd", recording_id=str(i))) for i in range(2))
     found = compare(one, two)
     assert found.is_equal
     assert len(found.equal) == len(one.entities())
     assert found.numbers == []
+    writer = Writer(tmp_path / "k.rrd")
+    drive(writer)
+    assert compare(Recording(play(tmp_path / "r.rrd")), Recording(writer.kill())).is_equal
 
 
 def test_the_last_bit_of_one_number_is_found_where_it_first_differs(tmp_path):
@@ -57,6 +57,9 @@ def test_a_recording_that_stopped_earlier_differs_in_its_rows_alone(tmp_path):
     assert number.parting.step is None
     assert number.rows == (200, 150)
     assert number.largest is None
+    found = compare(written(tmp_path / "a.rrd", more=[1.0]), written(tmp_path / "b.rrd", other=[1.0]))
+    assert (found.only_first, found.only_second) == (["base/more"], ["base/other"])
+    assert not found.is_equal
 
 
 def test_nan_equals_nan_and_the_sign_of_zero_differs(tmp_path):
@@ -68,19 +71,7 @@ def test_nan_equals_nan_and_the_sign_of_zero_differs(tmp_path):
     assert (number.parting.step, number.largest) == (8, 0.0)
 
 
-def test_entities_of_one_alone_are_named(tmp_path):
-    found = compare(written(tmp_path / "a.rrd", more=[1.0]), written(tmp_path / "b.rrd", other=[1.0]))
-    assert (found.only_first, found.only_second) == (["base/more"], ["base/other"])
-    assert not found.is_equal
-
-
 def test_environments_are_compared_one_by_one(tmp_path):
     one, two = (Recording(training(tmp_path / f"{i}.rrd", {2: 0.0, 5: i})) for i in range(2))
     (number,) = compare(one, two).numbers
     assert (number.name, number.largest) == ("env_5.base.height", 1.0)
-
-
-def test_a_killed_recording_compares_equal_to_a_whole_one_that_holds_the_same(tmp_path):
-    writer = Writer(tmp_path / "k.rrd")
-    drive(writer)
-    assert compare(Recording(play(tmp_path / "r.rrd")), Recording(writer.kill())).is_equal

@@ -1,5 +1,3 @@
-"""Panels of an evaluation: each cell shows the number of its episodes, and directions point where they should."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -29,7 +27,6 @@ def axes(rows: list[Mapping[str, Any]], test: str, title: str) -> Axes:
 
 
 def texts(found: Axes) -> list[str]:
-    """Return the numbers of a map, line by line from below."""
     return [text.get_text() for text in found.texts]
 
 
@@ -46,12 +43,11 @@ def test_a_map_of_commands_has_speed_upwards_and_a_number_a_cell():
     assert texts(survived) == ["100", "100", "0", "0"]
     assert [tick.get_text() for tick in survived.get_yticklabels()] == ["0", "0.3"]
     assert [tick.get_text() for tick in survived.get_xticklabels()] == ["-0.5", "0.5"]
-    assert texts(error) == ["3.5", "7.1"]  # √((3² + 4²) / 2) mm/s; of who fell no error is told, as in the tables
-
-
-def test_a_large_error_is_told_without_an_exponent():
+    assert texts(error) == ["3.5", "7.1"]  # The RMS of 3 and 4 mm/s is 3.5 mm/s.
     rows = [{"test": "walk", "command_vx": 0.1, "command_wz": 0.0, "survived": 1.0, "error_vx": 0.756}]
     assert texts(axes(rows, "walk", "Error of the speed")) == ["756"]
+    rows = [{"test": "walk", "command_vx": 0.1, "command_wz": 0.0, "survived": 0.0, "error_vx": np.nan}]
+    assert [panel.title for panel in panels(table(rows))["walk"]] == ["Survived (%)"]
 
 
 def test_a_push_forwards_is_drawn_up_and_one_to_the_left_left():
@@ -106,8 +102,3 @@ def test_files_are_written_once_for_each_test_and_the_same_every_time(tmp_path):
         (tmp_path / name).mkdir()
         assert draw(evaluation, tmp_path / name) == [tmp_path / name / "walk.png"]
     assert (tmp_path / "a" / "walk.png").read_bytes() == (tmp_path / "b" / "walk.png").read_bytes()
-
-
-def test_who_fell_at_once_is_drawn_without_what_there_is_none_of():
-    rows = [{"test": "walk", "command_vx": 0.1, "command_wz": 0.0, "survived": 0.0, "error_vx": np.nan}]
-    assert [panel.title for panel in panels(table(rows))["walk"]] == ["Survived (%)"]

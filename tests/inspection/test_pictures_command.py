@@ -1,5 +1,3 @@
-"""``wheelleg inspect`` with the options that make files, pictures and windows."""
-
 from __future__ import annotations
 
 import json
@@ -28,16 +26,13 @@ def test_a_plot_and_an_export_are_told_as_one_document(played, tmp_path: Path, c
     assert all(Path(entry["path"]).is_file() for entry in document["export"]["files"])
 
 
-def test_chosen_terms_are_plotted(played, tmp_path: Path) -> None:
+def test_chosen_terms_and_two_recordings_are_plotted(played, tmp_path: Path, several, capsys) -> None:
     assert inspect(played, "--term", "rewards.effort", "--term", "base.height", "--plot", tmp_path / "p.svg") == 0
     text = (tmp_path / "p.svg").read_text()
     assert "rewards.effort" in text
     assert "base.height" in text
-
-
-def test_two_recordings_are_plotted_over_each_other(played, several, tmp_path: Path, capsys) -> None:
-    assert inspect(played, "--compare", several.path, "--plot", tmp_path / "p.svg") == 1  # they differ
-    text = (tmp_path / "p.svg").read_text()
+    assert inspect(played, "--compare", several.path, "--plot", tmp_path / "q.svg") == 1  # The recordings differ.
+    text = (tmp_path / "q.svg").read_text()
     assert ">played<" in text
     assert ">several, environment 0<" in text
 

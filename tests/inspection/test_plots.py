@@ -1,5 +1,3 @@
-"""Figures: the numbers in them are the recorded ones, they are readable, and the same every time."""
-
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
@@ -17,7 +15,7 @@ from PIL import Image
 from wheelleg_exp.inspection import recording_plots
 from wheelleg_exp.inspection import training_curves as plots_training
 from wheelleg_exp.inspection.plot_data import Source
-from wheelleg_exp.inspection.plot_style import PALETTE, figure_bytes, tile
+from wheelleg_exp.inspection.plot_style import PALETTE, figure_bytes, figure_svg, tile
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -31,7 +29,6 @@ def panel(figure: Figure, title: str) -> Axes:
 
 
 def line(figure: Figure, title: str, label: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return a line of a panel without the gaps at resets."""
     for found in panel(figure, title).get_lines():
         if label in (None, found.get_label()) and len(found.get_xdata()) > 2:
             x, y = (np.asarray(data, dtype=float) for data in found.get_data())
@@ -64,16 +61,10 @@ def test_a_line_has_a_gap_where_the_robot_was_reset(played: Recording) -> None:
 def test_a_held_joint_shows_positions_and_a_driven_one_velocities(played: Recording) -> None:
     figure = recording_plots.make(played, "joints")
     expected = numbers(steps_of(training=False))
-    np.testing.assert_allclose(
-        line(figure, "knee: position and target (rad)", "actual")[1], expected["joints/knee/position"]
-    )
-    np.testing.assert_allclose(
-        line(figure, "roll: velocity and target (rad/s)", "target")[1], expected["joints/roll/velocity_target"]
-    )
-
-
-def test_an_effort_shows_its_limits_on_both_sides(played: Recording) -> None:
-    axes = panel(recording_plots.make(played, "joints"), "knee: effort (N·m)")
+    held, driven = "knee: position and target (rad)", "roll: velocity and target (rad/s)"
+    np.testing.assert_allclose(line(figure, held, "actual")[1], expected["joints/knee/position"])
+    np.testing.assert_allclose(line(figure, driven, "target")[1], expected["joints/roll/velocity_target"])
+    axes = panel(figure, "knee: effort (N·m)")
     bounds = {float(one.get_ydata()[0]) for one in axes.get_lines() if len(set(one.get_ydata())) == 1}
     assert bounds == {-2.0, 2.0}
     assert axes.get_ylim()[0] < -2.0 < 2.0 < axes.get_ylim()[1]
@@ -90,20 +81,19 @@ def test_contact_forces_are_drawn_of_the_bodies_that_were_touched(played: Record
 def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) -> None:
     axes = panel(recording_plots.make(played, "reward_shares"), f"Mean reward by term over {STEPS} recorded steps")
     expected = numbers(steps_of(training=False))
-    shown = dict(
-        zip([t.get_text() for t in axes.get_yticklabels()], (bar.get_width() for bar in axes.patches), strict=True)
-    )
+    names, widths = [t.get_text() for t in axes.get_yticklabels()], [bar.get_width() for bar in axes.patches]
+    shown = dict(zip(names, widths, strict=True))
     assert shown == pytest.approx({"alive": 2.0, "effort": expected["rewards/effort"].mean()})
     share = 2.0 / (2.0 - expected["rewards/effort"].mean())
     assert any(f"({share:.0%})" in text.get_text() for text in axes.texts)
 
 
 def test_what_a_training_says_of_its_terms_is_not_called_per_second(trained: Recording) -> None:
-    titles = [axes.get_title("left") for axes in recording_plots.make(trained, "reward_shares").get_axes()]
-    assert len(titles) == 2
-    for title in titles:
-        assert title.endswith("sum of an episode / longest episode's seconds")
-    assert not any("1/s" in axes.get_xlabel() for axes in recording_plots.make(trained, "reward_shares").get_axes())
+    found = recording_plots.make(trained, "reward_shares").get_axes()
+    assert len(found) == 2
+    for axes in found:
+        assert axes.get_title("left").endswith("sum of an episode / longest episode's seconds")
+        assert "1/s" not in axes.get_xlabel()
 
 
 def test_of_several_environments_the_page_names_the_one_that_it_shows(several: Recording, played: Recording) -> None:
@@ -118,9 +108,14 @@ def test_of_several_environments_the_page_names_the_one_that_it_shows(several: R
     assert recording_plots.terms_figure(played, ["base.height"]).get_suptitle() == ""
 
 
-def test_terms_are_drawn_with_their_units(played: Recording) -> None:
-    figure = recording_plots.terms_figure(played, ["rewards.effort", "base.height"])
-    assert [axes.get_title("left") for axes in figure.get_axes()] == ["rewards.effort (1/s)", "base.height (m)"]
+def test_terms_are_drawn_with_their_units(played: Recording, trained: Recording) -> None:
+    figure = recording_plots.terms_figure(played, ["rewards.effort", "base.height", "contacts.feet"])
+    titles = ["rewards.effort (1/s)", "base.height (m)", "contacts.feet: base (N)", "contacts.feet: wheel (N)"]
+    assert [axes.get_title("left") for axes in figure.get_axes()] == titles
+    _, values = line(recording_plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
+    np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
+    _, values = line(recording_plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
+    np.testing.assert_allclose(values, scalar_values()["Loss/value"])
 
 
 def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_path: Path) -> None:
@@ -143,11 +138,7 @@ def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
 
 @pytest.mark.parametrize(
     ("title", "key"),
-    [
-        (RETURN, "Train/mean_reward"),
-        ("Value loss", "Loss/value"),
-        ("Learning rate", "Loss/learning_rate"),
-    ],
+    [(RETURN, "Train/mean_reward"), ("Value loss", "Loss/value"), ("Learning rate", "Loss/learning_rate")],
 )
 def test_learning_curves_are_the_recorded_scalars(trained: Recording, title, key) -> None:
     iterations, values = line(recording_plots.make(trained, "learning_curves"), title)
@@ -172,7 +163,6 @@ def test_the_error_of_a_step_is_drawn_and_not_the_one_that_grows_with_the_episod
 
 
 def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
-    """Every last episode was ended by both: shares that one may not stack."""
     x, every = np.arange(5), np.ones(5)
     scalars = {f"Episode_Termination/{name}": (x, every) for name in ("a", "b")}
     (axes,) = tile(plots_training.endings(scalars)).get_axes()
@@ -184,6 +174,8 @@ def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
 def test_what_is_of_the_last_sample_says_so(trained: Recording, played: Recording) -> None:
     assert recording_plots.PLOTS["joints"].heading(Source(trained)) == "Joints, last sample, from iteration 10 on"
     assert recording_plots.PLOTS["joints"].heading(Source(played)) == "Joints"
+    samples = Source(trained).samples()
+    assert [(s.first, s.last, s.iteration) for s in samples] == [(1, 60, 0), (121, 180, 5), (241, 300, 10)]
 
 
 def test_a_training_shows_its_samples_from_pale_to_dark(trained: Recording) -> None:
@@ -200,13 +192,8 @@ def test_a_long_curve_is_smoothed_and_its_own_values_stay_in_sight() -> None:
     figure = tile(plots_training.learning({"Loss/value": (np.arange(400), values)}))
     raw, smooth = panel(figure, "Value loss").get_lines()
     np.testing.assert_array_equal(raw.get_ydata(), values)
-    middle = smooth.get_ydata()[200]
-    assert middle == pytest.approx(values[195:206].mean())
-
-
-def test_smoothing_leaves_out_what_is_not_a_number() -> None:
-    values = np.array([1.0, np.nan, 3.0])
-    np.testing.assert_allclose(plots_training.smooth(values), [1.0, 2.0, 3.0])
+    assert smooth.get_ydata()[200] == pytest.approx(values[195:206].mean())
+    np.testing.assert_allclose(plots_training.smooth(np.array([1.0, np.nan, 3.0])), [1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize("kind", ["played", "trained", "several"])
@@ -217,67 +204,45 @@ def test_the_default_page_shows_what_matters_for_the_purpose(kind: str, request:
     assert (RETURN in titles) == (kind == "trained")
 
 
-def test_a_chosen_environment_is_the_one_that_is_drawn(several: Recording) -> None:
-    heights = [
-        line(
-            recording_plots.make(several, "tracking", selection=Selection(env_id=i)), "Height of the base (m)", "actual"
-        )[1]
-        for i in (0, 3)
-    ]
-    np.testing.assert_allclose(heights[1] - heights[0], 0.001)
-
-
-def test_a_chosen_span_of_time_is_what_is_drawn(played: Recording) -> None:
+def test_a_chosen_environment_and_span_of_time_is_what_is_drawn(several: Recording, played: Recording) -> None:
+    figures = [recording_plots.make(several, "tracking", selection=Selection(env_id=i)) for i in (0, 3)]
+    first, second = (line(figure, "Height of the base (m)", "actual")[1] for figure in figures)
+    np.testing.assert_allclose(second - first, 0.001)
     chosen = Selection(begin=Length(0.2, False), end=Length(0.4, False))
     time, _ = line(recording_plots.make(played, "tracking", selection=chosen), "Height of the base (m)", "actual")
     np.testing.assert_allclose(time, np.arange(10, 21) * DT)
 
 
-def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recording) -> None:
-    _, values = line(recording_plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
-    np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
-    _, values = line(recording_plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
-    np.testing.assert_allclose(values, scalar_values()["Loss/value"])
-
-
-def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
-    figure = recording_plots.terms_figure(played, ["contacts.feet"])
-    assert [axes.get_title("left") for axes in figure.get_axes()] == [
-        "contacts.feet: base (N)",
-        "contacts.feet: wheel (N)",
-    ]
-
-
-def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
+def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording, trained: Recording) -> None:
     figure = recording_plots.overlay({"one": played, "two": several}, "base.height", selection=None)
     first, second = (line(figure, "base.height (m)", label)[1] for label in ("one", "two, environment 0"))
     np.testing.assert_allclose(first, second)
     styles = {one.get_linestyle() for one in panel(figure, "base.height (m)").get_lines()}
-    assert len(styles) == 2  # told apart in grey print too
-
-
-def test_an_overlay_of_trainings_shows_learning_curves(trained: Recording) -> None:
+    assert len(styles) == 2  # The lines can be distinguished in grey print.
     figure = recording_plots.overlay({"a": trained, "b": trained}, ())
     np.testing.assert_allclose(line(figure, RETURN, "b")[1], scalar_values()["Train/mean_reward"])
 
 
 @pytest.mark.parametrize("name", ["reward_shares", "tracking"])
 def test_a_figure_is_the_same_text_every_time(trained: Recording, name: str) -> None:
-    first, second = (recording_plots.figure_svg(recording_plots.make(trained, name)) for _ in range(2))
+    first, second = (figure_svg(recording_plots.make(trained, name)) for _ in range(2))
     assert first == second
     assert "<dc:date>" not in first
 
 
-def test_an_svg_is_one_scalable_element_whose_words_are_text(played: Recording) -> None:
-    root = ET.fromstring(recording_plots.figure_svg(recording_plots.make(played, "tracking")))
+def test_an_svg_is_one_scalable_element_and_drawing_changes_no_setting(played: Recording) -> None:
+    root = ET.fromstring(figure_svg(recording_plots.make(played, "tracking")))
     assert root.tag.endswith("svg")
     assert root.get("viewBox")
     words = {"".join(text.itertext()).strip() for text in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"Height of the base (m)", "simulated time (s)", "command"} <= words
+    before = dict(mpl.rcParams)
+    figure_bytes(recording_plots.make(played, "terminations"), "png")
+    assert dict(mpl.rcParams) == before
 
 
 def test_panels_stay_legible_when_small(played: Recording) -> None:
-    for one in recording_plots.PLOTS["tracking"].each(played):
+    for one in recording_plots.PLOTS["tracking"].panels(Source(played)):
         figure = tile([one], size=(3.8, 2.6))
         figure.draw_without_rendering()
         box = figure.get_axes()[0].get_window_extent()
@@ -285,14 +250,7 @@ def test_panels_stay_legible_when_small(played: Recording) -> None:
         assert box.height > 0.5 * 2.6 * figure.dpi
 
 
-def test_drawing_changes_nothing_of_the_process(played: Recording) -> None:
-    before = dict(mpl.rcParams)
-    figure_bytes(recording_plots.make(played, "terminations"), "png")
-    assert dict(mpl.rcParams) == before
-
-
 def test_no_two_colours_of_the_palette_are_near_for_the_colour_blind() -> None:
-    """Seen by an eye without green receptors (Viénot 1999, linear RGB)."""
     rgb = np.array([mpl.colors.to_rgb(shade) for shade in PALETTE[:6]])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     seen = linear @ np.array([[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]]).T
@@ -310,8 +268,3 @@ def test_a_figure_is_saved_by_its_ending(played: Recording, tmp_path: Path, kind
     if kind == "png":
         assert np.asarray(Image.open(path).convert("L")).std() > 5
     assert [p.name for p in path.parent.iterdir()] == [path.name]
-
-
-def test_a_source_knows_its_samples(trained: Recording) -> None:
-    samples = Source(trained).samples()
-    assert [(s.first, s.last, s.iteration) for s in samples] == [(1, 60, 0), (121, 180, 5), (241, 300, 10)]

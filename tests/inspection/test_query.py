@@ -1,5 +1,3 @@
-"""Conditions, and the moments in which they hold."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -45,48 +43,29 @@ def test_names_may_have_dots_brackets_and_quotes():
     assert condition.names == ["actions.raw.leg[l01]", "joints.left-hip.effort", "base.pitch"]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "__import__('os').system('true')",
-        "base.pitch.real.__class__()",
-        "(lambda: 1)()",
-        "[x for x in base]",
-        "a if b else c",
-        "a := 1",
-        "a = 1",
-        "a >",
-        "",
-        "1 > 0",
-        "a ** 999999999",
-        "a in b",
-        "f'{a}'",
-        "abs(a, b)",
-        "print(a)",
-        "(" * 500 + "a" + ")" * 500,
-        "not " * 300 + "a",
-        "a + " * 5000 + "a",
-        "a\0",
-        "{'a': 1}",
-        "1j > a",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "__import__('os').system('true')", "base.pitch.real.__class__()", "(lambda: 1)()", "[x for x in base]",
+    "a if b else c", "a := 1", "a = 1", "a >", "", "1 > 0", "a ** 999999999", "a in b", "f'{a}'", "abs(a, b)",
+    "print(a)", "a\0", "{'a': 1}", "1j > a",
+    "(" * 500 + "a" + ")" * 500, "not " * 300 + "a", "a + " * 5000 + "a",
+])  # fmt: skip
 def test_what_is_no_condition_is_refused_and_never_run(text):
     with pytest.raises(WheellegError, match="is not a condition"):
         Condition(text)
 
 
-def test_a_termination_is_a_moment(recording):
+def test_consecutive_frames_are_one_hit(recording, tmp_path):
     (hit,) = find_hits(recording, Condition("terminations.fallen"))
     assert (hit.first.step, hit.last.step, hit.frames, hit.around) == (50, 50, 1, None)
     assert hit.first.time_s == pytest.approx(1.0)
-
-
-def test_frames_in_a_row_are_one_stretch(recording):
     hits = find_hits(recording, Condition(f"base.pitch > {AMPLITUDE / 2}"))
     above = np.flatnonzero(pitch() > AMPLITUDE / 2) + 1
     assert [(hit.first.step, hit.last.step) for hit in hits] == [(above[0], 41), (109, above[-1])]
     assert sum(hit.frames for hit in hits) == len(above)
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("a", np.ones(4), steps=[1, 2, 100, 101])
+    hits = find_hits(Recording(writer.close()), Condition("a"))
+    assert [(hit.first.step, hit.last.step) for hit in hits] == [(1, 2), (100, 101)]
 
 
 def test_the_rows_around_reach_as_far_as_asked(recording):
@@ -98,21 +77,10 @@ def test_the_rows_around_reach_as_far_as_asked(recording):
     assert table.column_names == ["step", "sim_time", "base.pitch"]
 
 
-def test_a_gap_between_recorded_segments_ends_a_stretch(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    writer.numbers("a", np.ones(4), steps=[1, 2, 100, 101])
-    hits = find_hits(Recording(writer.close()), Condition("a"))
-    assert [(hit.first.step, hit.last.step) for hit in hits] == [(1, 2), (100, 101)]
-
-
 def test_a_selection_is_where_is_looked_not_what_is_shown(recording):
     selection = Selection(begin=Length(140, True))
-    (hit,) = find_hits(
-        recording,
-        Condition("terminations.fallen or terminations.time_out"),
-        around=Length(20, True),
-        selection=selection,
-    )
+    condition = Condition("terminations.fallen or terminations.time_out")
+    (hit,) = find_hits(recording, condition, around=Length(20, True), selection=selection)
     assert hit.first.step == 150
     assert hit.around.table.column("step")[0].as_py() == 130
 
@@ -127,26 +95,16 @@ def test_every_environment_is_searched_or_the_chosen_one(tmp_path):
     assert (hit.first.env_id, hit.first.iteration) == (None, 6)
 
 
-@pytest.mark.parametrize(
-    ("name", "nearest"),
-    [
-        ("base.pitsh", "base.pitch"),
-        ("pitch", "base.pitch"),
-        ("effort", "rewards.effort"),
-        ("rewards/alve", "rewards.alive"),
-    ],
-)
-def test_a_wrong_name_is_told_with_the_nearest(recording, name, nearest):
-    with pytest.raises(WheellegError, match=f"did you mean '{nearest}'"):
-        term_statistics(recording, [name], Selection())
-
-
-def test_a_number_may_be_named_by_its_path(recording):
+def test_a_number_is_named_by_its_path_or_the_nearest_name_is_told(recording):
     (stats,) = term_statistics(recording, ["rewards/alive"], Selection()).values()
     assert (stats.count, stats.mean) == (200, 3.0)
+    nearest = {"base.pitsh": "base.pitch", "pitch": "base.pitch", "effort": "rewards.effort"}
+    for name, expected in {**nearest, "rewards/alve": "rewards.alive"}.items():
+        with pytest.raises(WheellegError, match=f"did you mean '{expected}'"):
+            term_statistics(recording, [name], Selection())
 
 
-def test_statistics_of_a_ramp(recording):
+def test_statistics_of_a_ramp(recording, tmp_path):
     (stats,) = term_statistics(recording, ["contacts.feet.left"], Selection()).values()
     assert (stats.count, stats.mean, stats.minimum, stats.maximum) == (200, 100.5, 1.0, 200.0)
     assert stats.std == pytest.approx(np.sqrt((200**2 - 1) / 12))
@@ -154,9 +112,6 @@ def test_statistics_of_a_ramp(recording):
     assert stats.quantiles[0.25] == pytest.approx(1 + 0.25 * 199)
     assert (stats.minimum_at.step, stats.maximum_at.step) == (1, 200)
     assert stats.maximum_at.time_s == pytest.approx(4.0)
-
-
-def test_statistics_over_environments_name_the_one_of_the_extreme(tmp_path):
     recording = Recording(training(tmp_path / "r.rrd"))
     (stats,) = term_statistics(recording, ["base.height"], Selection()).values()
     assert (stats.count, stats.maximum_at.env_id, stats.minimum_at.env_id) == (400, 5, 2)
@@ -173,14 +128,7 @@ def test_rows_are_chosen_by_iteration_time_and_step(tmp_path):
     assert since.count == 2
 
 
-@pytest.mark.parametrize(
-    ("text", "length"),
-    [
-        ("0.5s", Length(0.5, False)),
-        ("200ms", Length(0.2, False)),
-        ("30 steps", Length(30, True)),
-        ("1.5", Length(1.5, False)),
-    ],
-)
-def test_lengths_have_units(text, length):
-    assert parse_length(text, "--around") == length
+def test_lengths_have_units():
+    lengths = {"0.5s": (0.5, False), "200ms": (0.2, False), "30 steps": (30, True), "1.5": (1.5, False)}
+    for text, expected in lengths.items():
+        assert parse_length(text, "--around") == Length(*expected)

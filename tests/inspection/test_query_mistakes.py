@@ -1,5 +1,3 @@
-"""Mistakes of a question to a recording: each is told with what is expected, and no file is written or changed."""
-
 from __future__ import annotations
 
 from collections.abc import Callable

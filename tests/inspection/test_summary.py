@@ -1,5 +1,3 @@
-"""The summary of recordings whose figures are known beforehand."""
-
 from __future__ import annotations
 
 import json
@@ -27,20 +25,14 @@ def test_what_it_holds_and_from_when_to_when(summary):
     assert summary.timelines["sim_time"].last == pytest.approx(4.0)
     assert {part.name: (part.entities, part.rows) for part in summary.parts}["base"] == (4, 800)
     assert summary.health.is_whole
+    assert summary.events == {"push": 2}
 
 
 def test_episodes_end_where_a_termination_fired(summary):
     found = [(e.first_step, e.last_step, e.outcome, e.ended_by) for e in summary.episodes]
-    assert found == [
-        (1, 50, "failed", ("fallen",)),
-        (51, 150, "time out", ("time_out",)),
-        (151, 200, "unfinished", ()),
-    ]
+    assert found == [(1, 50, "failed", ("fallen",)), (51, 150, "time out", ("time_out",)), (151, 200, "unfinished", ())]
     assert [e.duration_s for e in summary.episodes] == pytest.approx([1.0, 2.0, 1.0])
     assert [e.total_reward for e in summary.episodes] == pytest.approx([2.0, 4.0, 2.0])
-
-
-def test_survival_counts_whole_episodes_only(summary):
     figures = summary.figures
     assert (figures.count, figures.failed, figures.timed_out, figures.unfinished) == (3, 1, 1, 1)
     assert figures.survival == 0.5
@@ -67,14 +59,11 @@ def test_the_statistics_of_a_sine(summary):
     assert list(summary.base) == ["height", "pitch"]
 
 
-def test_the_largest_force_and_how_long_there_was_one(summary):
+def test_the_largest_force_and_how_long_there_was_one(summary, tmp_path):
     left, right = summary.forces
     assert (left.sensor, left.body, left.largest_n, left.at.step) == ("feet", "left", 200.0, 200)
     assert (left.mean_n, left.contact_share) == (100.5, 1.0)
     assert (right.body, right.largest_n, right.contact_share) == ("right", 0.0, 0.0)
-
-
-def test_peaks_within_a_step_count_where_they_were_recorded(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("contacts/feet", [[1.0, 2.0], [3.0, 4.0]], names=["l", "r"])
     writer.numbers("contacts/feet/peak", [[9.0, 2.0], [3.0, 8.0]], names=["l", "r"])
@@ -94,10 +83,6 @@ def test_shares_of_the_rewards_are_by_size(summary):
     assert (shares["alive"].share, shares["effort"].share) == (0.75, 0.25)
     assert shares["alive"].total == pytest.approx(3.0 * 4.0)
     assert (shares["effort"].mean, shares["effort"].weight) == (-1.0, -0.1)
-
-
-def test_events_are_counted(summary):
-    assert summary.events == {"push": 2}
 
 
 def test_of_a_training_every_scalar_tells_where_it_was_best(tmp_path):
@@ -134,14 +119,11 @@ def test_sample_episodes_belong_to_the_stretch_of_frames_that_they_stand_in(tmp_
     writer.numbers("rewards/total", np.ones(80), steps, None, iterations)
     writer.words("log/episodes", [(10, "env 0: ended by fallen", "WARN"), (210, "env 0: ended by fallen", "WARN")])
     samples = summarize(Recording(writer.close())).samples
-    assert [(s.iteration, s.last_iteration, s.episodes, s.cut, s.survival) for s in samples] == [
-        (0, 1, 1, 1, 0.0),
-        (10, 11, 1, 1, 0.0),
-    ]
+    found = [(s.iteration, s.last_iteration, s.episodes, s.cut, s.survival) for s in samples]
+    assert found == [(0, 1, 1, 1, 0.0), (10, 11, 1, 1, 0.0)]
 
 
 def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
-    """The second environment waits 30 steps for its next episode, until the first one's sample is over."""
     writer = Writer(tmp_path / "r.rrd")
     writer.stream.send_property("wheelleg", rr.AnyValues(env_ids=[0, 3], max_episode_length=40))
     for branch, wait in (("env_0", 0), ("env_3", 30)):
@@ -152,7 +134,6 @@ def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
 
 
 def late(path):
-    """A training whose first sample falls after 20 steps at a height of 1, and whose last one stands 40 steps at 2."""
     writer = Writer(path)
     steps = np.r_[1:21, 201:241, 301:311]
     iterations = (steps - 1) // 20
@@ -189,7 +170,6 @@ def test_an_episode_that_two_terminations_end_counts_once(tmp_path):
 
 
 def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
-    """Of a sample: an episode that began before it, one from its beginning to its end, and one that is cut off."""
     writer = Writer(tmp_path / "r.rrd")
     steps = np.arange(101, 161)
     ends = np.isin(steps, [110, 130])
@@ -217,7 +197,6 @@ def test_without_an_ended_episode_a_sample_has_no_figures(tmp_path):
 
 
 def test_episodes_are_told_apart_by_their_own_marks_where_there_are(tmp_path):
-    """The first frame is the 31st of its episode, and the second episode ends in the step that the third begins."""
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("terminations/a", [0, 0, 1, 1])
     writer.numbers("terminations/b", [0, 0, 0, 1])
@@ -241,14 +220,6 @@ def test_numbers_that_are_none_are_counted_and_left_out(tmp_path):
     assert summary.rewards[0].mean == 3.0
 
 
-def test_an_empty_episode_log_and_single_frames_do_not_hurt(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    writer.numbers("terminations/fallen", [0.0])
-    summary = summarize(Recording(writer.close()))
-    assert [episode.outcome for episode in summary.episodes] == ["unfinished"]
-    assert summary.figures.survival is None
-
-
 def test_it_can_be_written_as_json(summary):
     document = json.loads(dump_json(summary.as_dict()))
     assert document["figures"]["survival"] == 0.5
@@ -263,20 +234,12 @@ def test_a_joint_and_a_term_may_have_any_name(tmp_path):
     assert (use.joint, use.saturated_share) == ("left hip.x", 0.5)
 
 
-def test_a_killed_recording_is_summarized_as_far_as_it_goes(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    drive(writer)
-    summary = summarize(Recording(writer.kill()))
-    assert not summary.health.is_whole
-    assert summary.figures.count == 3
-
-
 def test_an_environment_of_which_less_is_there_does_not_hide_the_others(tmp_path):
-    """As in a file that was cut off between the rows of two environments."""
     writer = Writer(tmp_path / "r.rrd")
     drive(writer, "env_0")
     writer.numbers("env_3/base/height", [5.0])
     summary = summarize(Recording(writer.kill()))
+    assert not summary.health.is_whole
     assert summary.figures.count == 3
     assert summary.base["height"].maximum == 5.0
     assert summary.tracking[0].mean == pytest.approx(0.25)

@@ -1,5 +1,3 @@
-"""Which recording a word means."""
-
 from __future__ import annotations
 
 import json
@@ -15,7 +13,6 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """A run with a recording of its training and two plays."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "runs" / "stand" / "2026-01-02_03-04-05_0"
     for name in (".", "play/2026-01-03_00-00-00", "play/2026-01-04_00-00-00"):
@@ -59,9 +56,6 @@ def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
     (run.hydra / "config.yaml").write_text("recording: [broken")
     with pytest.raises(RunDirectoryError, match=r"there is no recording\.rrd"):
         find_target("latest", "runs")
-
-
-def test_a_run_without_a_play_says_how_to_make_one(run):
     for path in run.play.glob("*/recording.rrd"):
         path.unlink()
     with pytest.raises(RunDirectoryError, match=r"no recorded play.*wheelleg play"):

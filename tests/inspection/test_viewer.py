@@ -1,5 +1,3 @@
-"""The viewer: it listens on the loopback address alone, sends nothing anywhere, and leaves nothing behind."""
-
 from __future__ import annotations
 
 import http.client
@@ -32,13 +30,18 @@ psutil = pytest.importorskip("psutil", reason="psutil looks at what a process li
 
 
 @pytest.fixture(scope="module")
-def files() -> rerun_viewer.Files:
+def fetched() -> rerun_viewer.Files:
     return rerun_viewer.viewer_files()
 
 
 @pytest.fixture
-def served(played: Recording, files: rerun_viewer.Files, monkeypatch) -> Iterator[WebViewer]:
-    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
+def files(fetched: rerun_viewer.Files, monkeypatch) -> rerun_viewer.Files:
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: fetched)
+    return fetched
+
+
+@pytest.fixture
+def served(played: Recording, files: rerun_viewer.Files) -> Iterator[WebViewer]:
     with WebViewer(played.path) as running:
         yield running
 
@@ -54,14 +57,12 @@ def ask(port: int, path: str, host: str | None = None, method: str = "GET") -> t
 
 
 def listening(pid: int, *, family: bool = True) -> set[str]:
-    """Return the addresses that a process, and unless told otherwise all that it started, listen on."""
     processes = [psutil.Process(pid), *(psutil.Process(pid).children(recursive=True) if family else [])]
     found = [c for process in processes for c in process.net_connections(kind="inet")]
     return {connection.laddr.ip for connection in found if connection.status == psutil.CONN_LISTEN}
 
 
 def elsewhere(pid: int) -> set[str]:
-    """Return the foreign addresses that a process and all that it started talk to."""
     family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
     found = [c.raddr.ip for process in family for c in process.net_connections(kind="inet") if c.raddr]
     return {ip for ip in found if ip not in ("127.0.0.1", "::1")}
@@ -75,7 +76,7 @@ def test_the_page_shows_the_recording_and_asks_nothing_of_other_machines(served:
     status, headers, page = ask(served.port, target.removeprefix(served.url.rstrip("/")))
     assert status == 200
     assert b"re_viewer.js" in page
-    assert b"fonts.g" not in page  # the page that rerun hands out asks Google for a font
+    assert b"fonts.g" not in page  # rerun's own page loads a font from Google.
     policy = dict(part.split(" ", 1) for part in headers["Content-Security-Policy"].split("; "))
     assert policy["default-src"] == "'none'"
     assert policy["connect-src"] == "'self' data: blob:"
@@ -89,8 +90,7 @@ def test_the_recording_is_served_as_it_is(served: WebViewer, played: Recording) 
     assert (status, nothing, int(headers["Content-Length"])) == (200, b"", len(body))
 
 
-def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
+def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path) -> None:
     path = write_recording(tmp_path / "growing.rrd")
     with WebViewer(path) as running:
         before = len(ask(running.port, "/recording.rrd")[2])
@@ -113,11 +113,10 @@ def test_a_page_of_another_name_reads_nothing(served: WebViewer, host: str) -> N
 
 
 def test_only_the_loopback_address_is_listened_on(served: WebViewer) -> None:
-    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # a browser of other tests may be its child
+    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # Child processes are browsers of other tests.
 
 
-def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
+def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
@@ -127,17 +126,11 @@ def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> 
         WebViewer(Path(played.path), 70000)
 
 
-def test_two_viewers_stand_beside_each_other(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
+def test_two_viewers_stand_beside_each_other_and_answer_no_more_once_ended(files, played: Recording) -> None:
     with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
         assert one.port != two.port
         assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
-
-
-def test_an_ended_viewer_answers_no_more(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
-    with WebViewer(Path(played.path)) as running:
-        port = running.port
+        port = one.port
     with pytest.raises(ConnectionError):
         ask(port, "/")
 
@@ -168,27 +161,18 @@ def test_the_command_serves_until_it_is_interrupted(played: Recording, number: s
         process.communicate()
 
 
-def test_no_window_is_opened_where_there_is_no_display(played: Recording, monkeypatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    if rerun_viewer.has_display():
-        pytest.skip("this system always has a display")
-    with pytest.raises(WheellegError) as caught:
-        rerun_viewer.open_window(Path(played.path))
-    assert "--web" in str(caught.value)
-
-
-def test_no_browser_is_opened_where_it_cannot_be_seen(monkeypatch) -> None:
+def test_no_window_and_no_browser_is_opened_where_there_is_no_display(played: Recording, monkeypatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(rerun_viewer.webbrowser, "open", lambda _: pytest.fail("opened"))
     if rerun_viewer.has_display():
         pytest.skip("this system always has a display")
+    with pytest.raises(WheellegError, match="--web"):
+        rerun_viewer.open_window(Path(played.path))
     assert not rerun_viewer._open_browser("http://127.0.0.1/")
 
 
 def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Path, monkeypatch) -> None:
-    """With settings of its own for this test: what it would write there, it would write for a user."""
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME"):
         monkeypatch.delenv(name, raising=False)
@@ -208,21 +192,9 @@ def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Pa
     assert not [path for path in tmp_path.rglob("*rerun*") if path.is_dir() and "config" in str(path)]
 
 
-def test_the_viewer_may_reach_no_other_machine() -> None:
-    environment = rerun_viewer.viewer_environment()
-    assert environment["HTTPS_PROXY"] == environment["https_proxy"] == "http://127.0.0.1:9"
-    assert environment["CI"] == "true"
-
-
 def test_ending_a_viewer_ends_what_it_started() -> None:
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])",
-        ],
-        start_new_session=True,
-    )
+    code = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])"
+    process = subprocess.Popen([sys.executable, "-c", code], start_new_session=True)
     children = wait_until(psutil.Process(process.pid).children)
     end_program(process)
     psutil.wait_procs(children, timeout=PATIENCE_S)

@@ -1,5 +1,3 @@
-"""A small recording written by hand after the layout: what is in it is known without the program's own numbers."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -24,19 +22,16 @@ Columns = dict[str, np.ndarray]
 
 
 def steps_of(*, training: bool) -> np.ndarray:
-    """Return the recorded control steps: one stretch, or one from each sampled iteration."""
     if not training:
         return np.arange(1, STEPS + 1)
     return np.concatenate([ITERATION_STEPS * i + np.arange(1, STEPS + 1) for i in SAMPLES])
 
 
 def base_x(steps: np.ndarray) -> np.ndarray:
-    """Return where the base is along x, m: every episode of ``FELL_AT`` steps begins at 0."""
     return SPEED * DT * ((steps - 1) % FELL_AT)
 
 
 def numbers(steps: np.ndarray) -> Columns:
-    """Return the scalars by entity."""
     time = steps * DT
     fell = ((steps - 1) % FELL_AT == FELL_AT - 1).astype(float)
     ones = np.ones(len(steps))
@@ -63,7 +58,6 @@ def numbers(steps: np.ndarray) -> Columns:
 
 
 def write_recording(path: Path, *, env_ids: Sequence[int] = (0,), training: bool = False) -> Path:
-    """Write the recording and return its path."""
     stream = rr.RecordingStream("wheelleg", recording_id=path.stem, send_properties=False)
     stream.save(path)
     told = {"format_version": 2, "purpose": "training" if training else "play", "env_ids": list(env_ids), "step_dt": DT}
@@ -127,7 +121,6 @@ def _ground(stream: rr.RecordingStream, steps: np.ndarray, *, training: bool) ->
 
 
 def scalar_values() -> Columns:
-    """Return the training's scalars by key, one an iteration."""
     i = np.arange(ITERATIONS)
     return {
         "Train/mean_reward": i**1.5,

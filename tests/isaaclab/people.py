@@ -1,4 +1,4 @@
-"""Terms as people write them for Isaac Lab, but for the import lines."""
+"""Terms written for Isaac Lab, with changed import lines."""
 
 from __future__ import annotations
 
@@ -37,8 +37,6 @@ def air_time(env: ManagerBasedRLEnv, sensor_cfg: SceneEntityCfg, threshold: floa
 
 
 class Smoothness(ManagerTermBase):
-    """A class term with a memory; ``params`` come at each call."""
-
     def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRLEnv):
         super().__init__(cfg, env)
         self.asset: Articulation = env.scene[cfg.params["asset_cfg"].name]
@@ -61,7 +59,6 @@ def jolt(
     spread: float,
     asset_cfg: SceneEntityCfg = SceneEntityCfg("robot"),  # noqa: B008
 ):
-    """Draws without a generator, by a helper and by torch itself."""
     asset: Articulation = env.scene[asset_cfg.name]
     state = asset.data.default_root_state[env_ids].clone()
     state[:, 0:3] += env.scene.env_origins[env_ids]

@@ -11,11 +11,11 @@ FIXED = torch.tensor([[50.0, 0.0, 4.0], [0.0, 40.0, 3.0], [0.0, 0.0, 1.0]])
 GEN = torch.Generator().manual_seed(1)
 QUATS = torch.nn.functional.normalize(torch.randn(2, 5, 4, generator=GEN), dim=-1)
 AXES = {"opengl": ((0, 1.0), (1, 1.0), (2, -1.0)), "ros": ((0, 1.0), (1, -1.0), (2, 1.0))}
-AXES["world"] = ((1, -1.0), (2, 1.0), (0, 1.0))  # right, up and forward: an axis and its sign
+AXES["world"] = ((1, -1.0), (2, 1.0), (0, 1.0))  # axis and sign of right, up, and forward
 
 
 def three(quat, convention):
-    """Return right, up and forward of a camera."""
+    """Return right, up, and forward of a camera."""
     matrix = m.matrix_from_quat(quat)
     return torch.stack([sign * matrix[..., axis] for axis, sign in AXES[convention]], dim=-1)
 
@@ -35,7 +35,7 @@ def test_a_view_looks_from_the_eye_at_the_target_with_up_above():
 
 
 def test_a_point_is_seen_where_two_lines_cross():
-    """50 * 0.2 / 2 + 4 = 9 and 40 * -0.1 / 2 + 3 = 1."""
+    """The pixel is 50 * 0.2 / 2 + 4 = 9 and 40 * -0.1 / 2 + 3 = 1."""
     points = torch.tensor([[0.2, -0.1, 2.0], [0.0, 0.0, 1.0]])
     seen = m.project_points(points, FIXED)
     torch.testing.assert_close(seen, torch.tensor([[9.0, 1.0, 2.0], [4.0, 3.0, 1.0]]))

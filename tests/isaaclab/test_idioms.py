@@ -1,4 +1,4 @@
-"""What people's terms for Isaac Lab ask for, one idiom a row, each held against a number known otherwise."""
+"""Idioms of user-defined terms for Isaac Lab, one in each row, each compared with a known number."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ SECTIONS = {
 
 @pytest.fixture(scope="module")
 def env():
-    """A rover three steps into its episodes."""
     from sim.small_envs import ASSETS, env_config
 
     from wheelleg_exp.env import ManagerBasedRLEnv
@@ -142,7 +141,6 @@ def test_there_are_as_many_as_the_page_says():
 
 
 def test_a_term_is_replaced_by_another_config(make_env):
-    """The classic of curricula: read the config, change it, set it."""
     env = make_env(**SECTIONS)
     cfg = env.reward_manager.get_term_cfg("heavy")
     cfg.weight = -4.0

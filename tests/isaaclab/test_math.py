@@ -1,4 +1,4 @@
-"""Rotations and frames of Isaac Lab's names, held against numpy, MuJoCo and cases worked out by hand."""
+"""Rotations and frames under Isaac Lab's names, compared with numpy, MuJoCo, and values computed by hand."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def close(got, expected):
 
 
 def by_mujoco(function, width, *rows):
-    """Call one of MuJoCo's functions row by row."""
+    """Call a MuJoCo function row by row."""
     found = []
     for row in zip(*(r.double().numpy() for r in rows), strict=True):
         out = np.zeros(width)
@@ -45,7 +45,7 @@ def test_products_and_rotations_are_mujocos():
 
 
 def test_half_turns_have_quaternions_too():
-    """Where the trace is -1 the components come from the largest one."""
+    """The trace of the matrix is -1, so the largest component is not w."""
     for axis in range(3):
         half_turn = torch.zeros(1, 4)
         half_turn[0, 1 + axis] = 1.0
@@ -53,7 +53,7 @@ def test_half_turns_have_quaternions_too():
 
 
 def test_rotation_vectors_are_mujocos():
-    error = by_mujoco(mujoco.mju_subQuat, 3, OTHERS, QUATS)  # in the axes of the second
+    error = by_mujoco(mujoco.mju_subQuat, 3, OTHERS, QUATS)
     close(m.quat_apply_inverse(QUATS, m.quat_box_minus(OTHERS, QUATS)), error)
     close(m.quat_error_magnitude(OTHERS, QUATS), np.linalg.norm(error, axis=1))
     close(m.quat_box_plus(QUATS, m.quat_box_minus(OTHERS, QUATS)), m.quat_unique(OTHERS))
@@ -125,7 +125,7 @@ def test_pose_errors_are_undone():
 
 
 def test_velocities_at_another_frame_of_a_body():
-    """By hand: 2 rad/s about z, at x = 1 that is 2 m/s along y, which is x in a frame turned by 90 degrees."""
+    """At x = 1, 2 rad/s about z are 2 m/s along y, which is x in a frame turned by 90 degrees."""
     linear, angular = m.rigid_body_twist_transform(T([[0.0, 0, 0]]), T([[0.0, 0, 2]]), T([[1.0, 0, 0]]), ABOUT_Z)
     close(linear, [[2.0, 0, 0]])
     close(angular, [[0.0, 0, 2]])

@@ -1,4 +1,4 @@
-"""The page for people who come from Isaac Lab says what is so."""
+"""The page for users of Isaac Lab describes the actual behaviour."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def maker():
 def test_the_tables_are_what_the_code_has(maker):
     made = maker.page()
     assert (DOCS / "isaaclab_names.md").read_text(encoding="utf-8") == made, "run: python docs/make_reference.py"
-    assert "|  |" not in made  # whatever is absent says why
+    assert "|  |" not in made
 
 
 def test_all_of_isaac_labs_data_is_named(maker):

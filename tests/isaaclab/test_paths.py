@@ -1,4 +1,4 @@
-"""Isaac Lab's dotted paths import, each in a process of its own."""
+"""Isaac Lab's dotted paths can be imported, each in a new process."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def test_every_path_has_its_names():
 
 
 def test_a_path_imports_first():
-    """A module that the package creates is found before anything else of the package was imported."""
+    """A created module must be importable before the package itself was imported."""
     for path in ("managers.command_manager", "envs.mdp.rewards"):
         subprocess.run([sys.executable, "-c", f"import wheelleg_exp.isaaclab.{path}"], check=True)

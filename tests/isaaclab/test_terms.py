@@ -24,7 +24,6 @@ COMMANDS = {"hop": {"_target_": P + "HopCommand", "resampling_time_range": [0.04
 
 @pytest.fixture
 def make(make_env, monkeypatch):
-    """Build a rover with all of them; ``seed=`` and sections may differ."""
     from wheelleg_exp.terms import term_binding
 
     packages = term_binding.allowed_packages()
@@ -90,14 +89,13 @@ def test_a_command_of_its_own_config(make):
     command, term = env.command_manager.get_command("hop"), env.command_manager.get_term("hop")
     assert bool(((command >= 0.5) & (command <= 0.7)).all())
     assert len(set(command.flatten().tolist())) == 4
-    assert int(term.command_counter.min()) > 5  # 0.8 s, a draw every 0.04 to 0.06 s
+    assert int(term.command_counter.min()) > 5  # 0.8 s have passed, with a draw every 0.04 to 0.06 s
     log = env.command_manager.reset(torch.arange(4))
     assert 0.5 * 40 < float(log["Metrics/hop/asked"]) < 0.7 * 41
     assert not term.metrics["asked"].any()
 
 
 def test_what_they_draw_comes_from_their_own_stream(make):
-    """No global generator moves, the seed decides, and another term's draws are its own."""
     with no_global_draws():
         first = lived(make(seed=1))
     torch.rand(100)
@@ -113,7 +111,7 @@ def test_what_they_draw_comes_from_their_own_stream(make):
 def test_their_state_is_saved(make):
     env, other = lived(make(seed=3), 9), make(seed=3)
     other.load_state_dict(env.state_dict())
-    for k in range(60):  # a reset and many draws among them
+    for k in range(60):
         action = torch.full((4, 2), 0.01 * k)
         (_, one, *_), (_, two, *_) = env.step(action), other.step(action)
         assert torch.equal(one, two)

@@ -32,5 +32,4 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 
 @pytest.fixture
 def run(trained: Trained, tmp_path: Path) -> RunDirectory:
-    """A copy of the trained run that a test may add to or damage."""
     return copied(trained, tmp_path)

@@ -1,4 +1,4 @@
-"""A command in a process of its own that kills itself with SIGKILL in the middle of what a word names."""
+"""Run a command in a child process that kills itself with SIGKILL during a named operation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ prepare_threads()
 
 
 def kill() -> None:
-    """End here and now, as ``kill -9`` does."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -1,4 +1,4 @@
-"""Processes that train together, started as torchrun starts them, without its own process and its table of failures."""
+"""Processes of a distributed training, with torchrun's environment variables but without torchrun."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from patience import PATIENCE_S
 
 SIZE = 2
-_OF_NOBODY = 20000, 32000  # below those that Linux and macOS give by themselves
+_OF_NOBODY = 20000, 32000
 # Each line of the answer is one command's exit status.
 _SCRIPT = """
 import json, os, sys
@@ -28,7 +28,7 @@ for words, port in zip(json.loads(sys.argv[1]), json.loads(sys.argv[2]), strict=
 
 
 def start(commands: Sequence[Sequence[str]], folder: Path, script: str = _SCRIPT) -> list[subprocess.Popen[str]]:
-    """Start the processes; each carries out the commands in turn, in ``folder``."""
+    """Start the processes; each process executes the commands one after another, in ``folder``."""
     ports = json.dumps(_free_ports(len(commands)))
     shared = {"WORLD_SIZE": str(SIZE), "LOCAL_WORLD_SIZE": str(SIZE), "MASTER_ADDR": "127.0.0.1"}
     words = json.dumps([[str(word) for word in command] for command in commands])
@@ -46,7 +46,7 @@ def start(commands: Sequence[Sequence[str]], folder: Path, script: str = _SCRIPT
 
 
 def end(processes: Sequence[subprocess.Popen[str]]) -> list[tuple[list[int], str, str]]:
-    """Wait for the processes; return the exit statuses, what stood on the output besides, and the errors of each."""
+    """Wait for the processes; return the exit statuses, remaining output, and errors of each process."""
     found = []
     try:
         for process in processes:

@@ -21,7 +21,7 @@ from wheelleg_exp.run.manifest import text_with_digest
 
 ITERATIONS = 3
 
-# What a user has in the working tree and not committed: a task with a term of its own, in the program's own folders.
+# Uncommitted files of a user: a task with a user-defined term, in this project's folders.
 LEANING = """# @package _global_
 defaults:
   - stand
@@ -41,7 +41,6 @@ def leaning(env: Env) -> torch.Tensor:
 
 
 def git(folder: Path, *arguments: str, stdin: bytes = b"") -> str:
-    """Run plain git, as a user with no settings of their own."""
     environ = {**os.environ, "GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1"}
     for role in ("AUTHOR", "COMMITTER"):
         environ |= {f"GIT_{role}_NAME": "someone", f"GIT_{role}_EMAIL": "someone@example.org"}
@@ -51,7 +50,7 @@ def git(folder: Path, *arguments: str, stdin: bytes = b"") -> str:
 
 
 def make_checkout(folder: Path) -> Path:
-    """Make a repository of this program as it is now, committed."""
+    """Commit the current working tree of this project in a new repository."""
     if shutil.which("git") is None:
         pytest.skip("git is not installed")
     left_out = shutil.ignore_patterns("__pycache__", "*.pyc", "configs", "assets")
@@ -65,14 +64,14 @@ def make_checkout(folder: Path) -> Path:
 
 
 def commit(folder: Path) -> None:
-    """Commit everything in a folder, as a new repository if it is none."""
+    """Commit all files of a folder; initialize a repository if the folder has none."""
     git(folder, "init", "-q", "-b", "main")
     git(folder, "add", "-A")
     git(folder, "commit", "-q", "-m", "all of it")
 
 
 def train(checkout: Path, *overrides: str, root: Path, options: tuple[str, ...] = (), path: Path | None = None) -> Path:
-    """Train with a checkout's code in a process of its own and return the run directory.
+    """Train with a checkout's code in a child process, and return the run directory.
 
     ``path`` is one more folder of modules.
     """
@@ -87,7 +86,7 @@ def train(checkout: Path, *overrides: str, root: Path, options: tuple[str, ...] 
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Return the sha256 of every file below a folder, locks and bytecode aside."""
+    """Return the sha256 of every file below a folder, except locks and bytecode."""
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))

@@ -15,7 +15,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 ITERATIONS = 3
 NUM_ENVS = 16
-# Episodes of 18 steps, so that every rollout of 24 steps ends some.
+# Episodes have 18 steps, so that episodes end in every rollout of 24 steps.
 TINY = [
     f"env.num_envs={NUM_ENVS}",
     "env.episode_length_s=0.3",
@@ -37,7 +37,7 @@ SMALL = [
 
 @dataclass(frozen=True)
 class Words:
-    """What a command answered: exit status, standard output and standard error."""
+    """The exit status, standard output, and standard error of a command."""
 
     status: int
     out: str
@@ -46,14 +46,13 @@ class Words:
 
 @dataclass(frozen=True)
 class Trained:
-    """A finished run and what the command said."""
+    """A finished run and the output of its command."""
 
     run: RunDirectory
     said: Words
 
 
 def wheelleg(*words: str | Path) -> Words:
-    """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         status = main([str(word) for word in words])
@@ -61,7 +60,6 @@ def wheelleg(*words: str | Path) -> Words:
 
 
 def cache_of(factory: pytest.TempPathFactory) -> Path:
-    """Return the folder in which all tests keep converted robots."""
     return factory.getbasetemp() / "wheelleg-cache"
 
 
@@ -69,7 +67,7 @@ _trained: dict[Path, Trained] = {}
 
 
 def trained_once(factory: pytest.TempPathFactory) -> Trained:
-    """Return the one training; tests that change the run take a copy."""
+    """Return the one small training; tests that change the run must copy it."""
     base = factory.getbasetemp()
     if base not in _trained:
         root = factory.mktemp("trained") / "runs"
@@ -83,7 +81,6 @@ def trained_once(factory: pytest.TempPathFactory) -> Trained:
 
 
 def copied(trained: Trained, root: Path) -> RunDirectory:
-    """Return a copy of the run below ``root``."""
     path = root / "runs" / "stand" / trained.run.id
     shutil.copytree(trained.run.path, path)
     return RunDirectory.open(path, root / "runs")

@@ -10,15 +10,14 @@ from typing import Any
 import pytest
 
 from jobs.small import SMALL, Words, cache_of, wheelleg
-from wheelleg_exp.jobs.run_sweep import SweepRunner
-from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.jobs.run_sweep import LocalLauncher, SweepRunner
 from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.stop_request import StopRequest
 
 SEEDS = (0, 1)
 
-# What a job does is its only override.
+# The only override of a job chooses the action of the stand-in program.
 STAND_IN = """
 import json, os, signal, sys, time
 
@@ -73,7 +72,7 @@ elif what == "stubborn":
 
 @dataclass
 class Seen:
-    """A display that writes down what it is told."""
+    """A sweep display that records its calls."""
 
     told: list[tuple[Any, ...]] = field(default_factory=list)
     on_start: Any = None
@@ -114,7 +113,7 @@ def stand_in(whats: list[str], stop: StopRequest, at_once: int = 1, seen: Seen |
 
 @dataclass(frozen=True)
 class Swept:
-    """A real sweep and what the command said."""
+    """A real sweep and the output of its command."""
 
     folder: Path
     index: SweepIndex
@@ -122,7 +121,6 @@ class Swept:
 
     @property
     def root(self) -> Path:
-        """The folder of all runs."""
         return self.folder.parent.parent
 
 
@@ -130,7 +128,6 @@ _swept: dict[Path, Swept] = {}
 
 
 def swept_once(factory: pytest.TempPathFactory) -> Swept:
-    """Return the one sweep: two seeds, trained at the same time."""
     base = factory.getbasetemp()
     if base not in _swept:
         folder = factory.mktemp("swept")

@@ -26,7 +26,6 @@ def run(kind, *overrides, steps=30):
 
 @pytest.fixture(scope="module")
 def standing(tmp_path_factory):
-    """Zero actions on a task without disturbances, whose robot weighs what its model says."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("standing"))
         plain = ["env.num_envs=24", "event@env.events=[reset_base,reset_robot_joints]"]
@@ -34,7 +33,6 @@ def standing(tmp_path_factory):
 
 
 def test_wheels_of_a_standing_robot_carry_half_of_its_weight_each(standing):
-    """0.5 kg times 9.81 m/s² over two wheels; nothing else touches the ground."""
     rows = {row.body: row for row in standing.contacts["contact_forces"]}
     wheels = [rows.pop("l_wheel_link"), rows.pop("r_wheel_link")]
     assert sum(wheel.mean_n for wheel in wheels) == pytest.approx(0.5 * 9.81, rel=0.03)
@@ -46,7 +44,6 @@ def test_wheels_of_a_standing_robot_carry_half_of_its_weight_each(standing):
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory):
-    """The recordings of 30 steps of both agents."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("both"))
         return [Recording(run(kind).recording) for kind in ("zero", "random")]
@@ -57,13 +54,12 @@ def test_zero_actions_are_zero_and_random_ones_fill_their_range(both):
     assert zero.shape == random.shape == (30, 6)
     assert (zero == 0).all()
     assert (np.abs(random) <= 1.0).all()
-    # 180 draws of U(-1, 1): mean 0 +- 0.043, standard deviation 0.577
+    # The mean of 180 draws from U(-1, 1) is 0 with a standard error of 0.043; their standard deviation is 0.577.
     assert abs(random.mean()) < 0.2
     assert random.std() == pytest.approx(1 / 3**0.5, abs=0.1)
 
 
 def test_random_actions_leave_the_environments_draws_alone(both):
-    """Both begin in the same state, whatever the agent draws."""
     first = [recording.values("observations/critic")[0] for recording in both]
     assert np.array_equal(*first)
 

@@ -23,7 +23,7 @@ RECORDERS = (
 
 
 def episodes(path: Path):
-    """Read a file with the page's own code."""
+    """Read a dataset file with the code of the page docs/datasets.md."""
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
     space: dict = {}
     exec(code, space)
@@ -32,7 +32,7 @@ def episodes(path: Path):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> RunDirectory:
-    """The shared training once more, with recorders."""
+    """Return a repetition of the shared training with recorder terms."""
     root = tmp_path_factory.mktemp("recorded")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -54,7 +54,6 @@ def test_recorders_leave_every_checkpoint_as_it_is_to_the_bit(recorded: RunDirec
 
 @pytest.mark.train
 def test_each_iteration_has_a_file_of_the_episodes_that_ended_in_it(recorded: RunDirectory):
-    """Rollouts of 24 steps, episodes of at most 18 (0.3 s at 60 Hz)."""
     files = sorted(recorded.dataset.iterdir())
     assert [path.name for path in files] == [f"{n:06d}.npz" for n in range(ITERATIONS)]
     for number, path in enumerate(files):
@@ -68,20 +67,18 @@ def test_each_iteration_has_a_file_of_the_episodes_that_ended_in_it(recorded: Ru
 
 @pytest.mark.train
 def test_an_episode_is_one_piece_of_motion(recorded: RunDirectory):
-    """Between two steps the root moves by its own velocity, as far as a control step's average tells."""
     for episode in episodes(recorded.dataset / "000001.npz"):
         pose = episode["states/articulation/robot/root_pose"]
         velocity = episode["states/articulation/robot/root_velocity"]
         assert len(pose) == len(episode["actions"]) == len(episode["obs"])
         assert episode["initial_state/articulation/robot/root_pose"].shape == (1, 7)
         np.testing.assert_allclose(np.diff(pose[:, :2], axis=0), velocity[1:, :2] / 60, atol=0.02)
-        # Columns 95 to 125 are the last five actions, the newest one last: that of the step before.
+        # Columns 95 to 125 hold the last five actions. The newest action, of the step before, comes last.
         np.testing.assert_allclose(episode["obs"][1:, 119:125], episode["actions"][:-1])
 
 
 @pytest.mark.train
 def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, tmp_path):
-    """Episodes that were under way are left out: what is written began after the resume."""
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     path = tmp_path / "runs" / "stand" / recorded.id
     shutil.copytree(recorded.path, path)

@@ -1,4 +1,4 @@
-"""A student learns from a run's policy, in a run of its own that needs the teacher's no more."""
+"""A student learns from a run's policy, and the student's run does not need the teacher's run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def train(root: Path, teacher: Path, *words: str) -> RunDirectory:
 
 @pytest.fixture(scope="module")
 def student(trained: Trained, tmp_path_factory) -> RunDirectory:
-    """Six iterations, from a teacher whose run is removed afterwards."""
+    """Return six iterations of a student whose teacher's run is removed afterwards."""
     root = tmp_path_factory.mktemp("student")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -72,7 +72,7 @@ def test_the_run_keeps_its_teacher_with_its_digest(student: RunDirectory, traine
 def test_the_exported_policy_is_the_student(student: RunDirectory):
     state = checkpoint.load(student.latest_checkpoint())["student_state_dict"]
     seen = torch.randn(3, 135)
-    hidden = seen  # by hand: three layers, elu between them
+    hidden = seen
     weights = [value for name, value in state.items() if name.startswith("mlp")]
     for number, (matrix, bias) in enumerate(zip(weights[::2], weights[1::2], strict=True)):
         hidden = hidden @ matrix.T + bias
@@ -83,7 +83,6 @@ def test_the_exported_policy_is_the_student(student: RunDirectory):
 
 
 def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, trained: Trained, tmp_path, monkeypatch):
-    """Without its teacher's run, which is removed before the resume."""
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     teacher = tmp_path / "teacher.pt"
     shutil.copyfile(trained.run.latest_checkpoint(), teacher)

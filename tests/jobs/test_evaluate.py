@@ -89,15 +89,12 @@ def test_every_unread_override_is_named_at_once(run, capsys):
         "env.scene.terrain.static_friction=0.5",
         "+agent.clip_actions=1.0",
         "agent.torch_threads=2",
-        "env.decimation=2",  # repeats the run's own value
+        "env.decimation=2",  # The override repeats the run's own value.
+        "protocol.ground=own env.scene.terrain.restitution=0.1",
     ],
 )
 def test_what_an_evaluation_reads_can_be_changed(run, override):
-    evaluation_settings(run, [override])
-
-
-def test_the_ground_is_read_where_the_protocol_keeps_it(run):
-    evaluation_settings(run, ["protocol.ground=own", "env.scene.terrain.restitution=0.1"])
+    evaluation_settings(run, override.split())
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "export"])

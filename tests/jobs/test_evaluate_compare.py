@@ -39,7 +39,6 @@ def test_a_kept_evaluation_is_read_back_as_it_was(run, capsys):
 
 
 def test_a_run_beside_a_copy_and_the_reference(run, capsys, tmp_path):
-    """A copy is the same policy, so nothing differs; the reference stands where three iterations do not."""
     other = shutil.copytree(run.path, tmp_path / "other")
     found = evaluated(capsys, run.path, "--against", other, "--reference")
     assert len(found["evaluations"]) == 3
@@ -87,13 +86,12 @@ def test_what_is_kept_is_found_in_whatever_words_its_protocol_was_asked_for(run,
 
 
 def test_metrics_that_no_episode_tells_of_take_one_line(run, capsys):
-    """Three iterations fall at once, so their drift is no number."""
     assert main(["evaluate", str(run.path), *SHORT]) == 0
     alone = capsys.readouterr().out
     assert main(["evaluate", str(run.path), "--against", "reference", "--kept", *SHORT]) == 0
     beside = capsys.readouterr().out
     assert "no episode has a value for: drift, " in alone
-    assert "no episode has a value for: stand/cost_of_transport_gross, " in beside  # the reference tells of the drift
+    assert "no episode has a value for: stand/cost_of_transport_gross, " in beside
     assert not [line for line in alone.splitlines() if line.split()[:3:2] == ["drift", "-"]]
 
 

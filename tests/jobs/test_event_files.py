@@ -1,4 +1,4 @@
-"""Event files of one run, begun one after another."""
+"""Event files of one run, started one after another."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from wheelleg_exp.jobs.train.scalar_logs import event_files, open_events
 
 
 def test_files_begun_in_a_moment_are_read_in_their_order(tmp_path: Path) -> None:
-    """Also where the number of the later one sorts before that of the older, as 10 before 9."""
     with open_events(tmp_path) as writer:
         writer.add_scalar("a", 0.0, 0)
     (first,) = event_files(tmp_path)

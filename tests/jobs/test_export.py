@@ -48,7 +48,6 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory) -> Path:
-    """The bundle of the one training that tests share."""
     folder = tmp_path_factory.mktemp("exported") / "bundle"
     trained: Trained = trained_once(tmp_path_factory)
     said = wheelleg("export", trained.run.path, "-o", folder)
@@ -58,7 +57,6 @@ def bundle(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def runner(monkeypatch):
-    """The runner's module as a bundle has it."""
     monkeypatch.syspath_prepend(str(Path(as_they_stand.__file__).parent))
     monkeypatch.delitem(sys.modules, "runner", raising=False)
     import runner
@@ -67,7 +65,7 @@ def runner(monkeypatch):
 
 
 def alone(folder: Path, script: str, *words: str) -> subprocess.CompletedProcess:
-    """Run a file of a bundle in a process that cannot import what trained it."""
+    """Run a file of a bundle in a process that cannot import this package or torch."""
     command = [sys.executable, "-c", ALONE, folder, folder / script, *words]
     return subprocess.run(command, cwd="/", env={}, capture_output=True, text=True, timeout=PATIENCE_S)
 
@@ -136,7 +134,7 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "2", "0", "0.1")
     assert said.stdout.count("note:") == 2, "of a robot that learns to stand"
     assert "note: base_velocity is outside of its range: lin_vel_x 2, trained 0 to 0" in said.stdout
-    said = alone(bundle, "simulate.py", "--seconds", "3")  # three iterations do not make it stand
+    said = alone(bundle, "simulate.py", "--seconds", "3")
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
     said = alone(bundle, "simulate.py", "--command", "1", "2")
     assert (said.returncode, "{'base_velocity': 3}" in said.stderr) == (2, True)
@@ -170,7 +168,7 @@ def test_targets_follow_from_actions_by_hand(bundle, runner):
     policy.action = np.array([0.1, -0.2, 0.3, -0.4, 1.0, -20.0], np.float32)
     policy.processed = [policy.process(term, np.zeros(6)) for term in policy.spec["actions"]]
     targets = policy.targets(np.zeros(6))
-    # l01, l02, r01, r02 of the action; l01, r01, l02, r02, l03, r03 of the robot; wheels turn at most 45 rad/s.
+    # Actions are in the order l01, l02, r01, r02, and the robot's joints in the order l01, r01, l02, r02, l03, r03.
     expected = [0.9599 + 0.015, 0.9599 + 0.045, -1.885 - 0.03, -1.885 - 0.06, 0, 0]
     np.testing.assert_allclose(targets["position"], expected, atol=1e-6)
     np.testing.assert_allclose(targets["velocity"], [0, 0, 0, 0, 5, -45], atol=1e-6)
@@ -365,39 +363,45 @@ def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
     assert told.value.key == "env.observations.policy.terms.base_ang_vel"
 
 
-def hold_c_header(folder: Path, place: Path, *flags: str) -> None:
-    """Compile the C header, if there is a compiler, and compare its answers to recorded readings with the record."""
-    compiler, recorded = shutil.which("cc"), checked(folder)
-    if compiler is None:
+def run_c_header(folder: Path, place: Path, rows: np.ndarray, *flags: str) -> np.ndarray:
+    """Return status, observation, action, and targets of the C header, one row for each row of start and readings."""
+    (place / "main.c").write_text(MAIN)
+    command = ["cc", "-std=c99", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
+    subprocess.run(command, check=True, timeout=PATIENCE_S)
+    said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
+    return np.frombuffer(said.stdout, np.float32).reshape(len(rows), -1)
+
+
+def hold_c_header(folder: Path, place: Path) -> None:
+    """Compare the C header's answers to recorded readings with the record, if there is a compiler."""
+    recorded = checked(folder)
+    if shutil.which("cc") is None:
         return
     names = [name for name in recorded if name.startswith("reading:")]
     assert [name.removeprefix("reading:") for name in names] == list(spec_of(folder)["readings"])
     rows = np.concatenate([recorded["reset"][:, None], *(recorded[name] for name in names)], axis=1, dtype=np.float32)
-    (place / "main.c").write_text(MAIN)
-    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}", *flags]
-    subprocess.run([compiler, *strict, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=PATIENCE_S)
-    said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
-    wanted = np.concatenate(
-        [recorded["observations"], recorded["actions"], recorded["targets"].reshape(len(rows), -1)], axis=1
-    )
-    found = np.frombuffer(said.stdout, np.float32).reshape(wanted.shape)
+    found = run_c_header(folder, place, rows, "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1")
+    targets = recorded["targets"].reshape(len(rows), -1)
+    wanted = np.concatenate([np.zeros((len(rows), 1)), recorded["observations"], recorded["actions"], targets], axis=1)
     assert (np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted))).max() <= 1e-6
 
 
 MAIN = """
 #include "policy.h"
 #include <stdio.h>
+#define WRITE(x) fwrite(&x, sizeof x, 1, stdout)
 int main(void) {
-    policy_state state;
-    policy_readings readings;
-    policy_targets targets;
-    float begins;
+    static policy_state state;
+    static policy_readings readings;
+    static policy_targets targets;
+    float begins, status;
     while (fread(&begins, sizeof begins, 1, stdin) == 1 && fread(&readings, sizeof readings, 1, stdin) == 1) {
         if (begins) policy_reset(&state);
-        if (policy_step(&state, &readings, &targets)) return 1;
-        fwrite(state.observation, sizeof state.observation, 1, stdout);
-        fwrite(state.action, sizeof state.action, 1, stdout);
-        fwrite(&targets, sizeof targets, 1, stdout);
+        status = (float)policy_step(&state, &readings, &targets);
+        WRITE(status);
+        WRITE(state.observation);
+        WRITE(state.action);
+        WRITE(targets);
     }
     return 0;
 }
@@ -417,7 +421,6 @@ def test_the_header_in_c_does_the_same(bundle, tmp_path):
 
 @pytest.mark.parametrize("profile", ["article", "explicit", "motor"])
 def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained, tmp_path, runner, monkeypatch):
-    """The same actions from the same pose: two programs, one robot."""
     monkeypatch.delitem(sys.modules, "simulate", raising=False)
     import simulate
 
@@ -441,18 +444,14 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     actions = 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0))
     for action in actions:
         env.step(action)
-        targets = {"position": np.zeros(6), "velocity": np.zeros(6), "effort": np.zeros(6)}
         found = env.scene.robot.targets
-        targets = {
-            "position": found.pos[0].numpy(),
-            "velocity": found.vel[0].numpy(),
-            "effort": found.effort[0].numpy(),
-        }
+        parts = {"position": found.pos, "velocity": found.vel, "effort": found.effort}
+        targets = {name: values[0].numpy() for name, values in parts.items()}
         for _ in range(spec["decimation"]):
             robot.drive(targets)
             simulate.mujoco.mj_step(robot.model, robot.data)
     assert spec["command_accelerations"] == {}
-    spec["command_accelerations"] = {"c": [0.6, None, 3.0]}  # 0.01 and 0.05 a step at 60 Hz
+    spec["command_accelerations"] = {"c": [0.6, None, 3.0]}
     for step in range(1, 4):
         found = robot.approached("c", [0.025, 0.2, -9.0])
         np.testing.assert_allclose(found, [min(0.025, 0.01 * step), 0.2, -0.05 * step], rtol=1e-6)
@@ -475,7 +474,7 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
 def test_a_correct_policy_that_amplifies_its_last_action_passes_the_check(bundle, runner, tmp_path):
     recorded, spec = checked(bundle), spec_of(bundle)
     weight = np.zeros((6, 135), np.float32)
-    weight[np.arange(6), np.arange(119, 125)] = 1.35  # of the newest last action
+    weight[np.arange(6), np.arange(119, 125)] = 1.35
     np.savez(tmp_path / "policy.npz", weight_0=weight, bias_0=np.zeros(6, np.float32))
     spec["network"] |= {"widths": [6], "activations": ["identity"], "normalized": False}
     (tmp_path / "policy.json").write_text(json.dumps(spec))
@@ -526,33 +525,11 @@ def steady(spec: dict) -> dict[str, np.ndarray]:
 
 
 def by_c(folder: Path, place: Path, rows: list[dict], *flags: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the statuses (T,) and the targets (T, 3, J) of the C header for a list of readings."""
-    (place / "main.c").write_text(STATUS)
-    command = ["cc", "-std=c99", "-O2", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
-    subprocess.run(command, check=True, timeout=PATIENCE_S)
-    given = np.stack([np.concatenate(list(row.values())) for row in rows]).astype(np.float32)
-    said = subprocess.run([place / "main"], input=given.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
-    found = np.frombuffer(said.stdout, np.float32).reshape(len(rows), -1)
-    return found[:, 0], found[:, 1:].reshape(len(rows), 3, -1)
-
-
-STATUS = """
-#include "policy.h"
-#include <stdio.h>
-int main(void) {
-    policy_state state;
-    policy_readings readings;
-    policy_targets targets;
-    memset(&targets, 0, sizeof targets);
-    policy_reset(&state);
-    while (fread(&readings, sizeof readings, 1, stdin) == 1) {
-        float status = (float)policy_step(&state, &readings, &targets);
-        fwrite(&status, sizeof status, 1, stdout);
-        fwrite(&targets, sizeof targets, 1, stdout);
-    }
-    return 0;
-}
-"""
+    """Return the statuses (T,) and the targets (T, 3, J) of the C header for the readings of one episode."""
+    given = np.stack([np.concatenate([[step == 0], *row.values()]) for step, row in enumerate(rows)]).astype(np.float32)
+    found = run_c_header(folder, place, given, "-O2", *flags)
+    width = 3 * len(spec_of(folder)["joint_names"])
+    return found[:, 0], found[:, -width:].reshape(len(rows), 3, -1)
 
 
 def joined(targets: dict) -> np.ndarray:

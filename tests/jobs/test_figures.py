@@ -1,4 +1,4 @@
-"""Figures of rollouts, against cases worked out by hand on a pretended environment."""
+"""Compare metrics of rollouts with results calculated by hand for a fake environment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP = 0.5  # s
 
 
 class FakeEnv:
-    """Three environments whose every quantity a test sets by hand."""
+    """Three fake environments whose quantities a test sets by hand."""
 
     def __init__(self, terms=(("alive", {}), ("base_height", {"target_height": 0.3}))):
         self.num_envs, self.step_dt, self.extras = 3, STEP, {}
@@ -33,11 +33,11 @@ class FakeEnv:
         self.reward_manager = SimpleNamespace(active_terms=list(params), get_term_cfg=params.__getitem__)
 
     def set(self, heights=(0.3, 0.3, 0.3), pitches=(0.0, 0.0, 0.0), rewards=(0.0, 0.0, 0.0), out=(), fell=()):
-        """One step later: heights in m, pitches in rad, who timed out and who fell."""
+        """Set the state after one more step: heights in m, pitches in rad, and the ended environments."""
         self.episode_length_buf += 1
         self.data.root_pos_w[:, 2] = torch.tensor(heights)
         angle = torch.tensor(pitches)
-        # Gravity (0, 0, -1) in the axes of a base that is pitched about its y axis.
+        # Rotate gravity (0, 0, -1) into the axes of a base that is pitched about its y axis.
         self.data.projected_gravity_b = torch.stack([angle.sin(), torch.zeros(3), -angle.cos()], dim=1)
         self.reward_buf = torch.tensor(rewards)
         self.fired["time_out"][:] = torch.tensor([i in out for i in range(3)])
@@ -88,10 +88,13 @@ def observe(env, meter, **values):
     env.reset_done()
 
 
-def test_a_case_by_hand():
-    """Settling takes 2 steps; env 0 lives 4 steps, env 1 falls in the third, env 2 falls while it settles."""
+def standing(settle_s=0.0):
     env = FakeEnv()
-    meter = StandMeter(env, settle_s=2 * STEP)
+    return env, StandMeter(env, settle_s=settle_s)
+
+
+def test_a_case_by_hand():
+    env, meter = standing(2 * STEP)
     observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(1.0, 2.0, 4.0))
     observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(1.0, 2.0, 4.0), fell=(2,))
     observe(env, meter, heights=(0.31, 0.28, 9.0), pitches=(0.1, -0.3, 1.0), rewards=(1.0, -9.0, 7.0), fell=(1,))
@@ -111,8 +114,7 @@ def test_a_case_by_hand():
 
 
 def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_then():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
+    env, meter = standing()
     observe(env, meter, heights=(0.2, 0.3, 0.4), rewards=(1.0, 2.0, 4.0))
     env.extras = {"non_finite": {"keys": {1: ["env.sim"]}}}
     observe(env, meter, heights=(0.2, math.nan, 0.4), pitches=(0.0, math.nan, 0.0), rewards=(1.0, 0.0, 4.0), fell=(1,))
@@ -125,23 +127,15 @@ def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_
     assert figures.settled_steps == 7
 
 
-def test_a_fall_at_the_time_out_is_no_survival():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
+def test_a_fall_at_the_time_out_is_no_survival_and_counts_once():
+    env, meter = standing()
     observe(env, meter, out=(0, 1), fell=(1, 2))
     assert meter.figures().survival == pytest.approx(1 / 3)
-
-
-def test_an_episode_that_two_terminations_end_counts_once():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
-    observe(env, meter, out=(0, 1), fell=(1, 2))
     assert meter.figures().ended_by == {"time_out": 1, "fell": 1, "time_out and fell": 1}
 
 
 def test_episodes_that_go_on_are_in_no_figure_of_ended_ones():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
+    env, meter = standing()
     observe(env, meter, rewards=(1.0, 5.0, 9.0))
     assert (meter.figures().survival, meter.figures().mean_return) == (None, None)
     observe(env, meter, rewards=(1.0, 5.0, 9.0), out=(0,))
@@ -151,8 +145,7 @@ def test_episodes_that_go_on_are_in_no_figure_of_ended_ones():
 
 
 def test_second_episodes_do_not_count():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
+    env, meter = standing()
     observe(env, meter, rewards=(1.0, 1.0, 1.0), out=(0, 1, 2))
     first = meter.figures()
     observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(9.0, 9.0, 9.0), fell=(0, 1, 2))
@@ -160,16 +153,14 @@ def test_second_episodes_do_not_count():
 
 
 def test_leaning_forwards_is_positive():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=0.0)
+    env, meter = standing()
     observe(env, meter, pitches=(0.2, 0.2, 0.2))
     assert meter.figures().pitch_mean_deg == pytest.approx(math.degrees(0.2), rel=1e-5)
 
 
 @pytest.mark.parametrize(("settle", "left_out"), [(0.0, 0), (0.5, 1), (1.0, 2), (1.2, 2)])
 def test_the_settling_time_is_left_out(settle, left_out):
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=settle)
+    env, meter = standing(settle)
     for k in range(1, 5):
         observe(env, meter, heights=(float(k),) * 3)
     expected = [float(k) for k in range(1, 5) if k > left_out]
@@ -177,7 +168,6 @@ def test_the_settling_time_is_left_out(settle, left_out):
 
 
 def test_steps_that_do_not_divide_a_second_settle_in_whole_steps():
-    """1 s of 1/60 s steps is 60 steps, whatever the rounding of 2/120 says."""
     env = FakeEnv()
     env.step_dt = 2 * 0.008333333333333333
     meter = StandMeter(env, settle_s=1.0)
@@ -187,8 +177,7 @@ def test_steps_that_do_not_divide_a_second_settle_in_whole_steps():
 
 
 def test_nobody_who_settled_gives_no_figures():
-    env = FakeEnv()
-    meter = StandMeter(env, settle_s=10.0)
+    env, meter = standing(10.0)
     observe(env, meter, fell=(0, 1, 2))
     figures = meter.figures()
     assert figures.survival == 0.0
@@ -202,14 +191,8 @@ def test_a_task_without_a_target_has_no_height_error():
     observe(env, meter, heights=(0.1, 0.2, 0.3))
     assert meter.figures().height_rmse_m is None
     assert meter.figures().height_mean_m == pytest.approx(0.2)
-
-
-def test_the_target_is_the_one_that_a_reward_names():
+    assert target_height(env) is None
     assert target_height(FakeEnv()) == 0.3
-    assert target_height(FakeEnv(terms=[("alive", {})])) is None
-
-
-# --- what links carry ---
 
 
 def contact(env, forces, pitches=(0.0, 0.0, 0.0)):
@@ -218,7 +201,6 @@ def contact(env, forces, pitches=(0.0, 0.0, 0.0)):
 
 
 def test_contacts_by_hand():
-    """Landing takes 1 s (2 steps); a robot tilted by 0.3 rad or more is falling."""
     env = FakeEnv()
     meter = ContactMeter(env, "contact_forces", settle_s=1.0, upright_rad=0.3)
     contact(env, [[99.0, 99.0]] * 3)

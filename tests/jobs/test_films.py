@@ -20,7 +20,7 @@ from wheelleg_exp.rendering.live_pictures import LivePictures
 from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.train, pytest.mark.pictures]
-FILMED = [*SMALL, "recording.video_every=2"]  # three iterations of 24 steps, 60 a second; a film is of 30 steps
+FILMED = [*SMALL, "recording.video_every=2"]  # A film has 30 steps of 1/60 s.
 
 
 def only(root: Path) -> Path:
@@ -39,7 +39,7 @@ def shape(path: Path) -> tuple[int, int, int, float]:
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> tuple[Path, list[np.ndarray]]:
-    """A filmed training, and the positions that were drawn, the check of the graphics first."""
+    """Return a filmed training and the drawn positions; the check of the graphics draws the first one."""
     root, drawn = tmp_path_factory.mktemp("filmed"), []
     draw = LivePictures.draw
     with pytest.MonkeyPatch.context() as patch:
@@ -55,8 +55,8 @@ def filmed(tmp_path_factory) -> tuple[Path, list[np.ndarray]]:
 def test_every_second_iteration_begins_a_film(filmed):
     videos = filmed[0] / "videos"
     assert sorted(path.name for path in videos.iterdir()) == ["iteration_0.mp4", "iteration_2.mp4"]
-    assert shape(videos / "iteration_0.mp4") == (15, 360, 640, 30)  # every second one of 30 steps
-    assert shape(videos / "iteration_2.mp4") == (12, 360, 640, 30)  # the training ends after 24
+    assert shape(videos / "iteration_0.mp4") == (15, 360, 640, 30)  # A picture shows every second step.
+    assert shape(videos / "iteration_2.mp4") == (12, 360, 640, 30)  # The training ends after 24 steps.
 
 
 def test_what_is_shown_is_what_the_recording_holds(filmed):
@@ -66,7 +66,7 @@ def test_what_is_shown_is_what_the_recording_holds(filmed):
     there = {step: row for step, row in zip(steps, rows, strict=True) if step <= 29}
     assert len(there) > 20
     for step, row in there.items():
-        if step % 2 == 1:  # pictures of steps 1, 3, ..., 29
+        if step % 2 == 1:  # Pictures show the steps 1, 3, ..., 29.
             np.testing.assert_array_equal(drawn[1 + step // 2], row)
 
 

@@ -1,4 +1,4 @@
-"""A run keeps the file of its ground, and needs nobody else's."""
+"""A run directory stores the terrain file, so the original file is not needed."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 pytestmark = pytest.mark.train
 
 WORDS = ["task=stand", *TINY, "agent.save_interval=1", "recording.enabled=false", "agent.logger=null"]
-FROZEN = "agent.algorithm.learning_rate=1e-300"  # no float32 changes by so little: what training began with
+FROZEN = "agent.algorithm.learning_rate=1e-300"  # No float32 changes by so little.
 
 
 def train(root: Path, source: object, *words: str) -> RunDirectory:
@@ -29,7 +29,7 @@ def train(root: Path, source: object, *words: str) -> RunDirectory:
 
 @pytest.fixture(scope="module")
 def begun(trained: Trained, tmp_path_factory) -> RunDirectory:
-    """Four iterations that begin with the shared run's networks; that run is removed afterwards."""
+    """Train four iterations that start with the networks of a copied run, which is removed afterwards."""
     root = tmp_path_factory.mktemp("begun")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -89,7 +89,7 @@ def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(trained: 
         steps[what] = float(state["optimizer_state_dict"]["state"][0]["step"])
         assert state["iter"] == 0
     before = float(checkpoint.load(trained.run.latest_checkpoint())["optimizer_state_dict"]["state"][0]["step"])
-    assert steps == {"networks": before / 3, "learning": before + before / 3}  # three iterations have been trained
+    assert steps == {"networks": before / 3, "learning": before + before / 3}  # The source run has three iterations.
 
 
 def test_a_checkpoint_can_be_named_itself(trained: Trained, tmp_path):
@@ -128,7 +128,7 @@ def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
     said = wheelleg("replay", begun.path, "--root", tmp_path / "runs")
     assert said.status == 0, said.err
     assert "identical" in said.out
-    assert "saved MJCF" not in said.err  # the robot is converted again
+    assert "saved MJCF" not in said.err  # The robot is converted again.
 
 
 def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory, tmp_path):

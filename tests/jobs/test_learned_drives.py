@@ -1,4 +1,4 @@
-"""A run keeps the networks of its robot's drives, and needs nobody else's."""
+"""A run directory stores the drives' networks, so the original files are not needed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def make_network(file: Path) -> None:
 
 
 def alone(*words):
-    """Run a command in a process of its own: TorchScript numbers what it loads in each."""
+    """Run a command in a process of its own: TorchScript numbers the modules that it loads in each process."""
     command = [sys.executable, "-m", "wheelleg_exp.cli.main", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
 

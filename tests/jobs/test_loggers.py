@@ -1,4 +1,4 @@
-"""Loggers whose package is not there."""
+"""Loggers whose package is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of motion, against cases worked out by hand on a pretended environment and against closed forms."""
+"""Compare metrics of motion with hand calculations for a fake environment and with closed forms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEP = 0.5  # s; one physics step
 
 
 class FakeEnv:
-    """Two environments of two joints, one a group, whose every quantity a test sets by hand."""
+    """Two fake environments of two joints, whose quantities a test sets by hand."""
 
     def __init__(self):
         self.num_envs, self.step_dt, self.physics_dt, self.device = 2, STEP, STEP, torch.device("cpu")
@@ -36,7 +36,7 @@ class FakeEnv:
     def step(
         self, meter, *, place=(0.0, 0.0), heading=(0.0, 0.0), torque=((0.0, 0.0),) * 2, speed=0.0, action=0.0, done=()
     ):
-        """One step later, in which the joints went from their last speed to ``speed``, rad/s."""
+        """Advance one step, in which the joints reach ``speed``, rad/s."""
         self.episode_length_buf += 1
         self.data.root_pos_w[:, 0] = torch.tensor(place)
         self.data.heading_w = torch.tensor(heading)
@@ -67,7 +67,6 @@ def test_the_way_is_from_where_it_settled_and_means_are_over_episodes():
 
 
 def test_torques_by_hand():
-    """Group by group: sizes, the share at the limit, and signs that come back; the wheel's limit is infinite."""
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=0.0)
     for leg, wheel in ((2.0, 1.0), (-1.0, -1.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0)):
@@ -79,7 +78,6 @@ def test_torques_by_hand():
 
 
 def test_torques_of_every_physics_step_count():
-    """The first physics step of each control step has -1 N·m, the last has 7 N·m."""
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=0.0)
     for _ in range(3):
@@ -95,13 +93,12 @@ def test_torques_of_every_physics_step_count():
 def test_torques_too_small_to_have_a_sign_keep_the_last():
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=0.0)
-    for leg in (1.0, -0.001, 1.0, -0.001):  # a thousandth of 2 N·m is 0.002
+    for leg in (1.0, -0.001, 1.0, -0.001):
         env.step(meter, torque=((leg, 0.0),) * 2)
     assert meter.figures().sign_changes_per_s["leg"] == 0.0
 
 
 def test_what_only_swings_the_armature_is_no_power():
-    """A torque of I·dω/dt that takes a joint from 0 to 2 rad/s in one step does no net work; 3 N·m more does."""
     env = FakeEnv()
     env.data.joint_armature = torch.full((2, 2), 0.5)
     meter = MotionMeter(env, settle_s=0.0)

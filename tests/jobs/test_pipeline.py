@@ -15,6 +15,7 @@ from jobs.small import TINY, cache_of, wheelleg
 from wheelleg_exp.child_process import EventPipe
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.jobs.job_display import SilentDisplay
 from wheelleg_exp.jobs.pipeline import run_pipeline as runner
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pipeline
@@ -31,8 +32,8 @@ WORDS = [*TINY, "env.num_envs=8", "agent.logger=null", "recording.enabled=false"
 GATE = {"protocol": "stand", "at_least": {"stand/survival": 0.5}}
 
 
-class Quiet:
-    """A display that keeps its lines."""
+class Quiet(SilentDisplay):
+    """A display that stores its notes."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -40,15 +41,9 @@ class Quiet:
     def note(self, text: str) -> None:
         self.notes.append(text)
 
-    def environment(self, description: str) -> None: ...
-
-    def iteration(self, *_: Any) -> None: ...
-
-    def steps(self, *_: Any) -> None: ...
-
 
 class Heard(EventPipe):
-    """Events of a step that is done in this process; one iteration may be the last before a stop."""
+    """Collects the events of a pipeline step that runs in this process, and can request a stop."""
 
     def __init__(self, stop: StopRequest, stop_after: int | None) -> None:
         self.told: list[dict[str, Any]] = []
@@ -62,7 +57,7 @@ class Heard(EventPipe):
 
 
 class Here:
-    """Does a step in this process; evaluations answer what the test has put down."""
+    """Runs pipeline steps in this process; the test sets the results of evaluations."""
 
     values: ClassVar[list[float]] = []
     judged: ClassVar[list[str]] = []
@@ -89,7 +84,7 @@ class Here:
 
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path_factory):
-    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])  # a test beside may write files
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     monkeypatch.setattr(runner, "run_request", Here.run)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     Here.values, Here.judged, Here.stop_after, Here.trained = [], [], None, 0
@@ -122,7 +117,6 @@ def resumed(index: PipelineIndex, values: list[float], *overrides: str) -> tuple
 
 
 def sums(index: PipelineIndex) -> list[str]:
-    """The sha256 of each phase's last checkpoint."""
     found = []
     for phase in index.phases:
         path = index.run_of(phase) / f"model_{phase['trained'] - 1}.pt"
@@ -132,7 +126,7 @@ def sums(index: PipelineIndex) -> list[str]:
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
-    """A pipeline that nobody stopped, two and three iterations, judged after each of the second phase; what it told."""
+    """Return an uninterrupted pipeline of two phases, and its notes."""
     display = Quiet()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_request", Here.run)
@@ -145,7 +139,7 @@ def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
 
 @pytest.fixture
 def whole(watched: tuple[PipelineIndex, list[str]]) -> PipelineIndex:
-    """The same as it was read from its record."""
+    """Return the uninterrupted pipeline as its record describes it."""
     return PipelineIndex.load(watched[0].folder)
 
 
@@ -157,10 +151,7 @@ def test_each_phase_is_an_ordinary_run_that_begins_with_the_policy_before(whole:
     assert manifest["status"] == "finished"
     begun = manifest["init_from"]
     last = whole.run_of(first) / "model_1.pt"
-    assert (begun["run"], begun["sha256"]) == (
-        whole.run_of(first).name,
-        hashlib.sha256(last.read_bytes()).hexdigest(),
-    )
+    assert (begun["run"], begun["sha256"]) == (whole.run_of(first).name, hashlib.sha256(last.read_bytes()).hexdigest())
     kept = checkpoint.load(whole.run_of(second) / "asset" / begun["kept"])
     assert kept["actor_state_dict"].keys() == checkpoint.load(last)["actor_state_dict"].keys()
 
@@ -181,8 +172,9 @@ def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(tmp_path):
 
 
 def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(tmp_path):
-    index = begin(tmp_path)
-    assert run(index, [0.2]) == "stopped"
+    index, display = begin(tmp_path), Quiet()
+    assert run(index, [0.2], display=display) == "stopped"
+    assert [note for note in display.notes if ": gate" in note] == ["first: gate after 2 iterations not passed"]
     first, second = index.phases
     assert (first["status"], second["status"], second["run"]) == ("failed", "waiting", None)
     assert "phase 'first': the gate is not passed after 2 iterations: stand/survival is 0.2" in index.data["why"]
@@ -210,7 +202,6 @@ def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, t
 
 
 def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, tmp_path):
-    """Three iterations to one gate, stopped after two: fewer are refused, and gates in between begin behind them."""
     index = begin(tmp_path)
     assert run(index, [1.0], stop_after=4) == "interrupted"
     before = index.path.read_bytes()
@@ -225,9 +216,8 @@ def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, tmp_path):
 
 
 def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole: PipelineIndex, tmp_path):
-    """A kill between the end of a phase's training and the record of it."""
     index = begin(tmp_path, every=1, passes=2)
-    with pytest.raises(IndexError):  # the second evaluation breaks off
+    with pytest.raises(IndexError):
         run(index, [1.0])
     index.data |= {"status": "running", "process": {**index.data["process"], "pid": 2**22 + 1}}
     index.phases[1]["trained"] = 0
@@ -286,7 +276,6 @@ def test_mistakes_of_all_phases_are_told_at_once():
 
 
 def test_a_mistake_of_an_override_for_all_phases_is_told_once():
-    """One has a reward more than the others, so that their mistakes tell other nearest names."""
     phases = read_pipeline(tree()).phases
     phases["first"].overrides.append("+reward@env.rewards=[upward]")
     with pytest.raises(ConfigError) as told:
@@ -360,7 +349,6 @@ def test_a_pipeline_that_is_not_there_is_named(capsys):
 
 
 def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase_begins(tmp_path):
-    """With the file and the line, all at once, and a wrong protocol by its key."""
     node = tree(at_least={"stand/survivl": 0.5}, at_most={"walk/skill_vx": 1.0})
     (tmp_path / "pipeline").mkdir()
     (tmp_path / "pipeline" / "two.yaml").write_text("# @package pipeline\n" + yaml.safe_dump(node, sort_keys=False))
@@ -404,19 +392,6 @@ def test_a_pipeline_where_a_run_is_expected_is_told_with_its_runs(whole: Pipelin
             assert f"{whole.run_of(phase)} (phase '{phase['name']}')" in said.err
 
 
-def test_one_gate_that_is_not_passed_is_told_once(tmp_path):
-    """Among the notes on the way stands that it was not passed; why stands in the record, and so in the table."""
-    index = begin(tmp_path)
-    display = Quiet()
-    Here.values = [0.2]
-    with StopRequest() as stop:
-        assert runner.PipelineRunner(index, read_pipeline(index.data["config"]), display, stop).run() == "stopped"
-    assert [note for note in display.notes if "passed" in note] == ["first: gate after 2 iterations not passed"]
-    assert index.phases[0]["why"] == (
-        "the gate is not passed after 2 iterations: stand/survival is 0.2, but must be at least 0.5"
-    )
-
-
 def test_a_gate_on_the_way_tells_what_is_missing(watched: tuple[PipelineIndex, list[str]]):
     assert [note for note in watched[1] if "second: gate" in note] == [
         "second: gate after 1 iterations passed",
@@ -427,7 +402,6 @@ def test_a_gate_on_the_way_tells_what_is_missing(watched: tuple[PipelineIndex, l
 
 @pytest.fixture
 def declared_two(tmp_path) -> list[str]:
-    """The words that choose a pipeline of the user's own."""
     (tmp_path / "pipeline").mkdir()
     text = "# @package pipeline\n# Two of a kind.\n" + yaml.safe_dump(tree(), sort_keys=False)
     (tmp_path / "pipeline" / "two.yaml").write_text(text)

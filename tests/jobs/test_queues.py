@@ -17,8 +17,8 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs import sweep_queue
-from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
-from wheelleg_exp.jobs.sweep_queue import Queue, QueueWorker
+from wheelleg_exp.jobs.run_sweep import SweepRunner
+from wheelleg_exp.jobs.sweep_queue import Queue, QueueWorker, make_launcher
 from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import SweepIndex
@@ -32,7 +32,7 @@ def stop():
 
 
 class Ticket:
-    """A thread that carries a job, or one that never does."""
+    """A thread that runs a queued job, or a job that never starts."""
 
     def __init__(self, folder: str, begins: bool) -> None:
         self.thread = threading.Thread(target=QueueWorker(), args=(folder,), daemon=True)
@@ -51,7 +51,7 @@ class Ticket:
 
 
 class Threads(Queue):
-    """A queue of this process; the jobs from ``full`` on wait for ever."""
+    """A queue of threads; the jobs from number ``full`` on never start."""
 
     def __init__(self, folder: Path, full: int = 99) -> None:
         super().__init__(folder)
@@ -161,23 +161,15 @@ def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
 
 
 def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
-    """As when Slurm warns: submitit calls ``checkpoint``."""
-    (tmp_path / sweep_queue.REQUEST).write_text(
-        json.dumps(
-            {
-                "line": JobRequest("train", ["wait"], [], []).line().decode().strip(),
-                "path": [],
-                "working_directory": str(tmp_path),
-                "variables": {},
-            }
-        )
-    )
+    line = JobRequest("train", ["wait"], [], []).line().decode().strip()
+    facts = {"line": line, "path": [], "working_directory": str(tmp_path), "variables": {}}
+    (tmp_path / sweep_queue.REQUEST).write_text(json.dumps(facts))
     job = QueueWorker()
     thread = threading.Thread(target=job, args=(str(tmp_path),), daemon=True)
     thread.start()
     while '"run"' not in sweep_queue._read_or_empty(tmp_path / sweep_queue.EVENTS):
         thread.join(0.02)
-    assert job.checkpoint(str(tmp_path)) is None  # which tells submitit not to begin it anew
+    assert job.checkpoint(str(tmp_path)) is None
     thread.join()
     told = [json.loads(line) for line in (tmp_path / sweep_queue.EVENTS).read_text().splitlines()]
     assert told[0]["event"] == "began"
@@ -189,7 +181,7 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
 def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(sweep_queue, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")  # as Ray sets it in its workers
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")  # Ray sets this variable in its workers.
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
     facts = {"line": "", "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
     (tmp_path / sweep_queue.REQUEST).write_text(json.dumps(facts))
@@ -199,16 +191,13 @@ def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypa
     assert "OMP_NUM_THREADS" not in made[0]
 
 
-# What the command line says.
-
-
 @pytest.mark.parametrize(
     ("launcher", "module", "extra"), [("ray", "ray", "ray"), ("submitit_slurm", "submitit", "slurm")]
 )
 def test_a_launcher_that_is_not_installed_says_what_to_install(monkeypatch, launcher, module, extra):
     from wheelleg_exp.config.composing import compose_sweep as launchers
 
-    monkeypatch.setattr(launchers, "_is_there", lambda name: name != module)
+    monkeypatch.setattr(launchers, "_is_installed", lambda name: name != module)
     with pytest.raises(ConfigError, match=rf"'{launcher}' is not installed.*wheelleg_exp\[{extra}\]"):
         compose_sweep(["seed=1,2", f"hydra/launcher={launcher}"])
 
@@ -230,9 +219,6 @@ def test_what_submitit_refuses_is_told(tmp_path):
     pytest.importorskip("submitit")
     with pytest.raises(ConfigError, match=r"hydra\.launcher: submitit refuses it"):
         make_launcher("submitit_slurm", {"submitit_folder": str(tmp_path / "s"), "partition": "gpu"}, tmp_path)
-
-
-# Real queues.
 
 
 @pytest.fixture(params=["submitit_local", "ray"])

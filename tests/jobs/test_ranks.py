@@ -24,7 +24,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 pytestmark = pytest.mark.train
 
 FEW = [*TINY, "env.num_envs=4", "agent.save_interval=1", "recording.enabled=false"]
-# One step of gradient descent: weights differ by a multiple of the gradient, and by nothing else.
+# After one step of gradient descent, the change of the weights is a multiple of the gradient.
 DESCENT = [
     *FEW,
     "agent.algorithm.optimizer=sgd",
@@ -41,7 +41,7 @@ TRAIN = ["train", *FEW, *NORMALISED]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Five commands of two processes: three iterations, two, one gradient step, a third after the two, a mistake."""
+    """Run in two ranks: trainings of three and two iterations, one gradient step, a resume, and a mistake."""
     folder = tmp_path_factory.mktemp("ranks")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -72,7 +72,7 @@ def lines(run: Path) -> list[dict]:
 
 
 def alone(rank: int, mjcf: Path) -> Trainer:
-    """Return what one of two processes trains, in this one and by itself."""
+    """Return the trainer of one of two ranks, alone in this process."""
     config, ranks = compose(DESCENT).config, Ranks(rank)
     env = ManagerBasedRLEnv(config["env"], mjcf, ranks.seed(config["seed"]))
     return Trainer(RslRlVecEnv(env), config["agent"], config["seed"], ranks=ranks)
@@ -98,7 +98,7 @@ def test_the_gradient_is_the_mean_of_what_each_finds_alone(folder, tmp_path_fact
     for rank in range(SIZE):
         trainer = alone(rank, mjcf)
         begun = begun or weights(trainer)
-        for role in ("actor", "critic"):  # both begin with the first one's weights
+        for role in ("actor", "critic"):  # Both ranks start with the weights of rank 0.
             network = getattr(trainer.algorithm, role)
             network.load_state_dict({**network.state_dict(), **_of(role, begun)})
         list(trainer.learn(until=1))
@@ -179,7 +179,6 @@ def test_what_makes_several_runs_is_refused_under_torchrun(monkeypatch, words):
 
 
 def test_ctrl_c_stops_all_after_one_iteration_and_a_death_ends_the_others(tmp_path):
-    """The second command goes on with what the first one left; in it the second process is killed."""
     words = ["agent.max_iterations=1000000", "agent.save_interval=1000000"]
     first, other = start([["train", *FEW, *words], ["resume", "latest", *words]], tmp_path)
 
@@ -187,7 +186,7 @@ def test_ctrl_c_stops_all_after_one_iteration_and_a_death_ends_the_others(tmp_pa
         return sum(path.read_text().count("\n") for path in tmp_path.glob("runs/stand/*/iterations.jsonl"))
 
     assert wait_until(lambda: rows() > 1 or first.poll() is not None)
-    first.send_signal(signal.SIGINT)  # the other process is not told
+    first.send_signal(signal.SIGINT)  # The second process gets no signal.
     run = only(tmp_path / "runs")
     assert wait_until(lambda: manifest(run)["status"] == "interrupted" or first.poll() is not None)
     stopped = rows()

@@ -34,7 +34,7 @@ PROJECT_TASK = LEANING.replace("leaning}", "lab_stand}").replace(
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with a run of a dirty tree, handed over; the tree is gone, a fresh clone of its commit is there."""
+    """Return a folder with a run of a removed dirty tree and a fresh clone of its commit."""
     place = tmp_path_factory.mktemp("replay")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -57,13 +57,12 @@ def clone(place):
 
 @pytest.fixture
 def run(place, tmp_path):
-    """A copy of the run that a test may change."""
     return Path(shutil.copytree(place / "handed_over", tmp_path / "copied"))
 
 
 @pytest.fixture(autouse=True)
 def scratch(tmp_path, monkeypatch):
-    """The folder of temporary files, which must be empty again."""
+    """Return the folder of temporary files, which a test must leave empty."""
     folder = tmp_path / "scratch"
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -84,11 +83,7 @@ def lines_of(run: Path) -> list[str]:
     return (run / "iterations.jsonl").read_text().splitlines(keepends=True)
 
 
-# --- the promise ---
-
-
 def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(place, clone, tmp_path, scratch):
-    """A changed tracked file, an untracked config and untracked code; the recorded folder is no longer there."""
     run = place / "handed_over"
     before = digests(run), digests(clone)
     said, found = replay(run, "--repository", clone)
@@ -120,10 +115,6 @@ def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(pla
 
 
 def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
-    """Somebody changes a number in the patch and makes record, manifest and tree agree with it.
-
-    The robot's source is not the recorded one either.
-    """
     patch = run / "source" / "source.patch"
     forged = patch.read_bytes().replace(b"1.25", b"1.75")
     assert forged != patch.read_bytes()
@@ -153,7 +144,6 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
 
 
 def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
-    """Two whole iterations and a piece of the third, by another torch."""
     text = "".join(lines_of(run)[:2]) + lines_of(run)[2][:40]
     (run / "iterations.jsonl").write_text(text)
     for name in ("model_2.pt", "exported", "recording.rrd"):
@@ -185,7 +175,6 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
 
 
 def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(clone, tmp_path):
-    """A project with a change, and a module on Python's path, each in its own repository."""
     lab, helpers = tmp_path / "lab", tmp_path / "helpers"
     for folder in (lab / "configs" / "task", lab / "lab_terms", helpers):
         folder.mkdir(parents=True)
@@ -239,9 +228,6 @@ def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone,
     assert os.path.lexists(new.parent / ".lock")
     with pytest.raises(ProcessLookupError):
         os.kill(json.loads(new.read_text())["process"]["pid"], 0)
-
-
-# --- what is refused, before anything is run ---
 
 
 def refused(run: Path, *words: str | Path) -> str:

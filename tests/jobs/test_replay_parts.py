@@ -1,4 +1,4 @@
-"""The parts of a replay that need no training."""
+"""Test the parts of a replay that need no training."""
 
 from __future__ import annotations
 
@@ -15,41 +15,36 @@ from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegEr
 from wheelleg_exp.files import write_text
 from wheelleg_exp.jobs.replay import replay_run
 from wheelleg_exp.jobs.replay import restored_imports as replay_boot
-from wheelleg_exp.jobs.replay.restored_source import RestoredSource, _register, describe_code, restore_all
+from wheelleg_exp.jobs.replay.restore_all_sources import RestoredSource, _register, describe_code, restore_all
 from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayDisplay, Request, _first_difference
-from wheelleg_exp.jobs.train.source_roots import require_variables
-from wheelleg_exp.run import start_run as snapshot
-from wheelleg_exp.run.environment import replay_environ
+from wheelleg_exp.run.environment import replay_environ, requested_variables
+from wheelleg_exp.run.environment import variables as recorded_variables
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_snapshot import snapshot_source
 from wheelleg_exp.stop_request import StopRequest
 
-# --- environment variables ---
 
-
-def test_the_variables_that_decide_numbers_are_those_of_the_run():
-    here = {"PATH": "/bin", "OMP_NUM_THREADS": "8", "MKL_CBWR": "AUTO", "WHEELLEG_CACHE": "/here"}
-    recorded = {"MKL_CBWR": "AVX2,STRICT", "OPENBLAS_CORETYPE": "Haswell", "WHEELLEG_CACHE": "/there"}
-    assert replay_environ(recorded, here) == {
-        "PATH": "/bin",
-        "MKL_CBWR": "AVX2,STRICT",
-        "OPENBLAS_CORETYPE": "Haswell",
-        "WHEELLEG_CACHE": "/here",
-    }
-
-
-def test_places_and_foreign_libraries_are_not_taken_over():
-    recorded = {"LD_PRELOAD": "/evil.so", "TORCH_HOME": "/there", "OMP_NUM_THREADS": "2", "CUDA_VISIBLE_DEVICES": "0"}
-    assert replay_environ(recorded, {"PYTHONPATH": "/here"}) == {"OMP_NUM_THREADS": "2", "PYTHONPATH": "/here"}
-
-
-def test_what_the_config_asks_for_is_that_of_the_run():
-    recorded = {"ROBOT_MASS": "2.5", "LANG": "C"}
-    assert replay_environ(recorded, {"ROBOT_MASS": "3"}, also=["ROBOT_MASS"]) == {"ROBOT_MASS": "2.5"}
-
-
-# --- what passes between the processes ---
+@pytest.mark.parametrize(
+    ("recorded", "here", "also", "found"),
+    [
+        (
+            {"MKL_CBWR": "AVX2,STRICT", "OPENBLAS_CORETYPE": "Haswell", "WHEELLEG_CACHE": "/there"},
+            {"PATH": "/bin", "OMP_NUM_THREADS": "8", "MKL_CBWR": "AUTO", "WHEELLEG_CACHE": "/here"},
+            [],
+            {"PATH": "/bin", "MKL_CBWR": "AVX2,STRICT", "OPENBLAS_CORETYPE": "Haswell", "WHEELLEG_CACHE": "/here"},
+        ),
+        (
+            {"LD_PRELOAD": "/evil.so", "TORCH_HOME": "/there", "OMP_NUM_THREADS": "2", "CUDA_VISIBLE_DEVICES": "0"},
+            {"PYTHONPATH": "/here"},
+            [],
+            {"OMP_NUM_THREADS": "2", "PYTHONPATH": "/here"},
+        ),
+        ({"ROBOT_MASS": "2.5", "LANG": "C"}, {"ROBOT_MASS": "3"}, ["ROBOT_MASS"], {"ROBOT_MASS": "2.5"}),
+    ],
+)
+def test_variables_that_decide_numbers_are_those_of_the_run_and_places_are_not(recorded, here, also, found):
+    assert replay_environ(recorded, here, also=also) == found
 
 
 def request(**changes) -> Request:
@@ -58,11 +53,8 @@ def request(**changes) -> Request:
     return Request(**{"protocol": PROTOCOL, **known, **lists, **changes})
 
 
-def test_a_request_arrives_as_it_was_sent():
+def test_a_request_arrives_as_it_was_sent_and_without_keys_of_a_newer_program():
     assert Request.read(request().line()) == request()
-
-
-def test_a_request_of_a_newer_program_is_read_as_far_as_it_is_known():
     line = json.dumps(asdict(request()) | {"invented_later": 1}).encode()
     assert Request.read(line) == request()
 
@@ -99,9 +91,6 @@ def test_a_line_that_was_cut_off_is_no_event(line):
     assert parse_event(line) is None
 
 
-# --- imports from restored folders ---
-
-
 @pytest.fixture
 def places(tmp_path):
     for top in ("wheelleg_exp", "lab_terms"):
@@ -124,7 +113,6 @@ def test_a_module_that_the_restored_program_lacks_is_not_taken_from_todays(place
 
 
 def test_the_boot_code_imports_nothing_of_this_program():
-    """It runs before anything is found in the restored folders."""
     assert not {name for name in vars(replay_boot) if "wheelleg" in name}
     assert replay_boot.__file__ is not None
     assert "wheelleg_exp.jobs.replay.restored_imports" in sys.modules
@@ -151,9 +139,6 @@ def test_the_innermost_restored_folder_of_a_path_counts(tmp_path):
     assert source.now("/their/lab/library/a.yaml") == tmp_path / "2" / "a.yaml"
     assert source.now("/their/lab/a.yaml") == tmp_path / "1" / "a.yaml"
     assert str(source.now("/their/labels")) == "/their/labels"
-
-
-# --- what is told ---
 
 
 @pytest.mark.parametrize(
@@ -184,12 +169,9 @@ def test_a_resume_is_told_and_one_that_changed_something_ends_the_claim():
     assert "(another torch; another CPU)" in resumed(exact=False, why=["another torch", "another CPU"])[1]
 
 
-# --- all sources of a run ---
-
-
 @pytest.fixture
 def program(tmp_path):
-    """A repository that looks like this program to a replay, with a file that is not committed."""
+    """Return a small repository with the files that a replay needs, and an uncommitted file."""
     folder = tmp_path / "program"
     entry = folder / "wheelleg_exp" / "jobs" / "snapshot_training.py"
     entry.parent.mkdir(parents=True)
@@ -273,17 +255,16 @@ def test_what_was_not_captured_is_named(program, lab, tmp_path):
     assert source.places["helper"] == plain
 
 
-# --- variables that the config requests ---
-
-
 def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:
-    """Return a run whose config asks for variables, with what its manifest keeps of those that were set."""
+    """Return a run whose config names environment variables, which its manifest records."""
     run = RunDirectory.create(tmp_path / "runs", "stand", 0)
     write_text(run.hydra / "config.yaml", text)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     manifest = Manifest.begin(run.path, task="stand", seed=0, command=["wheelleg"], threads={})
-    manifest.record(config_variables=snapshot._config_variables({"config.yaml": text}))
+    requested = requested_variables([text])
+    found = recorded_variables(also=requested)
+    manifest.record(config_variables={name: found[name] for name in requested if name in found})
     for name in variables:
         monkeypatch.delenv(name)
     return run
@@ -291,18 +272,17 @@ def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:
 
 def test_a_variable_that_was_not_stored_is_requested_by_name(tmp_path, monkeypatch):
     run = asking(tmp_path, "run: {name: '${oc.env:MY_TOKEN}'}\n", monkeypatch, MY_TOKEN="abc")
-    kept = replay_run._recorded_variables(run.manifest())
     with pytest.raises(RunDirectoryError, match="variable MY_TOKEN, which was not stored with the run"):
-        require_variables(run, kept)
+        replay_run._config(run, run.manifest())
     monkeypatch.setenv("MY_TOKEN", "abc")
-    require_variables(run, kept)
-    assert replay_run._environ(run, run.manifest())["MY_TOKEN"] == "abc"  # the training finds it as well
+    replay_run._config(run, run.manifest())
+    assert replay_run._environ(run, run.manifest())["MY_TOKEN"] == "abc"
 
 
 @pytest.mark.parametrize("text", ["${oc.env:MY_TOKEN,x}", "${oc.env:RUN_NAME}", "${oc.env:USER_OF,${oc.env:OTHER,y}}"])
 def test_variables_that_were_kept_or_have_a_default_need_not_be_set(tmp_path, monkeypatch, text):
     run = asking(tmp_path, f"run: {{name: '{text}'}}\n", monkeypatch, RUN_NAME="mine")
-    require_variables(run, replay_run._recorded_variables(run.manifest()))
+    replay_run._config(run, run.manifest())
 
 
 def test_what_the_config_asked_for_in_vain_is_unset(tmp_path, monkeypatch):
@@ -330,7 +310,6 @@ def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(t
 
 
 def test_an_interrupt_while_git_works_is_an_interrupt(program, tmp_path):
-    """The terminal sends Ctrl-C to git as well, which then fails."""
     run = run_of(tmp_path, program)
     stop = StopRequest()
     stop.requested = True

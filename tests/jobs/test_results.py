@@ -40,7 +40,6 @@ SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.1", "protocol.
 
 @pytest.fixture
 def written(run, tmp_path, capsys):
-    """The folder of a result of one run beside the reference."""
     folder = tmp_path / "results"
     words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--reference", "--into", str(folder)]
     assert main(words) == 0
@@ -49,7 +48,6 @@ def written(run, tmp_path, capsys):
 
 
 def rewritten(folder, record) -> None:
-    """Put down a record, and the page that it makes."""
     write_json(folder / "small.json", record)
     write_text(folder / "small.md", result_page(record, read_manifests(record, folder)))
 
@@ -62,7 +60,7 @@ def made_again() -> Iterator[dict[str, Any]]:
 
 @pytest.fixture
 def once(monkeypatch, made_again):
-    """Train and evaluate once for all comparisons: what is got again does not change with the record."""
+    """Train and evaluate once for all comparisons, because a changed record does not change the reproduction."""
 
     def first(kind, make):
         return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
@@ -82,7 +80,6 @@ def again(written, capsys, *more: str) -> tuple[int, str]:
 
 
 def leaves(value, keys=()):
-    """Yield the keys of every number of a plain tree."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from leaves(inner, (*keys, key))
@@ -104,7 +101,6 @@ ALTERED = {
 
 
 def test_a_result_comes_out_again_to_the_bit_and_whatever_is_changed_in_it_is_told(written, once, capsys):
-    """A last digit here and there, as a result of another program would have it, with the page to match."""
     status, told = again(written, capsys)
     assert (status, told.splitlines()[-1]) == (0, "small: reproduced to the bit")
     whole = (written / "small.json").read_text()
@@ -122,21 +118,14 @@ def test_a_result_comes_out_again_to_the_bit_and_whatever_is_changed_in_it_is_to
         assert told.splitlines()[-1].startswith("small: not reproduced to the bit")
 
 
-def test_other_networks_are_told(written, once, capsys):
+def test_other_networks_and_other_words_are_told(written, once, capsys):
     record = json.loads((written / "small.json").read_text())
     record["runs"][0]["parameters"] = "0" * 16
-    rewritten(written, record)
-    status, told = again(written, capsys)
-    assert status == 1
-    assert "run 1: the networks are " in told
-
-
-def test_a_word_that_is_another_where_the_numbers_are_equal_is_told(written, once, capsys):
-    record = json.loads((written / "small.json").read_text())
     record["runs"][0]["evaluation"]["metrics"]["stand/time_to_failure"]["better"] = "lower"
     rewritten(written, record)
     status, told = again(written, capsys)
     assert status == 1
+    assert "run 1: the networks are " in told
     assert "run 1: stand/time_to_failure.better is higher, and was lower" in told
 
 
@@ -145,7 +134,7 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
     status, told = again(written, capsys)
     assert status == 2
-    assert "small.md: does not show its record" in told
+    assert "small.md: the page does not show its record" in told
     assert "wheelleg train" not in told
 
 
@@ -169,13 +158,16 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda record: record.pop("runs"), "small.json: lacks a key of a record: 'runs'"),
-        (lambda record: record.update(runs=[]), "small.json: names no runs"),
+        (lambda record: record.pop("runs"), "small.json: the record lacks a key: 'runs'"),
+        (lambda record: record.update(runs=[]), "small.json: the record names no runs"),
         (
             lambda record: record["runs"][0]["train"].pop("overrides"),
-            "small.json: lacks a key of a record: 'overrides'",
+            "small.json: the record lacks a key: 'overrides'",
         ),
-        (lambda record: record.update(name="other"), "small.json: is of 'other'; expected a record of its own name"),
+        (
+            lambda record: record.update(name="other"),
+            "small.json: the record is of 'other'; expected a record of its own name",
+        ),
     ],
 )
 def test_a_record_that_lacks_something_is_told_by_its_file(written, capsys, damage, said):
@@ -210,7 +202,6 @@ def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatc
 
 
 def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, once, capsys):
-    """Made on another CPU: told at once; equal bits are still equal, others are nothing against the result."""
     record = json.loads((written / "small.json").read_text())
     path = written / "small" / f"{record['runs'][0]['id']}.json"
     manifest = json.loads(path.read_text())
@@ -237,7 +228,7 @@ def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
     manifest = json.loads((written / "small" / f"{run.id}.json").read_text())
     assert manifest["files"]["model_2.pt"] == run.manifest().data["files"]["model_2.pt"]
     everything = page + json.dumps(record) + json.dumps(manifest)
-    assert str(run.path.parent) not in everything  # nothing of where it lay
+    assert str(run.path.parent) not in everything
 
 
 def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
@@ -283,22 +274,12 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     assert "secret" not in json.dumps(kept)
     code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
     versions = {**moved, "differences": [{**elsewhere, "section": "versions", "name": "torch"}]}
-    for other in (
-        code,
-        versions,
-        {"exact": False, "overrides": []},
-        {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]},
-    ):
-        write_json(run.path / "manifest.json", {**data, "resumes": [other]})
+    inexact, changed = {"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}
+    others = [{"resumes": [entry]} for entry in (code, versions, inexact, changed)]
+    for other in (*others, {"status": "interrupted"}):
+        write_json(run.path / "manifest.json", {**data, **other})
         with pytest.raises(RunDirectoryError, match="in one go"):
             recipe(run)
-
-
-def test_a_run_that_was_not_trained_in_one_go_is_no_result(run):
-    data = json.loads((run.path / "manifest.json").read_text())
-    write_json(run.path / "manifest.json", {**data, "status": "interrupted"})
-    with pytest.raises(RunDirectoryError, match="in one go"):
-        recipe(run)
 
 
 def test_runs_of_one_result_differ_by_their_seed_alone(run):
@@ -383,6 +364,4 @@ def test_a_verdict_that_other_seeds_may_not_show_is_marked_in_the_page(path):
     )
     assert marked == zero
     assert zero
-    assert "¹" not in result_page(
-        {**record, "runs": record["runs"][:1]}, manifests[:1]
-    )  # of one training nobody claims it
+    assert "¹" not in result_page({**record, "runs": record["runs"][:1]}, manifests[:1])

@@ -1,4 +1,4 @@
-"""A run that was stopped anywhere and resumed is the run that was never stopped."""
+"""A run that was stopped anywhere and resumed equals an uninterrupted run."""
 
 from __future__ import annotations
 
@@ -39,13 +39,12 @@ FOUR = [*SMALL, "agent.max_iterations=4"]
 
 @pytest.fixture(autouse=True)
 def _same_source(monkeypatch):
-    """The working tree may be edited while the tests run."""
+    """Report no source differences, so that edits of the working tree have no effect on the tests."""
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
 
 
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory) -> Path:
-    """Four iterations in one go."""
     root = tmp_path_factory.mktemp("straight")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -61,7 +60,6 @@ def only(root: Path) -> Path:
 
 @pytest.fixture
 def run(straight, tmp_path) -> Path:
-    """A copy of the finished run, to be damaged."""
     path = tmp_path / "runs" / "stand" / straight.name
     shutil.copytree(straight, path)
     return path
@@ -90,7 +88,7 @@ def sha256(path: Path) -> str:
 
 
 def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> None:
-    """Hold everything that a run leaves against the uninterrupted one's."""
+    """Compare all files of a run with those of the uninterrupted run."""
     for pattern in ("model_*.pt", "exported/*.onnx", "exported/*.json", "params/*"):
         expected = {str(p.relative_to(straight)): sha256(p) for p in straight.glob(pattern)}
         found = {str(p.relative_to(run)): sha256(p) for p in run.glob(pattern)}
@@ -106,7 +104,6 @@ def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> Non
 
 
 def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
-    """Return what TensorBoard shows of a run."""
     events = EventAccumulator(str(run), size_guidance={"scalars": 0})
     events.Reload()
     tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith("Perf/")]
@@ -114,7 +111,7 @@ def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def events_left(run: Path) -> list[int]:
-    """Return the steps of one scalar as they stand in the files, repeats included."""
+    """Return the steps of one scalar in the event files, including repeats."""
     from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
     found = []
@@ -122,9 +119,6 @@ def events_left(run: Path) -> list[int]:
         for event in EventFileLoader(str(path)).Load():
             found += [event.step for value in event.summary.value if value.tag == "Loss/value"]
     return found
-
-
-# --- stopped anywhere ---
 
 
 @pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
@@ -142,7 +136,7 @@ def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
 
 
 def interrupt_iteration_1(patch: pytest.MonkeyPatch) -> None:
-    """Press Ctrl-C when the second iteration's outputs are about to be written."""
+    """Send SIGINT before the outputs of the second iteration are written."""
     write = training_outputs.Outputs.write
 
     def interrupted(self, iteration, due):
@@ -177,9 +171,6 @@ def killed(point: str, cache: Path, *words: str | Path) -> None:
 
 
 def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
-    """One run, killed three times: in the middle of a checkpoint; of a rollout, with the logs, the events and the
-    recording torn; and of the manifest's last writing.
-    """
     cache = cache_of(tmp_path_factory)
     killed("checkpoint:1", cache, "train", *FOUR, f"run.root={tmp_path}")
     run = only(tmp_path)
@@ -197,7 +188,6 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
 
 
 def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_alone(tmp_path, monkeypatch):
-    """Elsewhere those of the networks, so that a checkpoint of a stop is held against the log as well."""
     with monkeypatch.context() as patch:
         patch.setattr(BatchEngine, "exact", False)
         interrupt_iteration_1(patch)
@@ -218,7 +208,6 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
 
 
 def test_without_a_checkpoint_a_run_begins_anew(run, straight):
-    """Killed in its first iteration, or with all checkpoints lost."""
     for path in run.glob("model_*.pt"):
         path.unlink()
     said = resume(run)
@@ -228,7 +217,6 @@ def test_without_a_checkpoint_a_run_begins_anew(run, straight):
 
 
 def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, straight):
-    """The newest checkpoint is cut in half, the one before holds a flipped byte."""
     data = (run / "model_3.pt").read_bytes()
     (run / "model_3.pt").write_bytes(data[: len(data) // 2])
     data = bytearray((run / "model_2.pt").read_bytes())
@@ -256,12 +244,12 @@ def test_lost_events_are_written_anew_from_the_log(run, straight):
     for path in run.glob("events.out.tfevents.*"):
         path.write_bytes(path.read_bytes()[:300])
     resume(run)
+    assert manifest(run)["threads"]["torch"] == torch.get_num_threads() == 1
     assert events_left(run) == [0, 1, 2, 3]
     assert scalars(run) == scalars(straight)
 
 
 def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
-    """As with a full disk: the checkpoint of iteration 2 cannot be written."""
     from wheelleg_exp.errors import SimulationFailure
 
     write = training_outputs.write_bytes
@@ -284,7 +272,6 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
 
 
 def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch):
-    """What a power cut may not take: everything that tells of iterations up to a checkpoint that is there."""
     synced: list[str] = []
     monkeypatch.setattr(training_outputs, "sync", lambda path: synced.append(path.name))
     write = training_outputs.write_bytes
@@ -335,7 +322,7 @@ def test_event_files_from_before_a_logger_was_switched_off_stay_as_they_are(run)
 def test_the_list_says_of_every_state_that_is_resumed_here_that_it_can_be(run, straight):
     assert not summarize(straight).resumable
     crash(run)
-    assert (summarize(run).status, summarize(run).resumable) == ("crashed", True)  # killed while exporting
+    assert (summarize(run).status, summarize(run).resumable) == ("crashed", True)
     (run / "model_3.pt").unlink()
     assert summarize(run).resumable
     for path in run.glob("model_*.pt"):
@@ -368,9 +355,6 @@ def test_damage_that_a_resume_does_not_mend_ends_exactness_and_is_not_forgotten(
     assert "  model_0.pt is missing" in found.out.splitlines()
 
 
-# --- with changes ---
-
-
 def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straight):
     said = resume(
         run,
@@ -397,7 +381,7 @@ def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straigh
     assert lines(run)[4]["scalars"]["Loss/learning_rate"] != lines(straight)[3]["scalars"]["Loss/learning_rate"]
     assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
     assert resume(run, "agent.max_iterations=6", "agent.torch_threads=2").status == 0
-    assert manifest(run)["resumes"][1]["exact"] is True  # from here on nothing has changed
+    assert manifest(run)["resumes"][1]["exact"] is True
     assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
 
 
@@ -445,7 +429,6 @@ def test_another_machine_ends_exactness(run, monkeypatch):
 
 
 def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
-    """Iterations past the checkpoint are computed a second time; a term that counts in its module gives others."""
     from wheelleg_exp.mdp import rewards
 
     calls = []
@@ -465,16 +448,13 @@ def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
     assert "proved" not in entry
 
 
-# --- wrong input ---
-
-
 def refuse(run: Path, *words: str) -> str:
     before = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and not p.name.endswith("lock")}
     said = wheelleg("resume", run, *words)
     assert said.status == 2, said.err
     assert "Traceback" not in said.err
     (message,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
-    assert {p: p.read_bytes() for p in before} == before  # nothing of the run has changed
+    assert {p: p.read_bytes() for p in before} == before  # No file of the run has changed.
     return message
 
 
@@ -536,6 +516,9 @@ def test_a_run_that_is_being_written_is_left_alone(run):
     with RunLock(run):
         message = refuse(run, "agent.max_iterations=9")
     assert f"is being written by process {os.getpid()}" in message
+    refuse(run)
+    with RunLock(run):
+        pass  # The lock is free after a refusal.
 
 
 def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
@@ -567,20 +550,6 @@ def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
     assert "expected MY_TOKEN set to its value at the start of the run" in message
     assert "KeyError" not in message
 
-
-def test_the_lock_is_free_after_a_refusal(run):
-    refuse(run)
-    with RunLock(run):
-        pass
-
-
-def test_threads_are_those_of_the_run(run):
-    (run / "model_3.pt").unlink()
-    resume(run)
-    assert manifest(run)["threads"]["torch"] == torch.get_num_threads() == 1
-
-
-# --- a project of the user's own ---
 
 PROJECT = {
     "pyproject.toml": (
@@ -615,7 +584,7 @@ def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(proje
         root = tmp_path / f"runs_{total}"
         assert wheelleg("train", *words, f"agent.max_iterations={total}", f"run.root={root}").status == 0
         runs.append(only(root))
-    projects.forget(project)  # as in a new process
+    projects.forget(project)
     resume(runs[1], "agent.max_iterations=2")
     assert sha256(runs[1] / "model_1.pt") == sha256(runs[0] / "model_1.pt")
     moved = project.with_name("moved")

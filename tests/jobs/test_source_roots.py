@@ -1,4 +1,4 @@
-"""Which folders a run's source snapshot covers."""
+"""Test which folders the source snapshot of a run contains."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.child_process import EventPipe, run_job
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs import run_sweep as runner_module
-from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.jobs.run_sweep import LocalLauncher
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -42,9 +42,6 @@ def _statuses() -> list[str]:
     return [job["status"] for job in _index()["jobs"]]
 
 
-# What becomes of the jobs.
-
-
 def test_all_jobs_finish(stop):
     seen = Seen()
     assert stand_in(["finish1", "finish2", "finish3"], stop, seen=seen).run() == "finished"
@@ -61,11 +58,6 @@ def test_as_many_jobs_run_at_once_as_are_asked_for(stop, at_once):
     seen = Seen()
     stand_in([f"finish{i}" for i in range(4)], stop, at_once, seen).run()
     assert seen.most_at_once() == at_once
-
-
-def test_jobs_begin_in_order(stop):
-    seen = Seen()
-    stand_in([f"finish{i}" for i in range(4)], stop, 2, seen).run()
     assert [told[1] for told in seen.told if told[0] == "started"] == [1, 2, 3, 4]
 
 
@@ -99,13 +91,9 @@ def test_much_talk_blocks_nobody(stop):
 
 
 def test_a_job_whose_process_ends_well_without_having_said_so_has_failed(stop):
-    """As by ``os._exit(0)`` in a module of a user's, in the middle of a line."""
     assert stand_in(["leave", "finish"], stop).run() == "failed"
     assert _statuses() == ["failed", "finished"]
     assert "ended with status 0 and did not say why" in _index()["jobs"][0]["error"]["message"]
-
-
-# The index.
 
 
 def test_the_index_tells_what_runs_at_every_moment(stop):
@@ -140,9 +128,6 @@ def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch, kind):
     assert not runner._running
 
 
-# Stopping.
-
-
 def test_a_stop_ends_every_job_and_starts_no_other(stop):
     seen = Seen(on_start=lambda job: job["number"] == 2 and os.kill(os.getpid(), signal.SIGINT))
     assert stand_in(["wait", "wait", "finish"], stop, 2, seen).run() == "interrupted"
@@ -155,7 +140,7 @@ def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
     monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
     assert runner.run() == "interrupted"
     assert _statuses() == ["interrupted", "waiting"]
-    assert _index()["jobs"][0]["error"] is None  # it was not killed
+    assert _index()["jobs"][0]["error"] is None
 
 
 def _interrupt_twice(_job):
@@ -173,7 +158,6 @@ def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
 
 
 def test_a_third_stop_waits_for_nobody(stop):
-    """It leaves no process behind all the same."""
     seen = Seen(on_iteration=_interrupt_twice)
     runner = stand_in(["stubborn"], stop, seen=seen)
     processes = []
@@ -192,7 +176,6 @@ def test_a_third_stop_waits_for_nobody(stop):
 
 
 def test_jobs_stop_when_the_sweep_itself_is_killed():
-    """Its end of the pipe goes with it."""
     request = JobRequest("train", ["wait"], [], []).line()
     job = subprocess.Popen([sys.executable, "-c", STAND_IN], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert job.stdin
@@ -200,9 +183,6 @@ def test_jobs_stop_when_the_sweep_itself_is_killed():
     job.stdin.flush()
     out, _ = job.communicate(timeout=PATIENCE_S)
     assert json.loads(out.splitlines()[-1])["status"] == "interrupted"
-
-
-# The program that trains one job.
 
 
 def _request(*overrides: str, digest: str = "") -> JobRequest:
@@ -241,9 +221,6 @@ def test_a_job_that_is_stopped_before_it_has_begun_leaves_no_run(stop):
     assert not Path("runs").exists()
 
 
-# Real trainings.
-
-
 @pytest.fixture(scope="session")
 def swept(tmp_path_factory):
     return swept_once(tmp_path_factory)
@@ -251,7 +228,7 @@ def swept(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def alone(swept, tmp_path_factory):
-    """The sweep's second run again, by the command that its manifest names."""
+    """Train the second run of the sweep again, with the command in its manifest."""
     run = swept.index.run_of(swept.index.jobs[1])
     command = json.loads((run / "manifest.json").read_text())["command"]
     with pytest.MonkeyPatch.context() as patch:
@@ -287,7 +264,7 @@ def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swe
     assert set(ours) == set(theirs)
     assert {"model_2.pt", "exported/policy.onnx", "params/env.yaml", ".hydra/hydra.yaml"} <= set(ours)
     different = [name for name in ours if ours[name].read_bytes() != theirs[name].read_bytes()]
-    # TorchScript writes a module's constants in the order of a set, which no two processes share.
+    # TorchScript writes a module's constants in the order of a set, which differs between processes.
     assert [name for name in different if name != "exported/policy.pt"] == []
     assert len(_iterations(alone)) == ITERATIONS
     assert _iterations(of_sweep) == _iterations(alone)
@@ -324,11 +301,7 @@ def test_the_index_holds_the_figures_of_the_runs(swept):
         assert job["results"] == manifest.results
         assert job["results"]["iterations"] == ITERATIONS
         assert (job["status"], job["error"]) == ("finished", None)
-
-
-@pytest.mark.train
-def test_both_jobs_ran_at_the_same_time(swept):
-    one, other = swept.index.jobs
+    one, other = swept.index.jobs  # Both jobs ran at the same time.
     assert max(one["started"], other["started"]) < min(one["ended"], other["ended"])
 
 
@@ -343,7 +316,6 @@ def test_the_runs_are_ordinary_ones_and_the_sweep_is_none(swept):
 
 @pytest.mark.train
 def test_an_interrupt_stops_the_sweep_and_keeps_what_was_trained(tmp_path, tmp_path_factory):
-    """Ctrl-C in the middle: the run that trains stops at a whole iteration, the next is never begun."""
     words = ["train", "-m", "seed=1,2", *SMALL, "agent.max_iterations=100000", "agent.save_interval=100000"]
     script = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"
     program = [sys.executable, "-c", script, *words]

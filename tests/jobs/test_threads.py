@@ -1,4 +1,4 @@
-"""What of the threads is set, what is recorded as in force, and what people are told."""
+"""Test the thread settings, the recorded settings, and the warnings for users."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AGENT = {"torch_threads": 2, "device": "cpu", "algorithm": {"num_mini_batches": 
 
 
 def elsewhere(before: str, **variables: str) -> dict:
-    """What a process of its own records, that has run some code before."""
+    """Return the thread facts that a child process records after some code."""
     code = f"{before}\nimport json\nfrom wheelleg_exp.jobs.torch_threads import set_threads, thread_notes\n"
     code += f"found = set_threads({AGENT!r}, 1, samples=12288)\nprint(json.dumps([found, thread_notes(found)]))"
     environ = {k: v for k, v in os.environ.items() if k not in cores.VARIABLES} | variables
@@ -109,31 +109,23 @@ def test_the_arithmetic_is_recorded_as_it_is(monkeypatch):
     before = torch_threads.numerics()
     assert (before["rounds_to_nearest"], before["keeps_denormals"], before["default_dtype"]) == (True, True, "float32")
     assert any("Math Kernel" in line or "BLAS" in line for line in before["libraries"])
+
+    def set_mkldnn(there):
+        monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: there)
+
     changes = {
-        "default_dtype": (
-            lambda: torch.set_default_dtype(torch.float64),
-            lambda: torch.set_default_dtype(torch.float32),
-        ),
-        "matmul_precision": (
-            lambda: torch.set_float32_matmul_precision("medium"),
-            lambda: torch.set_float32_matmul_precision("highest"),
-        ),
-        "deterministic_algorithms": (
-            lambda: torch.use_deterministic_algorithms(True),
-            lambda: torch.use_deterministic_algorithms(False),
-        ),
-        "keeps_denormals": (lambda: torch.set_flush_denormal(True), lambda: torch.set_flush_denormal(False)),
-        "mkldnn": (
-            lambda: monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False),
-            monkeypatch.undo,
-        ),
+        "default_dtype": (torch.set_default_dtype, torch.float64, torch.float32),
+        "matmul_precision": (torch.set_float32_matmul_precision, "medium", "highest"),
+        "deterministic_algorithms": (torch.use_deterministic_algorithms, True, False),
+        "keeps_denormals": (torch.set_flush_denormal, True, False),
+        "mkldnn": (set_mkldnn, not before["mkldnn"], before["mkldnn"]),
     }
-    for name, (change, undo) in changes.items():
-        change()
+    for name, (change, other, usual) in changes.items():
+        change(other)
         try:
             after = torch_threads.numerics()
         finally:
-            undo()
+            change(usual)
         assert after[name] != before[name], name
     assert torch_threads.numerics() == before
 
@@ -209,7 +201,7 @@ def test_wide_kernels_are_for_intels_cpus_that_have_them(tmp_path, monkeypatch, 
     [
         (None, "AVX2,STRICT", "AVX2,STRICT"),
         (None, "AVX512,STRICT", "AVX512,STRICT"),
-        (None, "AVX512_E1,STRICT", "AVX512,STRICT"),  # nobody knows whether this CPU has it
+        (None, "AVX512_E1,STRICT", "AVX512,STRICT"),
         (None, None, "AVX512,STRICT"),
         ("SSE4_2", "AVX2,STRICT", "SSE4_2"),
     ],
@@ -228,7 +220,6 @@ def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monk
 
 
 def test_the_process_of_a_pipelines_step_chooses_by_itself(monkeypatch):
-    """So that it goes on with its run's kernels: what it is given it takes for the user's."""
     given = []
     monkeypatch.setattr(cores, "_chosen", {"MKL_CBWR"})
     monkeypatch.setenv("MKL_CBWR", "AVX512,STRICT")
@@ -259,7 +250,6 @@ def test_a_resume_asks_for_the_runs_kernels_before_anything_uses_them(tmp_path, 
 
 @pytest.mark.parametrize(("running", "found"), [("1/300", "20000"), ("3/300", "20000"), ("4/300", "0"), ("?", "0")])
 def test_threads_spin_only_where_cores_are_left(monkeypatch, tmp_path, running, found):
-    """Four cores, and two threads of this program: as many others may run."""
     (tmp_path / "loadavg").write_text(f"0.5 0.5 0.5 {running} 4711\n")
     monkeypatch.setattr(cores, "_LOADAVG", tmp_path / "loadavg")
     monkeypatch.setattr(os, "cpu_count", lambda: 4)

@@ -1,4 +1,4 @@
-"""Robots as MJCF, made of round numbers, to look at as an anatomist does."""
+"""Robots with round numbers, as MJCF texts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ WHEEL = f'<geom type="cylinder" size="{RADIUS} 0.02" euler="90 0 0"/>'
 
 
 def mjcf(body: str, more: str = "", asset: str = "") -> str:
-    """Return a model of a floating box with ``body`` on it, and ``more`` sections."""
+    """Return the MJCF of a floating box with the child bodies ``body`` and the top-level sections ``more``."""
     return f"""
 <mujoco>
   <compiler angle="radian" eulerseq="xyz"/>
@@ -26,15 +26,9 @@ def mjcf(body: str, more: str = "", asset: str = "") -> str:
 
 
 def leg(
-    side: str,
-    y: float,
-    x: float = 0.0,
-    *,
-    hip: str = 'range="-1 1"',
-    axle: str = 'axis="0 1 0"',
-    wheel: str = WHEEL,
+    side: str, y: float, x: float = 0.0, *, hip: str = 'range="-1 1"', axle: str = 'axis="0 1 0"', wheel: str = WHEEL
 ) -> str:
-    """Return a hip, a thigh that hangs straight down, a knee, a shank and a wheel."""
+    """Return a hip joint, a thigh that hangs straight down, a knee joint, a shank, and a wheel."""
     return f"""
       <body name="{side}_thigh" pos="{x} {y} 0">
         <joint name="{side}_hip" axis="0 1 0" {hip}/>
@@ -52,5 +46,5 @@ def leg(
 
 
 def two_legged(**changes: str) -> str:
-    """Return a robot on two legs with a wheel each, both made with ``changes`` of ``leg``."""
+    """Return a robot with two wheeled legs; ``changes`` are arguments of ``leg``."""
     return mjcf(leg("l", TRACK / 2, **changes) + leg("r", -TRACK / 2, **changes))

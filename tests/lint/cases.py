@@ -1,7 +1,7 @@
-"""A robot and a config with round numbers, to vary in tests of the rules.
+"""A robot and a config with round numbers, which the tests of the lint rules change.
 
-The robot: 1 kg, gravity 10, two wheels of 0.1 m radius 0.5 m apart; 0.8 kg ride on the axle at 0.5 m with an inertia
-of 0.4 kg·m² about it, so that m g h = 4 N·m and the pendulum's rate is sqrt(4 / 0.4) = sqrt(10).
+The robot has 1 kg, at a gravity of 10 m/s². Two wheels of 0.1 m radius are 0.5 m apart. A mass of 0.8 kg is 0.5 m above
+the axle, with an inertia of 0.4 kg·m² about the axle. So m g h = 4 N·m, and the rate of the fall is sqrt(4 / 0.4) 1/s.
 """
 
 from __future__ import annotations
@@ -18,27 +18,13 @@ from wheelleg_exp.lint.rule import Case, Finding
 LEG_DRIVE = Drive("legs", stiffness=40.0, damping=2.0, effort=8.0, velocity=10.0)
 WHEEL_DRIVE = Drive("wheels", stiffness=0.0, damping=1.0, effort=0.4, velocity=20.0)
 LEG = Joint(
-    default=0.5,
-    default_velocity=0.0,
-    low=-1.0,
-    high=1.5,
-    armature=0.01,
-    inertia=0.04,
-    effective=0.1,
-    hold=2.0,
-    drive=LEG_DRIVE,
-)
+    default=0.5, default_velocity=0.0, low=-1.0, high=1.5, armature=0.01, inertia=0.04, effective=0.1,
+    hold=2.0, drive=LEG_DRIVE,
+)  # fmt: skip
 WHEEL = Joint(
-    default=0.0,
-    default_velocity=0.0,
-    low=-math.inf,
-    high=math.inf,
-    armature=0.001,
-    inertia=0.002,
-    effective=0.02,
-    hold=0.0,
-    drive=WHEEL_DRIVE,
-)
+    default=0.0, default_velocity=0.0, low=-math.inf, high=math.inf, armature=0.001, inertia=0.002, effective=0.02,
+    hold=0.0, drive=WHEEL_DRIVE,
+)  # fmt: skip
 FACTS = RobotFacts(
     mass=1.0,
     gravity=10.0,
@@ -61,13 +47,8 @@ CONFIG: dict[str, Any] = {
         "sim": {"dt": 0.01, "integrator": "implicitfast"},
         "scene": {"terrain": {"static_friction": 0.6, "dynamic_friction": 0.4}},
         "robot": {"friction_source": "static", "init_state": {"pos": [0.0, 0.0, 0.4]}},
-        "commands": {},
-        "actions": {},
-        "observations": {},
-        "events": {},
-        "rewards": {},
+        **{section: {} for section in ("commands", "actions", "observations", "events", "rewards", "curriculum")},
         "terminations": {"time_out": {"_target_": _MDP + "terminations.time_out", "time_out": True}},
-        "curriculum": {},
     },
     "agent": {
         "num_steps_per_env": 10,
@@ -82,17 +63,15 @@ CONFIG: dict[str, Any] = {
 
 
 def term(target: str, **settings: Any) -> dict[str, Any]:
-    """A node of one of the library's terms."""
     return {"_target_": _MDP + target, **settings}
 
 
 def joints(*names: str) -> dict[str, Any]:
-    """An entity of joints."""
     return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": list(names)}
 
 
 def case(facts: RobotFacts = FACTS, **sections: Any) -> Case:
-    """The round case with sections of ``env`` (or ``agent``'s ``algorithm``, ``actor``, ...) changed."""
+    """Return the round case with changed sections of ``env``, or of the ``agent`` section."""
     config = copy.deepcopy(CONFIG)
     for name, value in sections.items():
         place = config["agent"] if name in config["agent"] else config["env"]
@@ -101,7 +80,7 @@ def case(facts: RobotFacts = FACTS, **sections: Any) -> Case:
 
 
 def with_joint(name: str, **changes: Any) -> RobotFacts:
-    """The round robot with one joint changed; ``drive`` takes the changes of its drive."""
+    """Return the round robot with one changed joint; ``drive`` changes the drive of the joint."""
     joint = FACTS.joints[name]
     if "drive" in changes:
         assert joint.drive is not None
@@ -110,5 +89,4 @@ def with_joint(name: str, **changes: Any) -> RobotFacts:
 
 
 def found(rule: str, looked_at: Case) -> list[Finding]:
-    """What one rule finds."""
     return RULES[rule](looked_at)

@@ -1,4 +1,4 @@
-"""A healthy robot of round numbers as MJCF, to seed with single defects, and what the doctor finds in it."""
+"""A robot without defects, as MJCF, into which tests insert single defects."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ HEALTHY = f"""
 
 
 def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
-    """Return the robot with pieces of its text replaced, each once or everywhere."""
+    """Return the MJCF with replaced pieces of text."""
     text = HEALTHY
     for old, new in changes:
         assert old in text, old
@@ -58,7 +58,7 @@ def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
 
 
 def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) -> Case:
-    """Write a robot, and return it as rules look at it, with sections of ``env`` replaced."""
+    """Return the lint case of a robot, with replaced sections of ``env``."""
     file = folder / "robot.xml"
     file.write_text(text)
     case = case_of_file(file)
@@ -66,5 +66,5 @@ def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) ->
 
 
 def all_findings(case: Case) -> list[Finding]:
-    """Return what all rules about a robot find."""
+    """Return the findings of all rules about a robot."""
     return [finding for name in OF_ROBOT for finding in RULES[name](case)]

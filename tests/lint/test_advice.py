@@ -1,4 +1,4 @@
-"""What a rule recommends satisfies the rule: whoever writes what a hint says is not told again."""
+"""Apply the advice of each finding, and check that the finding disappears."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below
 from wheelleg_exp.terms.key_syntax import split_path
 
-# Sizes that many a rounding to two digits would push over a bound.
+# For many of these sizes, rounding to two digits would exceed a bound.
 SIZES = (0.1234, 0.3333, 0.5, 0.7777, 0.9949, 1.0, 1.005, 1.2499, 1.449, 1.7321, 2.5001, 3.1416, 6.6666, 9.951)
 
 
 def robot(x: float = 1.0, **changes: Any) -> RobotFacts:
-    """The round robot with its lengths, efforts and rates times ``x``."""
+    """Return the round robot with lengths, efforts, and rates multiplied by ``x``."""
     assert LEG.drive is not None
     assert WHEEL.drive is not None
     leg = replace(LEG, hold=2.0 * x, drive=replace(LEG.drive, effort=8.0 * x))
@@ -35,7 +35,6 @@ def robot(x: float = 1.0, **changes: Any) -> RobotFacts:
 
 
 def drives(x: float, **leg: Any) -> RobotFacts:
-    """The robot with other drives in its leg."""
     found = robot(x)
     hip = found.joints["hip"]
     assert hip.drive is not None
@@ -43,7 +42,6 @@ def drives(x: float, **leg: Any) -> RobotFacts:
 
 
 def weak(x: float, **drive: float) -> RobotFacts:
-    """The robot with a motor on its wheels that is too weak or too slow."""
     found = robot(x)
     wheel = replace(found.joints["left"], drive=replace(found.joints["left"].drive, **drive))
     return replace(found, joints={**found.joints, "left": wheel, "right": wheel})
@@ -92,7 +90,7 @@ def tilt(limit: float, x: float) -> dict[str, Any]:
 TIME_OUT = CONFIG["env"]["terminations"]
 STILL = {"force_range": [0.0, 0.0], "torque_range": [0.0, 0.0]}
 
-# rule -> cases with a finding, for a size x
+# Functions that return a case with a finding of the rule, for a robot of size x.
 CASES: dict[str, list[Callable[[float], Case]]] = {
     "action_scale": [
         lambda x: case(robot(x), actions=act("JointPositionAction", "hip", scale=5.0 * x)),
@@ -178,12 +176,12 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
         lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "torque_range": [0.0, 9 * x]})),
     ],
 }  # fmt: skip
-# Rules whose hints name no number: what to do is another kind of thing.
+# The hints of these rules contain no numbers.
 WITHOUT = {
-    "reward_outweighs",  # what a weight costs is tried, by tests/cli/test_doctor.py
+    "reward_outweighs",  # tests/cli/test_doctor.py tests the cost of a weight.
     "action_clip_never_acts", "armature_ratio", "falling_pays", "gains_against_time_step", "noop_joint_reset",
     "ppo_batch", "unbounded_observation", "zero_width_range",
-    # What they tell of is a file's, or a pose's.
+    # These rules report defects of a robot file or a pose.
     "assumed_masses", "balance_pose", "contact_at_start", "joint_limits", "link_masses", "lopsided_pose",
     "lost_in_conversion", "mirror_images", "missing_files", "no_colliders", "overlapping_bodies", "placeholder_limits",
     "reset_into_ground", "robot_size", "rolling_direction", "wheel_senses", "wheels_that_do_not_roll",
@@ -191,7 +189,7 @@ WITHOUT = {
 
 
 def changed(looked_at: Case, advice: Mapping[str, Any]) -> Case:
-    """The case with settings changed as a user would; what is read from the robot's model follows."""
+    """Return the case with changed settings, and with robot facts that follow from the settings."""
     config, facts = copy.deepcopy(looked_at.config), looked_at.facts
     for key, value in advice.items():
         path = split_path(key)
@@ -248,7 +246,6 @@ def test_what_a_hint_prints_is_what_is_recommended(rule):
 
 
 def test_no_number_that_is_recommended_brings_the_next_finding_of_the_same_rule():
-    """A unit of 30 rad is too much for the torque; what is recommended fits the limits as well."""
     looked_at = CASES["action_scale"][1](1.0)
     (finding,) = RULES["action_scale"](looked_at)
     assert "N·m" in finding.message
@@ -261,7 +258,7 @@ def test_all_that_is_recommended_on_the_stock_task_can_be_written(capsys):
         return json.loads(capsys.readouterr().out)["findings"]
 
     before = findings()
-    # What torques cost goes with the effort limits, which are among what is recommended.
+    # The cost of torques depends on the effort limits, which the advice changes.
     apart = ("init_state", "push", "wheel_torques")
     advised = [f for f in before if f["advice"] and not any(part in f["key"] for part in apart)]
     assert len(advised) > 8

@@ -1,5 +1,3 @@
-"""What the parts of a robot are for: told by shape and motion, whatever they are called."""
-
 from __future__ import annotations
 
 import math
@@ -18,7 +16,7 @@ def look(text: str, **given) -> Anatomy:
 
 
 def ring(corners: int, radius: float = RADIUS, x: float = 0.0) -> str:
-    """Return the vertices of a disc about y."""
+    """Return the vertices of a disc around the y axis."""
     angles = [2 * math.pi * k / corners for k in range(corners)]
     points = [(x + radius * math.cos(a), y, radius * math.sin(a)) for a in angles for y in (-0.02, 0.02)]
     return " ".join(f"{part:.9g}" for point in points for part in point)
@@ -57,7 +55,6 @@ def test_two_serial_legs():
 
 
 def test_joints_without_limits_on_a_leg_are_no_wheels():
-    """Each link of the legs but the wheels is long, and joints hang on it."""
     assert look(two_legged(hip="")).wheel_joints == ["l_axle", "r_axle"]
 
 
@@ -68,7 +65,8 @@ def test_a_leg_that_ends_without_a_wheel_has_none():
     found = look(two_legged(hip="", wheel=point))
     assert (found.wheels, found.forward, found.support_height) == ((), None, None)
     assert found.others == ("l_hip", "l_knee", "l_axle", "r_hip", "r_knee", "r_axle")
-    assert "round about a line 100 mm off its axis" in found.near["l_axle"]  # for its masses are a wheel's
+    # The body's mass distribution is that of a wheel.
+    assert "round about a line 100 mm off its axis" in found.near["l_axle"]
 
 
 @pytest.mark.parametrize("limits", ["-1e6 1e6", "-6.3 6.3"])
@@ -187,7 +185,7 @@ def test_what_spins_on_the_trunk_or_an_arm_is_no_wheel():
 
 
 def swivel(name: str, x: float, y: float, trail: float, above: str = "") -> str:
-    """Return a wheel of 0.05 m radius below a vertical joint without limits, ``trail`` m behind it."""
+    """Return a wheel of 0.05 m radius below an unlimited vertical joint, ``trail`` m behind the joint."""
     return f"""<body name="{name}_fork" pos="{x} {y} -0.65"><joint name="{name}_swivel" axis="0 0 1"/>
       <geom type="box" size="0.01 0.01 0.05" pos="0 0.05 0.1"/>{above}
       <body name="{name}_roller" pos="{-trail} 0 0"><joint name="{name}_roll" axis="0 1 0"/>
@@ -201,8 +199,8 @@ WHEELS_DRIVE = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuat
     ("trail", "drives", "caster"),
     [
         (0.03, WHEELS_DRIVE, True),
-        (0.03, "", True),  # nothing is known of drives
-        (0.0, WHEELS_DRIVE, False),  # it cannot follow
+        (0.03, "", True),  # The file contains no drives.
+        (0.0, WHEELS_DRIVE, False),  # Without a trail the wheel is not a caster.
         (0.03, WHEELS_DRIVE.replace("<motor", '<motor joint="f_swivel"/><motor', 1), False),
     ],
 )
@@ -216,7 +214,6 @@ def test_a_caster_trails_a_passive_vertical_joint(trail, drives, caster):
 
 @pytest.mark.parametrize(("trail", "driven"), [(0.0, True), (0.0, False), (0.03, True), (0.03, False)])
 def test_wheels_that_are_all_steered_roll_one_way(trail, driven):
-    """Swerve drives: the axles are parallel, so the robot rolls along them whatever may steer them."""
     drives = '<actuator><motor joint="l_swivel"/><motor joint="r_swivel"/></actuator>' if driven else ""
     found = look(mjcf(swivel("l", 0.0, 0.2, trail) + swivel("r", 0.0, -0.2, trail), drives))
     assert found.forward == pytest.approx((1, 0, 0))
@@ -231,7 +228,6 @@ def test_a_mirror_image_is_measured():
 
 
 def test_wheels_of_different_width_do_not_move_the_mirror():
-    """Joints are images in the base's middle, of which the wheel alone, 0.03 m wider on one side, is none."""
     wide = '<geom type="cylinder" size="0.1 0.05" pos="0 0.03 0" euler="1.5707963267948966 0 0"/>'
     found = look(mjcf(leg("l", 0.2, wheel=wide) + leg("r", -0.2)))
     assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0, 0.0, 0.03])
@@ -254,7 +250,7 @@ def test_the_pose_decides_where_things_are():
 
 
 def test_up_is_against_gravity_and_forward_level_whatever_way_the_base_is_drawn():
-    quat = [math.sqrt(0.5), math.sqrt(0.5), 0, 0]  # the base's y points up in the world
+    quat = [math.sqrt(0.5), math.sqrt(0.5), 0, 0]  # The base's y axis points up in the world.
     text = mjcf(f'<body quat="{quat[0]} {-quat[1]} 0 0">{leg("l", 0.2)}{leg("r", -0.2)}</body>')
     model = mujoco.MjModel.from_xml_string(text)
     found = anatomy_of(model, np.array([0, 0, 1, *quat, *model.qpos0[7:]]))

@@ -1,4 +1,4 @@
-"""Facts of a compiled robot, against hand-computed bodies and published figures of the stock robot."""
+"""Compare the facts of a compiled robot with hand-computed bodies and published figures of the stock robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.lint.physics_check import robot_facts
 from wheelleg_exp.managers import SceneManager
 
-# A bar of 2 kg, 0.4 m over an axle with two wheels of 0.5 kg; a hip halfway up carries a bob.
+# The robot is a bar of 2 kg, 0.4 m above an axle with two wheels of 0.5 kg. A hip at half the height carries a bob.
 ROBOT = """
 <mujoco>
   <compiler angle="radian"/>
@@ -57,7 +57,6 @@ def drive(names: str, kind: str = "ImplicitActuator", **gains: Any) -> dict[str,
 
 @pytest.fixture(scope="module")
 def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
-    """The bar on wheels, 0.02 m above the ground, its bob level."""
     file = tmp_path_factory.mktemp("robot") / "robot.xml"
     file.write_text(ROBOT)
     env = dict(compose().config["env"])
@@ -79,7 +78,7 @@ def test_masses_heights_and_wheels(facts):
     assert facts.clearance == pytest.approx(0.02)
     assert facts.wheel_load == pytest.approx(20.0, abs=1e-4)
     assert facts.top_speed == pytest.approx(2.0)
-    assert facts.friction == pytest.approx((0.9 + 0.5) / 2)  # averaged with the ground's 0.5
+    assert facts.friction == pytest.approx((0.9 + 0.5) / 2)  # MuJoCo averages the friction with the ground's 0.5.
 
 
 def test_a_joint_carries_the_inertia_that_hangs_on_it(facts):
@@ -92,7 +91,7 @@ def test_a_joint_carries_the_inertia_that_hangs_on_it(facts):
 
 
 def test_a_free_wheel_meets_a_torque_with_its_own_inertia_against_the_rest(facts):
-    # In the air the wheel turns against all else: 1 / (1/I + 1/rest), a little less than its own 0.003.
+    # In the air the wheel turns against the remaining robot, so the inertia is slightly below the wheel's 0.003 kg·m².
     assert 0.0029 < facts.joints["left"].effective < 0.003
 
 
@@ -110,7 +109,7 @@ def test_drives(facts):
 
 def test_the_pendulum_over_the_axle(facts):
     balance = facts.balance
-    # Over the axle: 2 kg at 0.4 m, 1 kg at (0.1, 0.2) m, and the fan's next to nothing.
+    # Above the axle are 2 kg at 0.4 m and 1 kg at (0.1, 0.2) m. The mass of the fan is negligible.
     assert balance.mass == pytest.approx(3.0, abs=1e-5)
     height = math.hypot(0.1, 2 * 0.4 + 0.2) / 3
     assert balance.height == pytest.approx(height, abs=1e-5)
@@ -134,7 +133,7 @@ def test_the_stock_robot_has_its_published_figures():
     assert found.balance.inertia == pytest.approx(1.03e-3, rel=0.01)
     assert found.balance.pole == pytest.approx(9.25, abs=0.01)
     assert found.joints["l03"].inertia == pytest.approx(1.2e-5, rel=1e-3)
-    # The knee: a wheel carries half the weight, its own and half the shank's taken off, on an arm of 42.5 mm · sin 53°.
+    # The knee carries half the robot's weight minus the wheel and half of the shank, at a lever of 42.5 mm · sin 53°.
     arm = 0.0425 * math.sin(1.885 - 0.9599)
     load = (0.25 - 0.06) * 9.81 * arm - 0.02 * 9.81 * arm / 2
     assert abs(found.joints["l02"].hold) == pytest.approx(load, rel=0.01)

@@ -1,5 +1,3 @@
-"""Drives: armature, effort, gains against the time step, and speed against the fall."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -9,59 +7,51 @@ import pytest
 
 from lint.cases import FACTS, case, found, term, with_joint
 
+# Each row contains a rule, a joint, changes with a finding, the key, the figures, and changes without a finding.
+DRIVES = [
+    ("armature_ratio", "hip", {"armature": 0.5}, "legs.armature", {"ratio": 0.5 / 0.04}, {"armature": 0.4}),
+    ("armature_ratio", "left", {"armature": 0.8}, "wheels.armature",
+     {"pitch_ratio": 0.8 / 0.4, "translation_kg": 0.8 / 0.1**2}, {"armature": 0.01}),
+    ("effort_against_traction", "left", {"effort": 4.4}, "wheels.effort_limit",
+     {"slip": 0.8 * 5 * 0.1, "ratio": 11.0}, {"effort": 3.9}),
+    ("effort_against_load", "hip", {"effort": 2.9}, "legs.effort_limit", {"load": 2.0}, {"effort": 3.1}),
+    ("effort_against_load", "hip", {"stiffness": 16.0}, "legs.stiffness", {"sag_rad": 0.125}, {"stiffness": 21.0}),
+    # The drive's rate is sqrt(0.3 / 0.1) = 1.73 rad/s, below the fall's 2; its damping ratio is 2 / (2 sqrt(0.3 ·
+    # 0.1)).
+    ("drive_bandwidth", "hip", {"stiffness": 0.3}, "legs.stiffness",
+     {"bandwidth": np.sqrt(3.0), "damping_ratio": 1 / np.sqrt(0.03)}, {"stiffness": 0.5}),
+    # A wheel needs twice the rate of the fall, 4 rad/s, but kd / I is 0.07 / 0.02 = 3.5 rad/s.
+    ("drive_bandwidth", "left", {"damping": 0.07}, "wheels.damping", {"bandwidth": 3.5}, {"damping": 0.09}),
+]  # fmt: skip
 
-def test_an_armature_of_more_than_ten_links_is_found():
-    (finding,) = found("armature_ratio", case(with_joint("hip", armature=0.5)))
-    assert finding.key == "env.robot.actuators.legs.armature"
-    assert finding.figures["ratio"] == pytest.approx(12.5)  # 0.5 / 0.04
+
+def changed(joint, change):
+    return with_joint(joint, **(change if "armature" in change else {"drive": change}))
 
 
-def test_the_armature_of_a_wheel_is_told_as_pitch_inertia_and_as_mass():
-    (finding,) = found("armature_ratio", case(with_joint("left", armature=0.8)))
-    assert finding.figures["pitch_ratio"] == pytest.approx(2.0)  # 0.8 / 0.4
-    assert finding.figures["translation_kg"] == pytest.approx(80.0)  # 0.8 / 0.1²
+@pytest.mark.parametrize(("rule", "joint", "change", "key", "figures", "fine"), DRIVES)
+def test_a_drive_beyond_a_limit_is_found(rule, joint, change, key, figures, fine):
+    (finding,) = found(rule, case(changed(joint, change)))
+    assert finding.key == f"env.robot.actuators.{key}"
+    assert {name: finding.figures[name] for name in figures} == pytest.approx(figures)
+    assert found(rule, case(changed(joint, fine))) == []
 
 
-def test_an_armature_of_ten_links_is_fine():
-    assert found("armature_ratio", case(with_joint("hip", armature=0.4))) == []
-
-
-def test_a_wheel_drive_of_more_than_ten_times_the_traction_is_found():
-    # 0.8 · 5 N · 0.1 m = 0.4 N·m
-    (finding,) = found("effort_against_traction", case(with_joint("left", drive={"effort": 4.4})))
-    assert finding.figures["slip"] == pytest.approx(0.4)
-    assert finding.figures["ratio"] == pytest.approx(11.0)
-    assert found("effort_against_traction", case(with_joint("left", drive={"effort": 3.9}))) == []
+def test_a_leg_drive_is_not_compared_with_traction():
+    assert found("effort_against_traction", case(with_joint("hip", drive={"effort": 100.0}))) == []
 
 
 @pytest.mark.parametrize(("source", "friction"), [("static", 0.9), ("dynamic", 0.7)])
 def test_traction_counts_the_largest_friction_that_events_draw(source, friction):
-    # (1.2 + 0.6) / 2 = 0.9; (1.0 + 0.4) / 2 = 0.7, in place of the model's 0.8
+    # The friction is (1.2 + 0.6) / 2 = 0.9 or (1.0 + 0.4) / 2 = 0.7, instead of the model's 0.8.
     ranges = {"static_friction_range": [0.6, 1.2], "dynamic_friction_range": [0.5, 1.0], "restitution_range": [0, 0]}
     node = term("events.randomize_rigid_body_material", mode="startup", **ranges)
     looked_at = case(with_joint("left", drive={"effort": 9.0}), events={"m": node}, robot={"friction_source": source})
     assert found("effort_against_traction", looked_at)[0].figures["friction"] == pytest.approx(friction)
 
 
-def test_a_leg_drive_is_not_held_against_traction():
-    assert found("effort_against_traction", case(with_joint("hip", drive={"effort": 100.0}))) == []
-
-
-def test_a_leg_without_a_reserve_is_found():
-    (finding,) = found("effort_against_load", case(with_joint("hip", drive={"effort": 2.9})))  # holds 2.0
-    assert finding.key == "env.robot.actuators.legs.effort_limit"
-    assert found("effort_against_load", case(with_joint("hip", drive={"effort": 3.1}))) == []
-
-
-def test_a_leg_that_sags_is_found():
-    (finding,) = found("effort_against_load", case(with_joint("hip", drive={"stiffness": 16.0})))
-    assert finding.key == "env.robot.actuators.legs.stiffness"
-    assert finding.figures["sag_rad"] == pytest.approx(0.125)
-    assert found("effort_against_load", case(with_joint("hip", drive={"stiffness": 21.0}))) == []
-
-
 def grows(kp, kd, inertia, dt, implicit):
-    """Whether a drive on a free inertia grows, by stepping it as the integrator does."""
+    """Return whether the motion of a drive on a free inertia grows, by simulating the integrator."""
     x, v = 1.0, 0.0
     for _ in range(4000):
         v = (v - dt * kp / inertia * x) / (1 + dt * kd / inertia) if implicit else v - dt * (kp * x + kd * v) / inertia
@@ -96,31 +86,15 @@ def test_an_integrator_that_is_not_implicit_makes_every_drive_explicit():
 
 
 def test_too_few_control_steps_in_a_fall_are_found():
-    # a pole of 2 rad/s: 0.5 s; five steps of 0.1 s fit exactly
+    # At a pole of 2 rad/s the time constant is 0.5 s, exactly five steps of 0.1 s.
     (finding,) = found("control_rate", case(decimation=11))
     assert finding.figures["samples"] == pytest.approx(0.5 / 0.11)
     assert found("control_rate", case(decimation=9)) == []
     assert found("control_rate", case(replace(FACTS, balance=None), decimation=100)) == []
 
 
-def test_a_leg_slower_than_the_fall_is_found():
-    # sqrt(0.3 / 0.1) = 1.73 rad/s against a pole of 2; damping ratio 2 / (2 sqrt(0.3 · 0.1)) = 5.77
-    (finding,) = found("drive_bandwidth", case(with_joint("hip", drive={"stiffness": 0.3})))
-    assert finding.figures["bandwidth"] == pytest.approx(np.sqrt(3.0))
-    assert finding.figures["damping_ratio"] == pytest.approx(1 / np.sqrt(0.03))
-    assert found("drive_bandwidth", case(with_joint("hip", drive={"stiffness": 0.5}))) == []  # 2.24
-
-
-def test_a_wheel_needs_twice_the_rate_of_the_fall():
-    # kd / I = 0.07 / 0.02 = 3.5 rad/s, against 4
-    (finding,) = found("drive_bandwidth", case(with_joint("left", drive={"damping": 0.07})))
-    assert finding.key == "env.robot.actuators.wheels.damping"
-    assert finding.figures["bandwidth"] == pytest.approx(3.5)
-    assert found("drive_bandwidth", case(with_joint("left", drive={"damping": 0.09}))) == []
-
-
 def test_a_leg_whose_targets_make_up_for_its_sag_is_fine():
-    soft = with_joint("hip", drive={"stiffness": 10.0})  # holds 2.0 at 0.5 rad: wants a target of 0.7
+    soft = with_joint("hip", drive={"stiffness": 10.0})  # A torque of 2.0 N·m at 0.5 rad needs a target of 0.7 rad.
     sagging = {"legs": term("actions.JointPositionAction", joint_names=["hip"], use_default_offset=True)}
     assert len(found("effort_against_load", case(soft, actions=sagging))) == 1
     for offset, findings in ((0.7, 0), (0.5, 1), ({"hip": 0.72}, 0)):

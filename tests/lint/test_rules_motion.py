@@ -1,5 +1,3 @@
-"""Actions, commands, disturbances, the start and the end of episodes, and the figures of PPO."""
-
 from __future__ import annotations
 
 import math
@@ -19,11 +17,11 @@ def act(target, names, **settings):
 @pytest.mark.parametrize(
     ("action", "facts", "figures"),
     [
-        # one unit of 0.25 rad · 40 N·m/rad = 10 N·m, of 8
+        # One unit takes 0.25 rad · 40 N·m/rad = 10 N·m, but the limit is 8 N·m.
         (act(POSITION, ["hip"], scale=0.25), FACTS, {"torque": 10.0}),
-        # 1.1 rad, and the upper limit is 1.0 from the default; a softer drive so that the torque fits
+        # One unit is 1.1 rad, but the upper limit is 1.0 rad away. The drive is soft, so that the torque is allowed.
         (act(POSITION, ["hip"], scale=1.1), with_joint("hip", drive={"stiffness": 1.0}), {"unit": 1.1, "room": 1.0}),
-        # less than a hundredth of a range of 2.5 rad
+        # One unit is less than a hundredth of the joint range of 2.5 rad.
         (act(POSITION, ["hip"], scale=0.02), FACTS, {"unit": 0.02, "span": 2.5}),
         (act(POSITION, ["left"], scale=0.1), FACTS, {"stiffness": 0.0}),
         (act("actions.RelativeJointPositionAction", ["left"], scale=0.1), FACTS, {"stiffness": 0.0}),
@@ -37,11 +35,8 @@ def test_an_action_whose_unit_does_not_fit_is_found(action, facts, figures):
     (finding,) = found("action_scale", case(facts, **action))
     assert finding.key == "env.actions.act.scale"
     assert finding.figures == pytest.approx(figures)
-
-
-@pytest.mark.parametrize("action", [act(POSITION, ["hip"], scale=0.19), act(VELOCITY, ["left", "right"], scale=5.0)])
-def test_an_action_whose_unit_fits_is_fine(action):
-    assert found("action_scale", case(**action)) == []
+    assert found("action_scale", case(**act(POSITION, ["hip"], scale=0.19))) == []
+    assert found("action_scale", case(**act(VELOCITY, ["left", "right"], scale=5.0))) == []
 
 
 @pytest.mark.parametrize(
@@ -66,9 +61,9 @@ def command(**ranges):
 @pytest.mark.parametrize(
     ("ranges", "axis", "limit"),
     [
-        ({"lin_vel_x": [-0.5, 2.1]}, "lin_vel_x", 2.0),  # 20 rad/s · 0.1 m
+        ({"lin_vel_x": [-0.5, 2.1]}, "lin_vel_x", 2.0),
         ({"lin_vel_x": [-1, 1], "lin_vel_y": [-0.1, 0.1]}, "lin_vel_y", 0.0),
-        ({"lin_vel_x": [-1, 1], "ang_vel_z": [-9, 9]}, "ang_vel_z", 8.0),  # 2 · 2 m/s / 0.5 m
+        ({"lin_vel_x": [-1, 1], "ang_vel_z": [-9, 9]}, "ang_vel_z", 8.0),
     ],
 )
 def test_a_command_that_the_wheels_cannot_give_is_found(ranges, axis, limit):
@@ -83,38 +78,22 @@ def test_a_command_within_reach_is_fine():
 
 
 @pytest.mark.parametrize(
-    ("clearance", "figures"),
-    [
-        (-0.01, {"clearance_m": -0.01}),
-        (0.05, {"clearance_m": 0.05, "landing_m_s": 1.0}),  # sqrt(2 · 10 · 0.05)
-    ],
+    ("clearance", "figures"), [(-0.01, {"clearance_m": -0.01}), (0.05, {"clearance_m": 0.05, "landing_m_s": 1.0})]
 )
 def test_a_start_inside_or_above_the_ground_is_found(clearance, figures):
     (finding,) = found("spawn_height", case(replace(FACTS, clearance=clearance)))
     assert finding.figures == pytest.approx(figures)
     assert f"{0.4 - clearance:.4g} m" in finding.hint
-
-
-@pytest.mark.parametrize("clearance", [0.0, 0.039, -5e-5])
-def test_a_start_on_the_ground_is_fine(clearance):
-    assert found("spawn_height", case(replace(FACTS, clearance=clearance))) == []
-
-
-def test_a_height_that_the_default_pose_does_not_have_is_found():
-    def target(height):
-        return case(rewards={"h": term("rewards.base_height_l2", weight=-1.0, target_height=height)})
-
-    (finding,) = found("target_height", target(0.37))
-    assert finding.figures == {"target_m": 0.37, "standing_m": 0.4}
-    assert found("target_height", target(0.381)) == []
+    for fine in (0.0, 0.039, -5e-5):
+        assert found("spawn_height", case(replace(FACTS, clearance=fine))) == []
 
 
 @pytest.mark.parametrize(
     ("section", "target", "limit"),
     [
-        ("terminations", "terminations.illegal_contact", 1.0),  # a tenth of 10 N
+        ("terminations", "terminations.illegal_contact", 1.0),  # The limit is a tenth of the weight of 10 N.
         ("rewards", "rewards.undesired_contacts", 1.0),
-        ("rewards", "rewards.no_contact_count", 2.5),  # half of a wheel's 5 N
+        ("rewards", "rewards.no_contact_count", 2.5),  # The limit is half of the 5 N on one wheel.
     ],
 )
 def test_a_threshold_too_large_for_the_weight_is_found(section, target, limit):
@@ -125,23 +104,37 @@ def test_a_threshold_too_large_for_the_weight_is_found(section, target, limit):
     (finding,) = found("contact_threshold", contact(limit + 0.1))
     assert finding.key == f"env.{section}.c.threshold"
     assert found("contact_threshold", contact(limit - 0.1)) == []
+    steps = term("rewards.feet_air_time", weight=1.0, threshold=99.0)  # The threshold is in seconds, not in N.
+    assert found("contact_threshold", case(rewards={"steps": steps})) == []
 
 
-def test_a_threshold_in_seconds_is_no_contact_threshold():
-    node = {"steps": term("rewards.feet_air_time", weight=1.0, threshold=99.0)}
-    assert found("contact_threshold", case(rewards=node)) == []
+def height(target):
+    return {"rewards": {"h": term("rewards.base_height_l2", weight=-1.0, target_height=target)}}
 
 
-def test_an_episode_without_a_time_out_is_found():
-    (finding,) = found("episode_end", case(terminations={"time_out": term("terminations.time_out")}))
-    assert finding.key == "env.terminations"
-    assert found("episode_end", case()) == []
+# Each row contains a rule, sections with a finding, the key, the figures, and sections without a finding.
+NUMBERS = [
+    ("target_height", height(0.37), "env.rewards.h.target_height", {"target_m": 0.37, "standing_m": 0.4},
+     height(0.381)),
+    ("episode_end", {"terminations": {"time_out": term("terminations.time_out")}}, "env.terminations", {}, {}),
+    # Five time constants of the fall are 2.5 s.
+    ("episode_end", {"episode_length_s": 2.4}, "env.episode_length_s", {"episode_s": 2.4}, {"episode_length_s": 2.6}),
+    ("ppo_batch", {"algorithm": {"num_mini_batches": 3}}, "agent.algorithm.num_mini_batches",
+     {"batch": 80, "mini_batches": 3, "unused": 2}, {}),
+    # The horizon of 1000 steps exceeds the 500 steps of an episode; 333 steps do not.
+    ("discount_horizon", {"algorithm": {"gamma": 0.999}}, "agent.algorithm.gamma", {"horizon_s": 20.0},
+     {"algorithm": {"gamma": 0.997}}),
+    # A horizon of 2 s is shorter than five time constants of the fall; 4 s are not.
+    ("discount_horizon", {"algorithm": {"gamma": 0.99}}, "agent.algorithm.gamma", {"time_constant_s": 0.5}, {}),
+]  # fmt: skip
 
 
-def test_an_episode_shorter_than_a_fall_is_found():
-    (finding,) = found("episode_end", case(episode_length_s=2.4))  # five time constants are 2.5 s
-    assert finding.key == "env.episode_length_s"
-    assert found("episode_end", case(episode_length_s=2.6)) == []
+@pytest.mark.parametrize(("rule", "sections", "key", "figures", "fine"), NUMBERS)
+def test_a_number_beyond_a_limit_is_found(rule, sections, key, figures, fine):
+    (finding,) = found(rule, case(**sections))
+    assert finding.key == key
+    assert {name: finding.figures[name] for name in figures} == pytest.approx(figures)
+    assert found(rule, case(**fine)) == []
 
 
 @pytest.mark.parametrize("target", ["root_height_below_minimum", "root_height_over_ground_below_minimum"])
@@ -166,13 +159,15 @@ def push(x, y=0.0, facts=FACTS, **more):
 
 
 def test_a_push_is_held_against_the_capture_point():
-    # wheels: 0.4 N·m / 0.02 kg·m² · 0.1 m = 2 m/s², less than 0.8 · 10; over sqrt(10)/s: 0.6325 m/s
+    # The wheels reach 0.4 N·m / 0.02 kg·m² · 0.1 m = 2 m/s², less than the traction 0.8 · 10 m/s².
     (finding,) = found("push_size", push(0.8))
     assert finding.figures["limit"] == pytest.approx(2.0 / math.sqrt(10.0))
     assert "too much" in finding.message
-    assert found("push_size", push(0.7)) == []  # 1.1 times the figure, which is on the safe side
-    assert found("push_size", push(0.3, 4.0, frame="yaw")) == []  # sideways the track holds it
-    (finding,) = found("push_size", push(0.3, 4.0))  # who has turned meets it from the front
+    # A push of 1.1 times the limit is accepted, because the limit is conservative.
+    assert found("push_size", push(0.7)) == []
+    assert found("push_size", push(0.3, 4.0, frame="yaw")) == []  # The track width resists a sideways push.
+    # A robot that has turned by 90 degrees gets this push from the front.
+    (finding,) = found("push_size", push(0.3, 4.0))
     assert finding.figures["push"] == 4.0
     assert [list(advice) for advice in finding.advice] == [["env.events.push.velocity_range.y"]] * 2
 
@@ -196,35 +191,17 @@ def wrench(force, torque):
 
 
 def test_a_wrench_that_leans_the_robot_over_is_found():
-    # atan(1/10) = 5.71°, asin(0.4/4) = 5.74°
+    # The force tilts the robot by atan(1/10) = 5.71°, the torque by asin(0.4/4) = 5.74°.
     (finding,) = found("wrench_size", wrench(1.0, 0.4))
     assert finding.figures["force_lean_rad"] == pytest.approx(math.atan(0.1))
     assert finding.figures["torque_lean_rad"] == pytest.approx(math.asin(0.1))
     assert found("wrench_size", wrench(1.0, 0.2)) == []
 
 
-def test_a_batch_that_does_not_divide_is_found():
-    (finding,) = found("ppo_batch", case(algorithm={"num_mini_batches": 3}))  # 8 · 10 = 80
-    assert finding.figures == {"batch": 80, "mini_batches": 3, "unused": 2}
-    assert found("ppo_batch", case()) == []
-
-
-def test_a_discount_beyond_the_episode_is_found():
-    (finding,) = found("discount_horizon", case(algorithm={"gamma": 0.999}))  # 1000 steps of 500
-    assert finding.figures["horizon_s"] == pytest.approx(20.0)
-    assert found("discount_horizon", case(algorithm={"gamma": 0.997})) == []  # 333
-
-
-def test_a_discount_short_of_a_fall_is_found():
-    (finding,) = found("discount_horizon", case(algorithm={"gamma": 0.99}))  # 2 s; five time constants are 2.5 s
-    assert finding.figures["time_constant_s"] == pytest.approx(0.5)
-    assert found("discount_horizon", case()) == []  # 4 s
-
-
 def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
-    (finding,) = found("late_average", case(average_iterations=10))  # 0.9 to the power of 20 - 10
+    (finding,) = found("late_average", case(average_iterations=10))  # The share is 0.9 to the power of 20 - 10.
     assert finding.figures == {"early_share": pytest.approx(0.34867844)}
     (finding,) = found("late_average", case(average_iterations=80))
     assert finding.message == "100 % of the mean is from iterations 1 to 20 of 20"
-    assert found("late_average", case(average_iterations=8)) == []  # 0.875 to the power of 12 is 0.20
+    assert found("late_average", case(average_iterations=8)) == []  # The share is 0.875 to the power of 12, 0.20.
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []

@@ -1,5 +1,3 @@
-"""What rewards can teach."""
-
 from __future__ import annotations
 
 import math
@@ -31,11 +29,12 @@ def test_what_standing_still_earns_is_the_mean_over_commands(speed, std):
 
 
 def test_a_std_as_wide_as_the_commands_is_found():
-    # sqrt(pi)/2 · erf(0.6) · 5/3 = 0.8919; with 40 % standing 0.8919 + 0.4 · 0.1081 = 0.935
+    # The share is sqrt(pi)/2 · erf(0.6) · 5/3 = 0.8919. With 40 % zero commands it is 0.8919 + 0.4 · 0.1081 = 0.935.
     (finding,) = found("tracking_std", case(commands=command(0.3, standing=0.4), rewards=track(0.5)))
     assert finding.figures["still"] == pytest.approx(0.8919, abs=1e-4)
     assert "0.89" in finding.message
     assert "0.94" in finding.message
+    assert found("tracking_std", case(commands=command(0.3), rewards=track(0.15))) == []  # 0.44
 
 
 def test_the_std_of_a_yaw_rate_is_held_against_yaw_commands():
@@ -44,17 +43,13 @@ def test_the_std_of_a_yaw_rate_is_held_against_yaw_commands():
     assert finding.figures["still"] == pytest.approx(0.7468, abs=1e-4)
 
 
-def test_a_narrow_std_is_fine():
-    assert found("tracking_std", case(commands=command(0.3), rewards=track(0.15))) == []  # 0.44
-
-
 def wheels(scale):
     node = term("actions.JointVelocityAction", joint_names=["left", "right"], scale=scale)
     return {"commands": command(), "actions": {"wheels": node}}
 
 
 def test_where_nothing_is_commanded_a_drift_must_not_earn_the_reward():
-    # one unit of action is 5 rad/s · 0.1 m = 0.5 m/s; exp(-(0.5/1)²) = 0.7788
+    # One unit of action is 5 rad/s · 0.1 m = 0.5 m/s, so the share is exp(-(0.5/1)²) = 0.7788.
     (finding,) = found("tracking_std", case(**wheels(5.0), rewards=track(1.0, weight=0.0)))
     assert finding.figures["drift"] == pytest.approx(0.5)
     assert finding.figures["drifting"] == pytest.approx(math.exp(-0.25))
@@ -63,7 +58,7 @@ def test_where_nothing_is_commanded_a_drift_must_not_earn_the_reward():
 
 def test_where_nothing_is_commanded_a_std_below_the_drift_is_fine():
     assert found("tracking_std", case(**wheels(5.0), rewards=track(0.4))) == []  # exp(-1.5625) = 0.21
-    # turning with one unit: 2 · 0.5 m/s over a track of 0.5 m is 2 rad/s
+    # One unit of opposite actions turns the robot at 2 · 0.5 m/s over a track of 0.5 m, which is 2 rad/s.
     assert found("tracking_std", case(**wheels(5.0), rewards=track(2.0, "rewards.track_ang_vel_z_exp"))) == []
     assert found("tracking_std", case(**wheels(5.0), rewards=track(2.5, "rewards.track_ang_vel_z_exp")))
 
@@ -76,14 +71,11 @@ def height(weight):
 
 
 def test_a_term_that_costs_less_than_a_hundredth_is_found():
-    # off by a tenth of 0.4 m: 0.0016 · 20 = 0.032 of 5 in a second, 0.64 %
+    # A height error of 0.04 m costs 0.0016 · 20 = 0.032 per second, 0.64 % of the reward of 5 per second.
     (finding,) = found("reward_too_small", case(rewards=height(-20.0)))
     assert finding.key == "env.rewards.height.weight"
     assert finding.figures["share"] == pytest.approx(0.0064)
     assert "-32" in finding.hint  # 5 · 0.01 / 0.0016 = 31.25
-
-
-def test_a_term_that_costs_more_is_fine():
     assert found("reward_too_small", case(rewards=height(-32.0))) == []
 
 
@@ -97,7 +89,6 @@ def test_failures_and_unknown_terms_are_not_too_small():
 
 
 def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
-    """5 earned: a cost of 20 is four times that, and allowed; 40 at a weight of -8 would be 20 at -4."""
     rewards = {**height(-8.0), "fall": term("rewards.is_terminated", weight=-200.0)}
 
     def tried(cost):
@@ -108,10 +99,10 @@ def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
     assert finding.key == "env.rewards.height.weight"
     assert finding.figures == {"cost_per_s": 40.0, "earned_per_s": 5.0}
     assert "a weight near -4," in finding.hint
-    assert found("reward_outweighs", case(rewards=rewards)) == []  # nobody tried
+    assert found("reward_outweighs", case(rewards=rewards)) == []  # This case has no trial.
 
 
-# At the tolerances: 0.1 rad; a tenth of the height 0.4 m, of sqrt(10 · 0.4) = 2 m/s, of sqrt(10/0.4) = 5 rad/s.
+# The tolerances are 0.1 rad, 0.04 m, a tenth of sqrt(10 · 0.4) = 2 m/s, and a tenth of sqrt(10/0.4) = 5 rad/s.
 VALUES = {
     "rewards.base_height_l2": ({"target_height": 0.4}, 0.04**2),
     "rewards.lin_vel_z_l2": ({}, 0.2**2),
@@ -126,23 +117,21 @@ VALUES = {
 }
 
 
-def test_a_kernel_of_the_height_costs_what_it_loses_at_the_tolerance():
-    looked_at = case(rewards={"x": term("rewards.base_height_exp", weight=3.0, target_height=0.4, std=0.02)})
-    (item,) = contributions(looked_at)  # 40 mm, twice the deviation
+@pytest.mark.parametrize(
+    ("target", "settings"),
+    [
+        ("rewards.base_height_exp", {"target_height": 0.4, "std": 0.02}),  # The tolerance is 40 mm, twice the std.
+        # The tolerance is 0.1 rad, whose sine is twice the std.
+        ("rewards.flat_orientation_exp", {"std": math.sin(0.1) / 2}),
+    ],
+)
+def test_a_kernel_costs_what_it_loses_at_the_tolerance(target, settings):
+    looked_at = case(rewards={"x": term(target, weight=3.0, **settings)})
+    (item,) = contributions(looked_at)
     assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
     assert item.best == 1.0
-
-
-def test_a_kernel_of_the_tilt_costs_what_it_loses_at_the_tolerance():
-    looked_at = case(rewards={"x": term("rewards.flat_orientation_exp", weight=3.0, std=math.sin(0.1) / 2)})
-    (item,) = contributions(looked_at)  # 0.1 rad, whose sine is twice the deviation
-    assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
-    assert item.best == 1.0
-
-
-def test_a_kernel_may_be_as_narrow_as_numbers_go():
-    looked_at = case(rewards={"x": term("rewards.base_height_exp", weight=3.0, target_height=0.4, std=1e-200)})
-    assert contributions(looked_at)[0].value == 0.0
+    narrow = case(rewards={"x": term(target, weight=3.0, **{**settings, "std": 1e-200})})
+    assert contributions(narrow)[0].value == 0.0
 
 
 @pytest.mark.parametrize("target", VALUES)
@@ -150,19 +139,16 @@ def test_what_a_reward_adds_in_an_episode_at_its_tolerance(target):
     settings, value = VALUES[target]
     looked_at = case(rewards={"x": term(target, weight=-2.0, **settings)})
     (item,) = contributions(looked_at)
-    # a control step of 0.02 s, 500 in an episode of 10 s
+    # A control step is 0.02 s, so an episode of 10 s has 500 steps.
     assert item.per_step(looked_at.step_dt) == pytest.approx(-2.0 * value * 0.02)
     assert item.per_episode(looked_at) == pytest.approx(-2.0 * value * 10.0)
 
 
-def test_a_failure_comes_once():
-    looked_at = case(rewards={"fall": term("rewards.is_terminated", weight=-200.0)})
-    assert contributions(looked_at)[0].per_episode(looked_at) == pytest.approx(-200.0 * 0.02)
-
-
-def test_an_action_rate_counts_half_a_unit_on_each_action():
-    looked_at = case(**wheels(1.0), rewards={"rate": term("rewards.action_rate_l2", weight=-1.0)})
-    assert contributions(looked_at)[0].per_episode(looked_at) == pytest.approx(-2 * 0.25 * 10.0)
+def test_a_failure_counts_once_and_an_action_rate_half_a_unit_on_each_action():
+    failing = case(rewards={"fall": term("rewards.is_terminated", weight=-200.0)})
+    assert contributions(failing)[0].per_episode(failing) == pytest.approx(-200.0 * 0.02)
+    shaking = case(**wheels(1.0), rewards={"rate": term("rewards.action_rate_l2", weight=-1.0)})
+    assert contributions(shaking)[0].per_episode(shaking) == pytest.approx(-2 * 0.25 * 10.0)
 
 
 def living(alive, fall):
@@ -175,14 +161,10 @@ def living(alive, fall):
 
 
 def test_falling_at_once_pays_where_going_on_costs_more():
-    # a second costs 10 · 0.1 - 0.5 = 0.5; over 200 steps of the discount -100, in the units of a failure
+    # A second costs 10 · 0.1 - 0.5 = 0.5. The horizon of 200 steps costs 100 in the unit of the failure's weight.
     (finding,) = found("falling_pays", living(0.5, -99.0))
     assert finding.figures == {"living_per_s": -0.5, "failing": -99.0, "steps": pytest.approx(200.0)}
-
-
-def test_a_dearer_failure_or_a_living_that_earns_is_fine():
-    assert found("falling_pays", living(0.5, -101.0)) == []
-    assert found("falling_pays", living(1.1, -1.0)) == []
+    assert found("falling_pays", living(0.5, -101.0)) == found("falling_pays", living(1.1, -1.0)) == []
 
 
 def curriculum(weight, num_steps):
@@ -190,15 +172,12 @@ def curriculum(weight, num_steps):
     return case(rewards=ALIVE, curriculum={"later": node})
 
 
-def test_a_change_to_the_same_weight_changes_nothing():
-    (finding,) = found("noop_curriculum", curriculum(5.0, 100))
-    assert finding.key == "env.curriculum.later.weight"
-
-
 def test_a_change_after_the_end_of_training_never_comes():
-    (finding,) = found("noop_curriculum", curriculum(1.0, 200))  # 20 iterations of 10 steps
+    (finding,) = found("noop_curriculum", curriculum(1.0, 200))  # The training has 20 iterations of 10 steps.
     assert finding.figures == {"num_steps": 200, "total_steps": 200}
     assert found("noop_curriculum", curriculum(1.0, 199)) == []
+    (finding,) = found("noop_curriculum", curriculum(5.0, 100))  # The curriculum sets the current weight.
+    assert finding.key == "env.curriculum.later.weight"
 
 
 def levels(size, speed=1.0):
@@ -212,7 +191,6 @@ def levels(size, speed=1.0):
 
 
 def test_a_level_needs_the_way_of_half_a_tile():
-    """1 m/s for 10 s."""
     (finding,) = found("levels_out_of_reach", levels(20.0))
     assert finding.key == "env.scene.terrain.size"
     assert finding.figures == {"speed_m_s": pytest.approx(1.0), "way_m": pytest.approx(10.0), "half_tile_m": 10.0}

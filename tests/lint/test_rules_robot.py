@@ -1,5 +1,3 @@
-"""One defect in a healthy robot: it is found, with its size, and nothing else is."""
-
 from __future__ import annotations
 
 import math
@@ -24,13 +22,13 @@ CYLINDER = 'type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0"'
 
 
 def right(old: str, new: str) -> tuple[str, str]:
-    """A change of the right leg alone."""
+    """Return the robot with a change of the right leg only."""
     assert old in RIGHT
     return RIGHT, RIGHT.replace(old, new)
 
 
 def only(rule: str, case) -> str:
-    """The message of the one finding of a robot, which one rule found."""
+    """Return the message of the only finding of a robot."""
     (finding,) = found(rule, case)
     assert [other.rule for other in all_findings(case)] == [rule]
     return f"{finding.message} | {finding.hint}"
@@ -43,14 +41,14 @@ def test_the_healthy_robot_has_nothing_to_mend(tmp_path):
 def test_a_shifted_mass(tmp_path):
     case = patient(tmp_path, seeded((TRUNK, TRUNK.replace("0 0 0", "0.15 0 0"))))
     said = only("balance_pose", case)
-    # 4 kg at 0.15 m of 4.4 kg, and what hangs on the hips: thighs at -0.15 sin 0.4, shanks mirrored at 0.2 of 0.3.
+    # The trunk is 4 kg of 4.4 kg, 0.15 m ahead. Each thigh and each shank has 0.1 kg.
     height = 2 * LINK * math.cos(HIP)
     thigh, shank = -0.15 * math.sin(HIP), -0.3 * math.sin(HIP) + 0.1 * math.sin(HIP)
     ahead = (4 * 0.15 + 0.2 * thigh + 0.2 * shank) / 4.4
     above = (4 * height + 0.2 * (height - 0.15 * math.cos(HIP)) + 0.2 * (0.2 * math.cos(HIP))) / 4.4
     assert f"{1e3 * ahead:.3g} mm in front" in said
     assert f"{math.degrees(math.atan2(ahead, above)):.2g}°" in said
-    # What the hint says to write puts the weight over the axle.
+    # The pose in the hint moves the weight above the axle.
     pose = dict(re.findall(r"(\w+): (-?[\d.]+)", said.split("|")[1]))
     keys = {"l": pose, "r": pose}
     key = " ".join(f"{keys[s][f'{s}_hip']} {keys[s][f'{s}_knee']} 0" for s in "lr")
@@ -62,7 +60,7 @@ def test_a_shifted_mass(tmp_path):
     upper = [model.body(n).id for n in ("trunk", "l_thigh", "l_shank", "r_thigh", "r_shank")]
     x = model.body_mass[upper] @ data.xipos[upper][:, 0] / model.body_mass[upper].sum()
     assert x == pytest.approx(data.body("l_wheel").xpos[0], abs=1e-3)
-    assert data.body("l_wheel").xpos[2] > 1 - height  # lower than before, because stretched legs do not spring
+    assert data.body("l_wheel").xpos[2] > 1 - height  # The robot stands lower, because the hint avoids stretched legs.
 
 
 def test_the_weight_of_a_robot_that_balances_is_over_its_axle(tmp_path):
@@ -98,7 +96,7 @@ def test_steered_wheels_that_do_not_roll_one_way(tmp_path):
     text = HEALTHY
     for side, angle in (("l", 0.0), ("r", 1.5)):
         wheel = f'<body name="{side}_wheel" pos="0 0 -0.3">'
-        pitch = f"{math.cos(0.2)} 0 {math.sin(0.2)} 0"  # the shank is pitched by hip and knee, -0.4 rad
+        pitch = f"{math.cos(0.2)} 0 {math.sin(0.2)} 0"  # The shank has a pitch of -0.4 rad, the sum of hip and knee.
         fork = f'<body name="{side}_fork" pos="0 0 -0.3" quat="{pitch}"><joint name="{side}_steer" axis="0 0 1"/>'
         fork += '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/>'
         text = text.replace(wheel, f'{fork}<body name="{side}_wheel" euler="0 0 {angle}">')
@@ -118,7 +116,7 @@ def test_wheels_that_toe_in(tmp_path):
         assert straight in text
         zaxis = f"{-math.sin(turn)} {math.cos(turn)} 0"
         text = text.replace(straight, f'name="{side}_wheel" type="cylinder" size="0.1 0.02" zaxis="{zaxis}"')
-    toe = math.degrees(math.asin(s * math.cos(HIP + KNEE)))  # the wheel's link is pitched by hip and knee
+    toe = math.degrees(math.asin(s * math.cos(HIP + KNEE)))  # The pitch of the wheel's link is the sum of hip and knee.
     assert f"turned by {toe:.2g}°" in only("rolling_direction", patient(tmp_path, text))
 
 
@@ -142,8 +140,8 @@ PACK = """<body name="pack" pos="0 0.2 0"><joint name="lid" axis="0 0 1" range="
 
 
 def pack(into: float) -> str:
-    """The robot with a ball beside the left thigh, so many metres inside it."""
-    away = 0.03 + 0.02 - into  # from the thigh's axis
+    """Return the robot with a ball next to the left thigh that overlaps the thigh by ``into`` m."""
+    away = 0.03 + 0.02 - into  # The distance is measured from the thigh's axis.
     middle = np.array([-0.15 * math.sin(HIP), -0.15 * math.cos(HIP)])
     x, z = middle + away * np.array([math.cos(HIP), -math.sin(HIP)])
     return seeded(('<body name="l_thigh"', PACK.format(x=x, z=z)), ("0 0 1 1 0 0 0 ", "0 0 1 1 0 0 0 0 "))
@@ -173,13 +171,13 @@ def test_a_link_deep_inside_the_one_that_it_hangs_on(tmp_path):
                    'name="l_thigh" type="sphere" size="0.25" pos="0 -0.2 0" mass="0.1"'))  # fmt: skip
     told = found("overlapping_bodies", patient(tmp_path, text))
     (finding,) = [finding for finding in told if "'l_thigh' is" in finding.message]
-    assert finding.figures["depth_m"] == pytest.approx(0.25 + 0.05)  # out through the top
+    assert finding.figures["depth_m"] == pytest.approx(0.25 + 0.05)
 
 
 def test_a_cut_effort(tmp_path):
     drive = '<position joint="r_knee" kp="200" kv="5" forcerange="-30 30"/>'
     said = only("effort_against_load", patient(tmp_path, seeded((drive, drive.replace("30", "3")))))
-    # The knee carries half the weight but the wheel's and half of the shank's, on the arm of the shank.
+    # The knee carries half the robot's weight minus the wheel and half of the shank, at the lever of the shank.
     weight = (4 + 2 * 0.7) / 2 * 9.81
     hold = (weight - 0.5 * 9.81) * LINK * math.sin(HIP) - 0.1 * 9.81 * 0.1 * math.sin(HIP)
     assert f"3 N·m on 'r_knee', which carries {hold:.3g} N·m" in said
@@ -195,7 +193,6 @@ def test_a_wheel_that_cannot_catch_the_robot(tmp_path):
 
 
 def test_wheels_slower_than_the_fall_that_they_have_to_catch(tmp_path):
-    """Lean d grows by d'' = p² d - p² · (rim's way): a rim at v catches 0.1 rad only if v exceeds 0.1 p h."""
     case = patient(tmp_path)
     needed = 0.1 * case.facts.balance.pole * case.facts.balance.height / case.facts.wheel_radius
     for speed, count in ((0.99 * needed, 1), (1.01 * needed, 0)):
@@ -288,7 +285,7 @@ def test_efforts_and_speeds_that_no_motor_has(tmp_path):
     big = patient(tmp_path, seeded((drive, drive.replace("30", "1e5"))))
     assert "'r_knee' has effort limits beyond" in only("placeholder_limits", big)
     none = patient(tmp_path, seeded((drive, drive.replace("30 30", "0 1e-99").replace("-0", "0"))))
-    assert found("placeholder_limits", none) == []  # next to nothing is for effort_against_load to tell
+    assert found("placeholder_limits", none) == []  # The rule effort_against_load reports a tiny effort limit.
 
 
 def test_a_robot_that_nothing_holds_up(tmp_path):
@@ -328,13 +325,14 @@ def test_a_reset_into_the_ground(tmp_path):
     assert "reach 50 mm into the ground" in finding.message
     rolled = patient(tmp_path, events=reset(roll=[-0.2, 0.2]))
     (finding,) = found("reset_into_ground", rolled)
-    # The base turns about its own origin: the lower wheel's rim, 0.2 + 0.02 m aside and the base's height below.
+    # The base rolls around its origin. The rim of the lower wheel is 0.2 + 0.02 m to the side.
     height = 2 * LINK * math.cos(HIP) + 0.1
     low = 0.22 * math.sin(0.2) + (height - 0.1) * math.cos(0.2) + 0.1 * math.cos(0.2) - height
     assert finding.figures["depth_m"] == pytest.approx(low, abs=1e-4)
     both = patient(tmp_path, events=reset(roll=[0.4, 0.4], pitch=[0.15, 0.15]))
     (finding,) = found("reset_into_ground", both)
-    # What is upright, in the base's axes: the last row of R_y(pitch) R_x(roll), the resets' rotation about fixed axes.
+    # The world's z axis in the base frame is the last row of R_y(pitch) R_x(roll), because resets rotate about fixed
+    # axes.
     x, y, z = -math.sin(0.15), math.cos(0.15) * math.sin(0.4), math.cos(0.15) * math.cos(0.4)
     low = 0.22 * y + (height - 0.1) * z + 0.1 * math.hypot(x, z) - height
     assert finding.figures["depth_m"] == pytest.approx(low, abs=1e-4)
@@ -370,7 +368,7 @@ def test_what_the_file_does_not_give(tmp_path):
     (finding,) = found("missing_files", read_urdf(tmp_path, shape='<mesh filename="gone.stl"/>'))
     assert finding.message == "colliders are missing: gone.stl (the file is missing)"
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial=""))
-    assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # of water
+    assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # The assumed density is that of water.
     assert "of 28 kg are assumed (96 %)" in finding.message
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial='<inertial><mass value="2"/></inertial>'))
     assert "1 link has a mass and no inertia" in finding.message

@@ -1,4 +1,4 @@
-"""Terms that write down when they are called, and terms with values set by a test."""
+"""Terms that log their calls, return values set by a test, or have unusual state."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ HERE = "managers.spies."
 
 
 def clear() -> None:
-    """Forget what was written down and set."""
     LOG.clear()
     VALUES.clear()
 
@@ -37,52 +36,43 @@ def clear() -> None:
 
 
 def value(env: Env, key: str) -> torch.Tensor:
-    """Return ``VALUES[key]``, spread over the environments when it is a number."""
+    """Return ``VALUES[key]``, or its result for a function, with one row for each environment."""
     found = VALUES[key]
     if callable(found):
         found = found(env)
-    return found if isinstance(found, torch.Tensor) else torch.full((env.num_envs,), float(found))
+    return found if isinstance(found, torch.Tensor) else _each(env, found)
 
 
 def column(env: Env, key: str) -> torch.Tensor:
-    """Return ``VALUES[key]`` as an observation of width 1."""
     return value(env, key).unsqueeze(1)
 
 
 def flag(env: Env, key: str) -> torch.Tensor:
-    """Return ``VALUES[key]`` as (N,) bool."""
     return value(env, key).bool()
 
 
 def writes(env: Env, env_ids: torch.Tensor | None, key: str) -> None:
-    """Let ``VALUES[key]`` write into the environments of an event."""
     VALUES[key](env, torch.arange(env.num_envs) if env_ids is None else env_ids)
 
 
 def noted(env: Env, env_ids: torch.Tensor | None, key: str = "event") -> None:
-    """Note the step, and the environments that an event was called for."""
     ids = None if env_ids is None else env_ids.tolist()
     LOG.append((key, env.common_step_counter, ids))
 
 
 def draw_once(env: Env, env_ids: torch.Tensor | None, generator: torch.Generator, key: str) -> None:
-    """Note one draw of the term's stream."""
     LOG.append((key, float(torch.rand(1, generator=generator))))
 
 
 def drawing_observation(env: Env, generator: torch.Generator) -> torch.Tensor:
-    """Return draws of the term's own stream."""
     return torch.rand(env.num_envs, 1, generator=generator)
 
 
 def state_of(env: Env, env_ids: torch.Tensor, key: str) -> Any:
-    """Return ``VALUES[key]`` as a curriculum's state."""
     return VALUES[key]
 
 
 class CountingObservation(TermBase):
-    """How often it was called since the reset of each environment."""
-
     def __init__(self, env: Env) -> None:
         self.count = torch.zeros(env.num_envs, 1)
 
@@ -94,12 +84,10 @@ class CountingObservation(TermBase):
         self.count[env_ids] = 0.0
 
 
-# ---- spies that write down the order of calls ----
+# ---- spies that log the order of calls ----
 
 
 class Spy(TermBase):
-    """Notes its construction, calls and resets."""
-
     kind = "?"
 
     def __init__(self, env: Env) -> None:
@@ -121,25 +109,24 @@ class SpyObservation(Spy):
 class SpyRecorder(Spy, RecorderTerm):
     kind = "recorder"
 
-    def record_pre_step(self) -> Any:
-        LOG.append("recorder pre_step")
+    def _log(self, hook: str) -> Any:
+        LOG.append(f"recorder {hook}")
         return None, None
+
+    def record_pre_step(self) -> Any:
+        return self._log("pre_step")
 
     def record_post_physics_decimation_step(self) -> Any:
-        LOG.append("recorder post_physics")
-        return None, None
+        return self._log("post_physics")
 
     def record_post_step(self) -> Any:
-        LOG.append("recorder post_step")
-        return None, None
+        return self._log("post_step")
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> Any:
-        LOG.append(f"recorder pre_reset {env_ids.tolist()}")
-        return None, None
+        return self._log(f"pre_reset {env_ids.tolist()}")
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Any:
-        LOG.append(f"recorder post_reset {env_ids.tolist()}")
-        return None, None
+        return self._log(f"post_reset {env_ids.tolist()}")
 
 
 class SpyTermination(Spy):
@@ -177,7 +164,6 @@ class SpyEvent(Spy):
 
 
 def default_entity(env: Env, asset_cfg: SceneEntityCfg = SceneEntityCfg("robot", joint_names=["left_hip"])):  # noqa: B008
-    """Note which joints an entity stands for that no config names."""
     LOG.append(asset_cfg.joint_ids)
     return torch.zeros(env.num_envs)
 
@@ -220,12 +206,14 @@ class SpyAction(ActionTerm):
         LOG.append(f"action reset {env_ids.tolist()}")
 
 
-# ---- terms that remember in ways of their own ----
+# ---- terms with unusual state ----
+
+
+def _each(env: Env, number: float) -> torch.Tensor:
+    return torch.full((env.num_envs,), float(number))
 
 
 class RemembersInAList(TermBase):
-    """Keeps its calls in a list, and what it has seen in a dictionary, a set, an array and a deque."""
-
     def __init__(self, env: Env) -> None:
         self._calls: list[float] = []
         self._seen: dict[str, Any] = {"most": 0.0, "rows": np.zeros(env.num_envs)}
@@ -244,8 +232,6 @@ class RemembersInAList(TermBase):
 
 
 class RemembersNumbers(TermBase):
-    """Counts in a number, and keeps a tensor that it makes at its first call."""
-
     def __init__(self, env: Env) -> None:
         self._count, self._sum = 0, None
         self._mode = ("a", 1)
@@ -270,8 +256,6 @@ class _Helper(Stateful):
 
 
 class RemembersInAHelper(TermBase):
-    """Leaves its memory to an object of attributes, and to a network."""
-
     def __init__(self, env: Env) -> None:
         self._env = env
         self._helper = _Helper()
@@ -285,8 +269,6 @@ class RemembersInAHelper(TermBase):
 
 
 class RemembersGenerators(TermBase):
-    """Draws from generators of its own, which no stream names."""
-
     def __init__(self, env: Env) -> None:
         self._torch = torch.Generator().manual_seed(1)
         self._python, self._numpy = random.Random(2), np.random.default_rng(3)
@@ -297,28 +279,22 @@ class RemembersGenerators(TermBase):
 
 
 class RemembersInAnIterator(TermBase):
-    """Keeps its place in an iterator, which cannot be read."""
-
     def __init__(self, env: Env) -> None:
         self._numbers = itertools.count()
 
     def __call__(self, env: Env) -> torch.Tensor:
-        return torch.full((env.num_envs,), float(next(self._numbers)))
+        return _each(env, next(self._numbers))
 
 
 class RemembersInAFile(TermBase):
-    """Keeps something that stands for a place outside."""
-
     def __init__(self, env: Env) -> None:
         self._file = io.BytesIO(b"12345")
 
     def __call__(self, env: Env) -> torch.Tensor:
-        return torch.full((env.num_envs,), float(self._file.read(1) or 0))
+        return _each(env, self._file.read(1) or 0)
 
 
 class RemembersLater(TermBase):
-    """Makes, at its first call, an object that nobody could make again."""
-
     def __init__(self, env: Env) -> None:
         self._helper: _Helper | None = None
 
@@ -328,8 +304,6 @@ class RemembersLater(TermBase):
 
 
 class RemembersInItsClass(TermBase):
-    """Counts in its class."""
-
     calls: ClassVar[list[int]] = []
 
     def __init__(self, env: Env) -> None:
@@ -337,35 +311,29 @@ class RemembersInItsClass(TermBase):
 
     def __call__(self, env: Env) -> torch.Tensor:
         self.calls.append(1)
-        return torch.full((env.num_envs,), float(len(self.calls)))
+        return _each(env, len(self.calls))
 
 
 class RemembersOnANetwork(TermBase):
-    """Counts in a plain attribute of a network."""
-
     def __init__(self, env: Env) -> None:
         self.network = torch.nn.Linear(1, 1)
         self.network.calls = 0
 
     def __call__(self, env: Env) -> torch.Tensor:
         self.network.calls += 1
-        return torch.full((env.num_envs,), float(self.network.calls))
+        return _each(env, self.network.calls)
 
 
 class RemembersInAConfig(TermBase):
-    """Counts in an OmegaConf of its own."""
-
     def __init__(self, env: Env) -> None:
         self.settings = OmegaConf.create({"calls": 0})
 
     def __call__(self, env: Env) -> torch.Tensor:
         self.settings.calls += 1
-        return torch.full((env.num_envs,), float(self.settings.calls))
+        return _each(env, self.settings.calls)
 
 
 class RemembersInASimulation(TermBase):
-    """Steps a simulation of its own."""
-
     def __init__(self, env: Env) -> None:
         self.model = mujoco.MjModel.from_xml_string(
             "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
@@ -374,11 +342,10 @@ class RemembersInASimulation(TermBase):
 
     def __call__(self, env: Env) -> torch.Tensor:
         mujoco.mj_step(self.model, self.data)
-        return torch.full((env.num_envs,), float(self.data.qpos[2]))
+        return _each(env, self.data.qpos[2])
 
 
 def remembers_on_the_environment(env: Any) -> torch.Tensor:
-    """Counts in an attribute of the environment, and keeps a tensor there."""
     if not hasattr(env, "own_calls"):
         env.own_calls, env.own_heights = 0, torch.zeros(env.num_envs)
     env.own_calls += 1
@@ -387,47 +354,39 @@ def remembers_on_the_environment(env: Any) -> torch.Tensor:
 
 
 def remembers_on_itself(env: Env) -> torch.Tensor:
-    """Counts in an attribute of the function."""
     remembers_on_itself.calls = getattr(remembers_on_itself, "calls", 0) + 1
-    return torch.full((env.num_envs,), float(remembers_on_itself.calls))
+    return _each(env, remembers_on_itself.calls)
 
 
 def remembers_on_the_robot(env: Env) -> torch.Tensor:
-    """Keeps a number on the robot."""
     robot = env.scene.robot
     robot.own_calls = getattr(robot, "own_calls", 0) + 1  # type: ignore[attr-defined]
-    return torch.full((env.num_envs,), float(robot.own_calls))  # type: ignore[attr-defined]
+    return _each(env, robot.own_calls)  # type: ignore[attr-defined]
 
 
 def remembers_on_the_engine(env: Any) -> torch.Tensor:
-    """Store a number on the engine."""
     sim = env.scene.sim
     sim.own_calls = getattr(sim, "own_calls", 0) + 1
-    return torch.full((env.num_envs,), float(sim.own_calls))
+    return _each(env, sim.own_calls)
 
 
 def remembers_in_a_default(env: Env, calls: list[int] = []) -> torch.Tensor:  # noqa: B006
-    """Count in a mutable default argument."""
     calls.append(1)
-    return torch.full((env.num_envs,), float(len(calls)))
+    return _each(env, len(calls))
 
 
 def remembers_on_a_default_entity(env: Env, asset_cfg: Any = SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
-    """Count in an attribute of a default argument."""
     asset_cfg.calls = getattr(asset_cfg, "calls", 0) + 1
-    return torch.full((env.num_envs,), float(asset_cfg.calls))
+    return _each(env, asset_cfg.calls)
 
 
 def remembers_on_its_term(env: Any) -> torch.Tensor:
-    """Count in an attribute of the manager's entry for the term."""
     term = env.reward_manager.get_term_cfg("own")
     term.calls = getattr(term, "calls", 0) + 1
-    return torch.full((env.num_envs,), float(term.calls))
+    return _each(env, term.calls)
 
 
 class RemembersOnATensor(TermBase):
-    """Counts in an attribute of a tensor."""
-
     def __init__(self, env: Env) -> None:
         self.buffer: Any = torch.zeros(env.num_envs)
 
@@ -437,20 +396,16 @@ class RemembersOnATensor(TermBase):
 
 
 def expands_the_batch(env: Any) -> torch.Tensor:
-    """Write to a model field of each simulation without the engine's knowledge."""
     env.scene.sim.batch.expand("jnt_stiffness")[:] += 1.0
     return torch.zeros(env.num_envs)
 
 
 def remembers_in_the_config(env: Any) -> torch.Tensor:
-    """Counts in the environment's config."""
     env.cfg["rewards"]["own"]["weight"] += 1.0
-    return torch.full((env.num_envs,), env.cfg["rewards"]["own"]["weight"])
+    return _each(env, env.cfg["rewards"]["own"]["weight"])
 
 
 class RemembersTheLastAction(TermBase):
-    """Keeps the environment's own buffer in place of a copy."""
-
     def __init__(self, env: Env) -> None:
         self.last = torch.zeros(0)
 
@@ -460,8 +415,6 @@ class RemembersTheLastAction(TermBase):
 
 
 class Delayed(ImplicitActuator):
-    """Acts two physics steps late, and heats up."""
-
     def control(self, targets: Any, data: Any) -> torch.Tensor:
         if not hasattr(self, "_waiting"):
             self._waiting: deque[torch.Tensor] = deque(maxlen=2)
@@ -472,8 +425,6 @@ class Delayed(ImplicitActuator):
 
 
 class Late(IdealPDActuator):
-    """Acts on targets of two physics steps ago, and keeps them for each environment."""
-
     def connect(self, num_envs: int, dt: float, stream: Any) -> None:
         super().connect(num_envs, dt, stream)
         self.dt, self.past = dt, torch.zeros(num_envs, 2, len(self.joint_names))
@@ -491,8 +442,6 @@ class Late(IdealPDActuator):
 
 
 class Altimeter(SensorBase):
-    """Measures the root's height with noise, at a rhythm of its own."""
-
     def connect(self, sim: Any, stream: Any) -> None:
         super().connect(sim, stream)
         self._stream, self.height = stream(), torch.zeros(sim.num_envs)
@@ -522,8 +471,6 @@ class Altimeter(SensorBase):
 
 
 class Step(TerrainBase):
-    """A plane with a step, and two places to begin."""
-
     def __init__(
         self, height: float, static_friction: NonNegative, dynamic_friction: NonNegative, restitution: float
     ) -> None:
@@ -542,8 +489,6 @@ class Step(TerrainBase):
 
 
 class KeepsMasses(TermBase):
-    """An event that keeps the masses' live tensor, and sets them to ``VALUES["mass"]``."""
-
     def __init__(self, env: Env) -> None:
         self._masses = (env.scene.sim.expand("body_mass"),)
 

@@ -19,6 +19,11 @@ def _interval(low, high=None, **fields):
     return _event("interval", interval_range_s=[low, low if high is None else high], **fields)
 
 
+def _tick(env):
+    env.event_manager.advance_timers(0.02)
+    env.event_manager.apply_due(0.02)
+
+
 def _run(env, steps):
     for _ in range(steps):
         env.step(STILL)
@@ -29,19 +34,6 @@ def test_an_interval_event_fires_when_its_time_is_up_and_carries_nothing_over(ma
     env = make_env(events={"e": _interval(0.05)})  # control step .02 s
     env.reset()
     assert _run(env, 12) == [2 + 1, 5 + 1, 8 + 1, 11 + 1]
-
-
-def test_the_first_timers_run_without_a_reset_too(make_env):
-    """The third step of .02 s is the first at which .05 s have passed."""
-    env = make_env(events={"e": _interval(0.05)})
-    left = env.event_manager._time_left["e"]
-    fired = []
-    for step in range(12):
-        env.event_manager.apply_interval(0.02)
-        if bool((left > 0.04).all()) and step:
-            fired.append(step)
-    assert fired == [2, 5, 8, 11]
-    assert [ids for _, _, ids in spies.LOG] == [[0, 1, 2, 3]] * 4
 
 
 def test_timers_are_redrawn_at_an_environments_reset(make_env):
@@ -57,7 +49,7 @@ def test_timers_are_redrawn_at_an_environments_reset(make_env):
 
 
 def test_timers_lose_a_control_step_at_an_automatic_reset(make_env):
-    """The reset comes before the interval events of the same step."""
+    """The reset happens before the interval events of the same step."""
     env = make_env(events={"e": _interval(0.05)}, episode_length_s=0.02)
     env.reset()
     env.step(STILL)
@@ -93,8 +85,8 @@ def test_the_new_interval_is_drawn_before_the_event_runs(make_env):
     env = make_env(events={"e": _interval(0.04)})
     seen = []
     env.event_manager._terms["e"].func = lambda e, ids: seen.append(e.event_manager._time_left["e"].clone())
-    env.event_manager.apply_interval(0.02)
-    env.event_manager.apply_interval(0.02)
+    _tick(env)
+    _tick(env)
     torch.testing.assert_close(seen[0], torch.full((4,), 0.04))
 
 
@@ -110,8 +102,6 @@ def test_a_reset_event_waits_its_least_number_of_steps(make_env):
         env.event_manager.apply("reset", torch.tensor([1]), step)
     env.event_manager.apply("reset", torch.tensor([0, 1]), 9)
     assert [ids for _, _, ids in spies.LOG] == [[1], [1], [0]]
-    # At 0 and 8 for environment 1; at 9 only environment 0 is due, for the first time.
-    assert len(spies.LOG) == 3
 
 
 def test_the_wait_is_counted_in_control_steps_of_the_environment(make_env):
@@ -168,9 +158,8 @@ def test_what_is_changed_before_the_start_is_compiled(make_env):
 
 
 def test_a_class_that_runs_before_the_start_is_never_reset(make_env):
-    made = {
-        mode: {"_target_": spies.HERE + "SpyEvent", "mode": mode, "name": mode} for mode in ("prestartup", "startup")
-    }
+    node = {"_target_": spies.HERE + "SpyEvent"}
+    made = {mode: {**node, "mode": mode, "name": mode} for mode in ("prestartup", "startup")}
     env = make_env(events=made)
     assert spies.LOG[:2] == ["event prestartup made", "event prestartup None"]
     spies.LOG.clear()
@@ -182,7 +171,7 @@ def test_a_mode_that_no_event_has_is_warned_of(make_env):
     env = make_env(events={"e": _event("my_mode")})
     with pytest.warns(UserWarning, match=r"'my_mod'.*'my_mode'"):
         env.apply_event("my_mod")
-    env.event_manager.apply("startup")  # which nobody has to have
+    env.event_manager.apply("startup")
     assert spies.LOG == []
 
 
@@ -209,35 +198,8 @@ def test_wrong_settings_name_their_key(make_env, fields, key):
     assert caught.value.key == f"env.events.e.{key}"
 
 
-def test_interval_events_are_not_applied_by_name(make_env):
-    env = make_env(events={"e": _interval(1.0)})
-    with pytest.raises(ValueError, match="interval"):
-        env.event_manager.apply("interval")
-
-
-def test_reset_events_need_the_step_count(make_env):
-    env = make_env(events={"e": _event("reset")})
-    with pytest.raises(ValueError, match="step_count"):
-        env.event_manager.apply("reset")
-
-
-def test_timers_and_counters_go_round(make_env):
-    events = {
-        "i": _interval(0.05, 0.5),
-        "g": _interval(0.3, is_global_time=True),
-        "r": _event("reset", min_step_count_between_reset=4),
-    }
-    first, second = make_env(events=events), make_env(events=events, seed=5)
-    first.reset()
-    for _ in range(3):
-        first.step(STILL)
-    second.load_state_dict(first.state_dict())
-    logs = []
-    for env in (first, second):
-        spies.LOG.clear()
-        for _ in range(20):
-            env.step(STILL)
-        env.reset()
-        logs.append(list(spies.LOG))
-    assert logs[0] == logs[1]
-    assert len(logs[0]) > 3
+@pytest.mark.parametrize(("mode", "words"), [("interval", "interval"), ("reset", "step_count")])
+def test_what_cannot_be_applied_by_name_is_refused(make_env, mode, words):
+    env = make_env(events={"e": _interval(1.0) if mode == "interval" else _event(mode)})
+    with pytest.raises(ValueError, match=words):
+        env.event_manager.apply(mode)

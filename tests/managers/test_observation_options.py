@@ -1,4 +1,4 @@
-"""Observations that come late, stand step by step, are joined along another dimension, or are pictures."""
+"""Observations with delays, with histories ordered by step, along other dimensions, and of images."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ def _series(env, key, *values):
 
 
 def _counting(make_env, **fields):
-    """Return an environment that observes the number of physics steps that it has taken, and its rollout."""
     counted = {"n": 0}
     spies.VALUES["x"] = lambda env: torch.full((env.num_envs,), float(counted["n"]))
     sections = {name: fields.pop(name) for name in ("num_envs", "seed") if name in fields}
@@ -50,10 +49,10 @@ def _counting(make_env, **fields):
 
 
 def test_a_delay_counts_physics_steps_and_not_control_steps(make_env):
-    """At two physics steps a control step, what is three steps old falls between two observations."""
+    """A control step has two physics steps, so a delay of three falls between two observations."""
     env = _counting(make_env, delay=[3, 3])
     seen = [float(env.reset()[0]["policy"][0])] + [float(env.step(STILL)[0]["policy"][0]) for _ in range(4)]
-    assert seen == [0, 0, 1, 3, 5]  # of 0, 2, 4, 6 and 8 steps; before the first there is the first
+    assert seen == [0, 0, 1, 3, 5]  # the counts 0, 2, 4, 6, and 8, three steps late
 
 
 def test_without_a_delay_there_is_nothing_to_remember(make_env):
@@ -80,23 +79,17 @@ def test_delays_are_drawn_at_the_reset_of_an_environment(make_env):
     assert torch.equal(lags[100:], before[100:])
     assert not torch.equal(lags[:100], before[:100])
     shown = env.observation_manager.obs_buf["policy"][:, 0]
-    assert (shown[:100] == 6).all()  # a new episode sees nothing of the last
+    assert (shown[:100] == 6).all()  # a new episode does not observe the last episode
     assert torch.equal(shown[100:], 6.0 - before[100:])
 
 
 def test_what_is_late_is_modified_clipped_scaled_and_kept_when_it_arrives(make_env):
-    env = _counting(
-        make_env,
-        delay=[2, 2],
-        modifiers=[{"_target_": M + "Bias", "value": 10.0}],
-        clip=[0.0, 13.0],
-        scale=2.0,
-        history_length=2,
-    )
+    bias = {"_target_": M + "Bias", "value": 10.0}
+    env = _counting(make_env, delay=[2, 2], modifiers=[bias], clip=[0.0, 13.0], scale=2.0, history_length=2)
     env.reset()
     for _ in range(3):
         shown = env.step(STILL)[0]["policy"][0].tolist()
-    assert shown == [24.0, 26.0]  # (2 + 10) * 2, and 4 + 10 cut to 13
+    assert shown == [24.0, 26.0]  # (2 + 10) * 2, and 4 + 10 clipped to 13, times 2
 
 
 def test_a_peek_at_something_late_changes_nothing(make_env):
@@ -104,7 +97,7 @@ def test_a_peek_at_something_late_changes_nothing(make_env):
     env.reset()
     for expected, ahead in ((0, 0), (1, 2), (3, 4), (5, 6)):
         assert env.step(STILL)[0]["policy"][0].item() == expected
-        for _ in range(3):  # as if the same were observed once more, which makes everything one sample older
+        for _ in range(3):  # a peek acts like one more sample
             assert env.observation_manager.peek()["policy"][0].item() == ahead
 
 
@@ -201,7 +194,6 @@ def _picture(key, **fields):
 
 
 def picture(env, key):
-    """Return pictures of 2 rows, 3 columns and one channel, all of ``VALUES[key]``."""
     return spies.VALUES[key] * torch.arange(6.0).view(2, 3, 1).expand(env.num_envs, 2, 3, 1)
 
 

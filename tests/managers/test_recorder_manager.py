@@ -30,8 +30,6 @@ OBSERVATIONS = {
 
 
 class Clock(RecorderTerm):
-    """Notes the step counter, before and after the physics and at resets."""
-
     reads_observations = False
 
     def _now(self, rows: int) -> torch.Tensor:
@@ -54,15 +52,11 @@ class Clock(RecorderTerm):
 
 
 class Observed(RecorderTerm):
-    """Notes the observations that a term finds at the end of a step."""
-
     def record_post_step(self) -> Any:
         return "observed", self._env.observation_manager.obs_buf["policy"]
 
 
 class Returns(RecorderTerm):
-    """Returns what a test sets."""
-
     reads_observations = False
 
     def record_post_step(self) -> Any:
@@ -75,7 +69,6 @@ def recorders(*names: str) -> dict[str, Any]:
 
 @pytest.fixture
 def make(make_env):
-    """An environment of four whose episodes end where the test says, or after ten steps."""
 
     def made(*names: str, terms: Any = (), **sections: Any) -> Any:
         spies.VALUES["done"] = torch.zeros(4)
@@ -96,12 +89,12 @@ def step(env: Any, ends: Any = (), wins: Any = ()) -> None:
 
 
 def episodes(arrays: dict[str, np.ndarray], key: str) -> list[np.ndarray]:
-    """Cut the rows of a quantity into its episodes, as the documentation says."""
+    """Split the rows of a quantity into episodes, as the documentation describes."""
     return np.split(arrays[key], np.cumsum(arrays[f"rows/{key}"])[:-1])
 
 
 def test_each_episode_has_its_own_rows_and_no_others(make):
-    """Env 1 ends in steps 2 and 5, env 3 in step 5: their steps by hand."""
+    """Environment 1 ends in steps 2 and 5, and environment 3 in step 5."""
     env = make("Clock")
     for number in range(1, 6):
         step(env, {2: [1], 5: [1, 3]}.get(number, []))
@@ -113,14 +106,14 @@ def test_each_episode_has_its_own_rows_and_no_others(make):
     assert before == [[0, 1], [2, 3, 4], [0, 1, 2, 3, 4]]
     assert [rows[:, 0].tolist() for rows in episodes(found, "after")] == [[1, 2], [3, 4, 5], [1, 2, 3, 4, 5]]
     assert [set(rows[:, 0].tolist()) for rows in episodes(found, "clock/env")] == [{1.0}, {1.0}, {3.0}]
-    assert found["rows/physics"].tolist() == [4, 6, 10]  # two physics steps a control step
+    assert found["rows/physics"].tolist() == [4, 6, 10]  # a control step has two physics steps
     assert found["start"][:, 0].tolist() == pytest.approx([0.1, 2.1, 0.3])
     assert found["end"][:, 0].tolist() == [1, 1, 3]
     assert env.recorder_manager.take() == {}
 
 
 def test_long_episodes_are_whole(make):
-    """More steps than there is room for at first, while other episodes end all the time."""
+    """The episodes have more steps than the first buffer, while other episodes end."""
     env = make("Clock", episode_length_s=100.0)
     for number in range(1, 301):
         step(env, [0, 1, 2] if number % 7 == 0 else [3] if number % 150 == 0 else [])
@@ -141,7 +134,7 @@ def test_the_stock_recorders_note_what_the_environment_has(make):
     manager = env.action_manager
     assert found["initial_state/articulation/robot/joint_position"].tolist() == start[2:3].tolist()
     assert found["actions"].shape == (1, 4)
-    assert found["obs"].tolist() == led_to[2:3].tolist()  # as the policy saw it, with its noise
+    assert found["obs"].tolist() == led_to[2:3].tolist()  # the policy's observation includes noise
     wide = sum(manager.get_term(name).processed_actions.shape[1] for name in manager.active_terms)
     assert found["processed_actions"].shape == (1, wide)
     assert found["states/articulation/robot/root_pose"].shape == (1, 7)
@@ -154,13 +147,12 @@ def test_observations_at_the_end_of_a_step_are_of_that_state_without_noise(make)
     env.keep_final_obs = True
     step(env, [0])
     (found,) = env.recorder_manager.take().values()
-    final = env.extras["final_obs"]["policy"][0]  # read without noise before the reset
+    final = env.extras["final_obs"]["policy"][0]  # the final observation has no noise
     assert found["observed"][0].tolist() == final.tolist() != before[0].tolist()
     assert not torch.equal(env.observation_manager.obs_buf["policy"][0], final)
 
 
 def test_recorders_change_no_number_of_an_environment(make):
-    """States, observations with noise and streams, over episodes that end."""
     ends = {}
     for names in ((), ("Clock", "Observed", "PostStepStatesRecorder")):
         torch.manual_seed(3)
@@ -230,7 +222,7 @@ def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
         (torch.zeros(4, 1), "returns a tensor of shape (4, 1) ("),
         (("k", torch.zeros(4).numpy()), "a numpy array of shape (4,)"),
         (("k", {"a": [1.0]}), "'k/a'"),
-        (("episode/env", torch.zeros(4)), "reserved for facts about episodes"),
+        (("episode/env", torch.zeros(4)), "reserved for data about episodes"),
         (("after", torch.zeros(4)), "is already recorded by"),
     ],
 )
@@ -250,8 +242,3 @@ def test_a_shape_that_changes_is_told(make):
     spies.VALUES["noted"] = ("k", torch.zeros(4, 2))
     with pytest.raises(ConfigError, match=r"env\.recorders\.Returns.*was \(4, 1\)"):
         step(env)
-
-
-def test_a_term_that_is_no_recorder_is_told(make_env):
-    with pytest.raises(ConfigError, match=r"env\.recorders\.x.*not a recorder"):
-        make_env(recorders={"x": {"_target_": spies.HERE + "CountingObservation"}})

@@ -43,48 +43,57 @@ HERE = "managers.test_terms."
 ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
 
 
-def _refused(make_env, node, **sections):
+R = "wheelleg_exp.mdp.rewards."
+HEIGHT = {"_target_": R + "base_height_l2", "weight": 1.0}
+SPEED = {"_target_": R + "joint_vel_l2", "weight": 1.0}
+
+
+def _own(name, **fields):
+    return {"_target_": HERE + name, "weight": 1.0, **fields}
+
+
+def _entity(**fields):
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", **fields}
+
+
+def _refused(make_env, node):
     with pytest.raises(ConfigError) as caught:
-        make_env(rewards={"term": node}, **sections)
+        make_env(rewards={"term": node})
     return caught.value
 
 
-def test_an_unknown_parameter_names_the_nearest(make_env):
-    node = {"_target_": "wheelleg_exp.mdp.rewards.base_height_l2", "weight": 1.0, "target_hight": 0.1}
+@pytest.mark.parametrize(
+    ("node", "key", "words", "nearest"),
+    [
+        (HEIGHT | {"target_hight": 0.1}, "target_hight", "", "target_height"),
+        (_own("takes_env_only", anything=1), "anything", "", None),
+        (HEIGHT, "", "target_height", None),
+        (ALIVE | {"time_out": True}, "time_out", "", None),  # a field of another manager
+        *((ALIVE | {name: 1}, name, "", None) for name in ("env", "env_ids", "generator")),
+        (_own("uses_reserved"), "", "'weight'", None),
+        *(
+            ({"_target_": target, "weight": 1.0}, "_target_", "outside", None)
+            for target in ("os.system", "subprocess.run", "wheelleg_exp_evil.x", "builtins.eval")
+        ),
+        (SPEED | {"asset_cfg": {"_target_": "os.getcwd"}}, "asset_cfg._target_", "outside", None),
+        ({"_target_": R + "is_alife", "weight": 1.0}, "_target_", "", "is_alive"),
+        ({"_target_": "wheelleg_exp.mdp.reward.is_alive", "weight": 1.0}, "_target_", "import", None),
+        ({"weight": 1.0}, "", "_target_", None),
+        (3.0, "", "", None),
+        (_own("NotATerm"), "", "not a term class", None),
+        (_own("Refuses", count=7), "", "", None),
+        (SPEED | {"asset_cfg": _entity(name="robott")}, "asset_cfg.name", "", "robot"),
+        (SPEED | {"asset_cfg": _entity(name="robot", joint_names=["knee"])}, "asset_cfg.joint_names", "", None),
+        (SPEED | {"asset_cfg": _entity(name="robot", body_names=["knee"])}, "asset_cfg.body_names", "", None),
+        (SPEED | {"asset_cfg": _entity(name="contact", joint_names=[".*"])}, "asset_cfg.joint_names", "", None),
+        (SPEED | {"asset_cfg": _entity(name="contact", body_names=["shin"])}, "asset_cfg.body_names", "", None),
+    ],
+)
+def test_a_wrong_term_is_refused_by_key(make_env, node, key, words, nearest):
     error = _refused(make_env, node)
-    assert error.key == "env.rewards.term.target_hight"
-    assert error.nearest == "target_height"
-
-
-def test_an_unknown_parameter_is_refused_even_where_a_function_takes_none(make_env):
-    error = _refused(make_env, {"_target_": HERE + "takes_env_only", "weight": 1.0, "anything": 1})
-    assert error.key == "env.rewards.term.anything"
-
-
-def test_a_missing_parameter_is_named(make_env):
-    error = _refused(make_env, {"_target_": "wheelleg_exp.mdp.rewards.base_height_l2", "weight": 1.0})
-    assert "target_height" in error.message
-
-
-def test_a_field_of_another_manager_is_an_unknown_parameter(make_env):
-    assert _refused(make_env, ALIVE | {"time_out": True}).key == "env.rewards.term.time_out"
-
-
-def test_what_the_manager_passes_itself_cannot_be_configured(make_env):
-    for name in ("env", "env_ids", "generator"):
-        assert _refused(make_env, ALIVE | {name: 1}).key == f"env.rewards.term.{name}"
-
-
-def test_a_target_that_uses_a_reserved_name_is_refused(make_env):
-    error = _refused(make_env, {"_target_": HERE + "uses_reserved", "weight": 1.0})
-    assert "'weight'" in error.message
-
-
-@pytest.mark.parametrize("target", ["os.system", "subprocess.run", "wheelleg_exp_evil.x", "builtins.eval"])
-def test_a_target_outside_the_allowed_packages_is_refused(make_env, target):
-    error = _refused(make_env, {"_target_": target, "weight": 1.0})
-    assert error.key == "env.rewards.term._target_"
-    assert "outside" in error.message
+    assert error.key == "env.rewards.term" + (f".{key}" if key else "")
+    assert words in error.message
+    assert nearest in (None, error.nearest)
 
 
 @pytest.mark.parametrize(
@@ -95,10 +104,7 @@ def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env
     nested = {
         "policy": {
             "terms": {
-                "term": {
-                    "_target_": "wheelleg_exp.mdp.observations.joint_pos",
-                    "modifiers": [{"_target_": target}],
-                }
+                "term": {"_target_": "wheelleg_exp.mdp.observations.joint_pos", "modifiers": [{"_target_": target}]}
             }
         }
     }
@@ -107,52 +113,28 @@ def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env
 
 
 def test_a_text_that_looks_like_an_interpolation_is_a_text(make_env, tmp_path):
-    """Hydra's own instantiate would resolve it, and call what stands in it."""
+    """Hydra's own instantiate would resolve the interpolation, and call the function in it."""
     read = tmp_path / "read.npy"
     np.save(read, np.arange(3))
     text = "${oc.create:" + f"{{_target_: numpy.load, file: '{read}'}}" + "}"
-    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": text}
-    error = _refused(
-        make_env, {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": entity}
-    )
-    assert text in str(error)
+    assert text in str(_refused(make_env, SPEED | {"asset_cfg": _entity(name=text)}))
 
 
 @pytest.mark.parametrize("key", ["_args_", "_partial_", "_recursive_", "_convert_"])
 def test_no_other_special_key_of_hydra_works(make_env, key):
-    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", key: False}
-    node = {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": entity}
+    node = SPEED | {"asset_cfg": _entity(name="robot", **{key: False})}
     error = _refused(make_env, node)
     assert error.key == f"env.rewards.term.asset_cfg.{key}"
     assert error.key in str(check_nested_targets({"env": {"rewards": {"term": node}}})[0])
 
 
-def test_a_nested_target_outside_the_allowed_packages_is_refused(make_env):
-    node = {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": {"_target_": "os.getcwd"}}
-    assert _refused(make_env, node).key == "env.rewards.term.asset_cfg._target_"
-
-
-def test_a_target_that_does_not_exist_names_the_nearest(make_env):
-    error = _refused(make_env, {"_target_": "wheelleg_exp.mdp.rewards.is_alife", "weight": 1.0})
-    assert error.nearest == "is_alive"
-    assert "import" in _refused(make_env, {"_target_": "wheelleg_exp.mdp.reward.is_alive", "weight": 1.0}).message
-
-
-def test_settings_without_a_target_are_refused(make_env):
-    assert "_target_" in _refused(make_env, {"weight": 1.0}).message
-
-
-def test_a_term_that_is_no_mapping_is_refused(make_env):
-    assert _refused(make_env, 3.0).key == "env.rewards.term"
-
-
-def test_a_class_that_is_no_term_is_refused(make_env):
-    assert "not a term class" in _refused(make_env, {"_target_": HERE + "NotATerm", "weight": 1.0}).message
-
-
-def test_a_constructor_that_refuses_its_parameters_gives_no_traceback(make_env):
-    error = _refused(make_env, {"_target_": HERE + "Refuses", "weight": 1.0, "count": 7})
-    assert error.key == "env.rewards.term"
+@pytest.mark.parametrize(
+    ("section", "words"), [("actions", "action term"), ("commands", "command term"), ("recorders", "not a recorder")]
+)
+def test_a_class_of_another_section_is_refused(make_env, section, words):
+    with pytest.raises(ConfigError, match=words) as caught:
+        make_env(**{section: {"t": {"_target_": spies.HERE + "CountingObservation"}}})
+    assert caught.value.key == f"env.{section}.t"
 
 
 def test_an_error_inside_a_term_names_the_whole_key(make_env):
@@ -181,25 +163,17 @@ def test_a_term_asked_for_by_a_wrong_name_names_the_nearest(make_env):
     assert caught.value.nearest == "alive"
 
 
-def _entity(**fields):
-    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", **fields}
-
-
 def test_an_entity_finds_joints_in_the_robots_or_its_own_order(make_env):
-    node = {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0}
     names = ["right_.*", "left_hip"]
     for preserve, expected in ((False, [0, 1, 3]), (True, [1, 3, 0])):
         cfg = _entity(name="robot", joint_names=names, preserve_order=preserve)
-        env = make_env(rewards={"term": node | {"asset_cfg": cfg}})
+        env = make_env(rewards={"term": SPEED | {"asset_cfg": cfg}})
         assert env.reward_manager.get_term_cfg("term").params["asset_cfg"].joint_ids.tolist() == expected
 
 
 def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(make_env):
-    """Isaac Lab resolves what stands among a term's parameters alone."""
-    default, given = (
-        {"_target_": spies.HERE + "default_entity", "weight": 1.0},
-        _entity(name="robot", joint_names=["right_hip"]),
-    )
+    default = {"_target_": spies.HERE + "default_entity", "weight": 1.0}
+    given = _entity(name="robot", joint_names=["right_hip"])
     env = make_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
     env.reset()
     spies.LOG.clear()
@@ -209,21 +183,6 @@ def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(m
     assert one.tolist() == [1]
 
 
-@pytest.mark.parametrize(
-    ("cfg", "key"),
-    [
-        (_entity(name="robott"), "name"),
-        (_entity(name="robot", joint_names=["knee"]), "joint_names"),
-        (_entity(name="robot", body_names=["knee"]), "body_names"),
-        (_entity(name="contact", joint_names=[".*"]), "joint_names"),
-        (_entity(name="contact", body_names=["shin"]), "body_names"),
-    ],
-)
-def test_an_entity_that_is_not_there_names_its_key(make_env, cfg, key):
-    node = {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": cfg}
-    assert _refused(make_env, node).key == f"env.rewards.term.asset_cfg.{key}"
-
-
 def test_configs_are_left_as_they_were(make_env):
     from sim.small_envs import env_config
 
@@ -231,12 +190,6 @@ def test_configs_are_left_as_they_were(make_env):
     env = make_env(rewards={"alive": dict(ALIVE)})
     env.reset()
     assert env.cfg == config
-
-
-def test_spies_may_stand_in_configs(make_env):
-    spies.VALUES["x"] = 2.0
-    env = make_env(rewards={"x": {"_target_": spies.HERE + "value", "key": "x", "weight": 3.0}})
-    assert env.reward_manager.compute(0.5).tolist() == [3.0] * 4
 
 
 def test_managers_print_as_tables(make_env):

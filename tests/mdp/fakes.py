@@ -1,4 +1,4 @@
-"""An environment of chosen numbers, for formulas."""
+"""A fake environment whose numbers a test chooses, for tests of formulas."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from wheelleg_exp.managers import SceneEntityCfg
 
 
 def entity(name: str = "robot", joints: list[int] | None = None, bodies: list[int] | None = None) -> SceneEntityCfg:
-    """Return a resolved entity."""
     cfg = SceneEntityCfg(name)
     if joints is not None:
         cfg.joint_ids = torch.tensor(joints)
@@ -21,11 +20,10 @@ def entity(name: str = "robot", joints: list[int] | None = None, bodies: list[in
 
 
 def fake_env(**fields: Any) -> Any:
-    """Return an environment: ``data_<name>`` goes to the robot's data, the rest to the environment.
+    """Return an environment whose numbers a test chooses.
 
-    ``contact_norm`` and ``first_contact`` are what the sensor ``contact`` says, ``contact`` its data by name;
-    ``commands`` are commands by name, ``ground`` is the ground's height at points, and ``terrain``
-    what else the ground says.
+    ``data_<name>`` is data of the robot, ``contact`` data of the sensor `contact` by name, ``commands`` are commands by
+    name, ``ground`` is the ground's height at points, and ``terrain`` holds further attributes of the ground.
     """
     data = {k[5:]: v for k, v in fields.items() if k.startswith("data_")}
     data.setdefault("joint_pos_measured", data.get("joint_pos"))
@@ -54,5 +52,4 @@ def fake_env(**fields: Any) -> Any:
 
 
 def two_numbers(env: Any) -> torch.Tensor:
-    """Return an observation of which nobody knows what it is, (N, 2)."""
     return torch.ones(env.num_envs, 2, device=env.device)

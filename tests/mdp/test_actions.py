@@ -1,4 +1,4 @@
-"""Actions to limits, averaged, of two targets, and delayed, against numbers worked out by hand."""
+"""Actions: mapped to limits, averaged, binary, and delayed, compared with values computed by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 A = "wheelleg_exp.mdp.actions."
-HIPS = [".*_hip"]  # limits [-1, 1.5] rad: the middle is .25, half the range 1.25
+HIPS = [".*_hip"]  # The limits [-1, 1.5] rad have the middle .25 and the half range 1.25.
 
 
 def _env(make_env, /, **node):
@@ -68,7 +68,7 @@ def test_the_order_is_kept_when_the_term_covers_all_joints(make_env):
 def test_the_average_begins_at_the_joints_and_goes_on_from_the_last_target(make_env):
     node = {"_target_": "EMAJointPositionToLimitsAction", "joint_names": HIPS, "alpha": {"left_.*": 0.25}}
     _, manager, term = _env(make_env, **node)
-    # Hips begin at .2; the left one takes a quarter of 1.5, the right one, which is not named, all of it.
+    # Hips start at .2. The left hip takes a quarter of 1.5, and the right hip, which has no alpha, takes all of 1.5.
     assert _processed(manager, term, 1.0, 1.0) == pytest.approx([0.75 * 0.2 + 0.25 * 1.5, 1.5])
     assert _processed(manager, term, -1.0, -1.0) == pytest.approx([0.75 * 0.525 - 0.25, -1.0])
 
@@ -140,7 +140,7 @@ def _delayed(make_env, lags, **changes):
 
 
 def test_a_delay_counts_physics_steps(make_env):
-    """Three physics steps late at two a control step; what came first stands for all before it."""
+    """The delay is three physics steps, and a control step has two physics steps."""
     env = _delayed(make_env, [3, 3])
     seen, write = [], env.scene.write_data_to_sim
 

@@ -1,4 +1,4 @@
-"""Commands beside the uniform velocity: distributions, frames, metrics, what is saved."""
+"""Commands other than the uniform velocity: distributions, frames, metrics, and saved state."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
 
 
 class Patches(Plane):
-    """A plane that says it has 2 rows of 3 tiles, each with 3 patches."""
+    """A plane that claims to have 2 rows of 3 tiles, each with 3 flat patches."""
 
     def place(self, num_envs, spacing, device, stream):
         super().place(num_envs, spacing, device, stream)
@@ -33,7 +33,7 @@ class Patches(Plane):
 
 @pytest.fixture(autouse=True)
 def _test_terms(allow_test_terms):
-    """Let configs name what stands in this module."""
+    pass
 
 
 def _env(make_env, kind, /, seed=0, num_envs=4, scene=None, **fields):
@@ -44,15 +44,14 @@ def _env(make_env, kind, /, seed=0, num_envs=4, scene=None, **fields):
 
 
 def _stand(env, position, yaw=0.0, pitch=0.0, roll=0.0):
-    """Put every robot at a place, turned by Rz(yaw) Ry(pitch) Rx(roll), worked out by MuJoCo's own Euler angles."""
+    """Place every robot at a position with the orientation Rz(yaw) Ry(pitch) Rx(roll), computed by MuJoCo."""
     quat = np.zeros(4)
     mujoco.mju_euler2Quat(quat, np.array([yaw, pitch, roll]), "zyx")
     n = env.num_envs
     robot = env.scene.robot
     place = torch.tensor(position, dtype=torch.float32).expand(n, 3)
-    robot.write_root_pose_to_sim(
-        torch.cat((place, torch.tensor(quat, dtype=torch.float32).expand(n, 4)), dim=1), torch.arange(n)
-    )
+    turned = torch.tensor(quat, dtype=torch.float32).expand(n, 4)
+    robot.write_root_pose_to_sim(torch.cat((place, turned), dim=1), torch.arange(n))
     env.scene.refresh()
 
 
@@ -81,14 +80,13 @@ def test_normal_velocities_stand_and_are_zero_only_from_the_first_compute_on(mak
     for _ in range(2):
         env.step(STILL)
         assert (term.command != 0).tolist() == [[False, True, True]] * 4
-    env, term = _env(
-        make_env, "NormalVelocityCommand", resampling_time_range=TIME, ranges=NORMAL, rel_standing_envs=1.0
-    )
+    standing = {"ranges": NORMAL, "rel_standing_envs": 1.0}
+    env, term = _env(make_env, "NormalVelocityCommand", resampling_time_range=TIME, **standing)
     env.step(STILL)
     assert (term.command == 0).all()
 
 
-# ---- velocities that sum up their error ----
+# ---- velocity commands with an integrated error ----
 
 AXLES = ["left_axle", "right_axle"]
 WHEELS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": AXLES}
@@ -102,7 +100,6 @@ def _travel(make_env, v_x=0.3, w_z=0.5, most=(10.0, 10.0), **fields):
 
 
 def test_travel_is_what_wheels_and_gyroscope_add_up_to_beyond_the_command(make_env):
-    """Summed up by hand, step by step, from the wheels' mean rate and the yaw rate in the base's axes."""
     env, term = _travel(make_env)
     _stand(env, [0.0, 0.0, 0.5], pitch=0.6, roll=-0.7)
     data, expected = env.scene.robot.data, torch.zeros(4, 2)
@@ -114,11 +111,10 @@ def test_travel_is_what_wheels_and_gyroscope_add_up_to_beyond_the_command(make_e
         turned = data.root_ang_vel_b[:, 2]
         expected += torch.stack((rolled - 0.3, turned - 0.5), dim=1) * env.step_dt
     torch.testing.assert_close(term.travel_error, expected)
-    assert (expected.std(dim=0) > 1e-3).all()  # they do not all do the same
+    assert (expected.std(dim=0) > 1e-3).all()
 
 
 def _rover(tmp_path, axis):
-    """A rover whose right wheel turns about another axis."""
     text = (ASSETS / "rover.xml").read_text()
     own = '<joint name="right_axle" axis="0 1 0"/>'
     assert own in text
@@ -138,7 +134,7 @@ def _travel_of(path):
 
 @pytest.mark.parametrize(("axis", "sign"), [("0 1 0", 1.0), ("0 -1 0", -1.0), ("0 -.8 .6", -1.0)])
 def test_travel_of_wheels_whose_axes_are_mirrored_is_forwards_for_both(tmp_path, axis, sign):
-    """The rim's lowest point goes backwards on a wheel that rolls forwards, whatever sign its joint's speed has."""
+    """The lowest point of a wheel's rim moves backwards if the wheel rolls forwards, for both signs of the axis."""
     env, term = _travel_of(_rover(tmp_path, axis))
     assert term.wheel_signs == (1.0, sign)
     model, data = env.scene.sim.model, mujoco.MjData(env.scene.sim.model)
@@ -173,11 +169,11 @@ def test_travel_is_summed_up_to_a_bound_and_anew_in_each_episode(make_env):
 
 
 def test_a_command_goes_where_it_is_asked_to_by_no_more_than_its_acceleration(make_env):
-    """By hand: from rest by 2 m/s² and 3 rad/s², each step's share of it, and never beyond what was drawn."""
+    """The expected command starts at 0 and changes by at most 2 m/s² and 3 rad/s² times the control step."""
     env, term = _travel(make_env, w_z=-0.5, max_lin_acceleration=2.0, max_ang_acceleration=3.0)
     lin, ang = 2.0 * env.step_dt, 3.0 * env.step_dt
-    assert 5 * lin < 0.3 < 40 * lin  # seen on its way and at its end
-    for step in range(2, 40):  # the reset is the first
+    assert 5 * lin < 0.3 < 40 * lin
+    for step in range(2, 40):
         env.step(STILL)
         expected = [min(0.3, step * lin), 0.0, -min(0.5, step * ang)]
         assert term.command[0].tolist() == pytest.approx(expected, rel=1e-5)
@@ -201,12 +197,8 @@ def test_travel_is_seen_and_rewarded(make_env):
     ranges = {"lin_vel_x": [0.3, 0.3], "ang_vel_z": [0.5, 0.5]}
     command = {"_target_": C + "UniformVelocityTravelCommand", "resampling_time_range": [9.0, 9.0], "ranges": ranges}
     command |= {"wheel_cfg": WHEELS, "wheel_radius": 0.1, "max_travel_error": 0.4, "max_heading_error": 0.2}
-    env = make_env(
-        commands={"c": command},
-        observations={"policy": {"terms": {"t": seen}}},
-        rewards={"t": {**cost, "weight": -1.0}},
-        num_envs=4,
-    )
+    sections = {"commands": {"c": command}, "observations": {"policy": {"terms": {"t": seen}}}}
+    env = make_env(**sections, rewards={"t": {**cost, "weight": -1.0}})
     env.reset()
     term = env.command_manager.get_term("c")
     term.travel_error.copy_(torch.tensor([[0.1, 0.2], [-0.3, 0.0], [0.0, -0.1], [0.4, 0.1]]))
@@ -254,11 +246,11 @@ def test_places_lie_around_the_origin_of_their_environment(make_env):
     for column, (low, high) in ((0, (-0.5, 1.0)), (1, (0.0, 2.0)), (3, (-1.0, 3.0))):
         assert low <= float(drawn[:, column].min()) < low + 0.03
         assert high - 0.03 < float(drawn[:, column].max()) <= high + 1e-5
-    assert drawn[:, 2].tolist() == pytest.approx([0.3] * 2000)  # the height of the default state
+    assert drawn[:, 2].tolist() == pytest.approx([0.3] * 2000)  # the height of the robot's default state
 
 
 def test_the_command_is_the_way_in_the_axes_of_the_bases_yaw(make_env):
-    """From (.5, -1, .1) at yaw 30 degrees to (1, 2, .3): turned back by 30 degrees, whatever the pitch."""
+    """The way from (.5, -1, .1) to (1, 2, .3) is turned back by the yaw of 30 degrees, for any pitch."""
     env, term = _place(make_env, num_envs=1)
     assert (term.command == 0).all()  # until the first compute
     yaw = math.radians(30)
@@ -300,7 +292,7 @@ def test_a_place_may_be_a_flat_patch_of_the_tile(make_env):
     terrain, place = env.scene.terrain, term.pos_command_w
     assert torch.equal(place[:, 0].long(), terrain.terrain_levels)
     assert torch.equal(place[:, 1].long(), terrain.terrain_types)
-    # A patch (row, column, 10 * number), and the default height of .3 m above it.
+    # A patch is at (row, column, 10 * number), and the robot's default height of .3 m is added.
     counts = [int((place[:, 2] - 0.3 - height).abs().lt(1e-5).sum()) for height in (0.0, 10.0, 20.0)]
     assert sum(counts) == 600
     assert all(150 < count < 250 for count in counts)
@@ -326,16 +318,16 @@ def test_a_pose_is_drawn_in_the_frame_of_the_root(make_env):
         assert float(_body(make_env, ranges=ranges, make_quat_unique=unique)[1].command[0, 3]) * sign > 0
 
 
-@pytest.mark.parametrize("pitch", [0.25, 0.25 + 2 * math.pi])  # one turn on, the quaternion has the other sign
+@pytest.mark.parametrize("pitch", [0.25, 0.25 + 2 * math.pi])  # after one more turn, the quaternion has the other sign
 def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env, pitch):
-    """The left wheel lies at (0, .13, -.08) of the base when the hip is straight, unturned."""
+    """The left wheel is at (0, .13, -.08) m in the base's frame if the hip is straight."""
     ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [pitch, pitch]}
     env, term = _body(make_env, ranges=ranges, num_envs=1)
     robot = env.scene.robot
     robot.write_joint_state_to_sim(torch.zeros(1, 4), torch.zeros(1, 4), env_ids=torch.arange(1))
     _stand(env, [1.0, -2.0, 0.5], yaw=1.0, pitch=-0.4, roll=0.2)
     distance, angle = term.errors()[:, 0].tolist()
-    assert distance == pytest.approx(0.5, abs=1e-5)  # a triangle of .3 and .4
+    assert distance == pytest.approx(0.5, abs=1e-5)  # the hypotenuse of .3 and .4
     assert angle == pytest.approx(0.25, abs=1e-5)
 
 
@@ -378,29 +370,3 @@ def test_the_metrics_of_the_base_are_means_over_the_time_between_draws(make_env)
     for axis, error in (("height", 0.05), ("roll", 0.1), ("pitch", 0.2)):
         assert float(log[f"Metrics/c/error_{axis}"]) == pytest.approx(error * 2 * 0.02 / 0.1, abs=1e-5)
         assert float(log[f"Episode_Metrics/c/error_{axis}_per_step"]) == pytest.approx(error, abs=1e-5)
-
-
-# ---- all ----
-
-ALL = {
-    "NormalVelocityCommand": {"ranges": NORMAL, "rel_standing_envs": 0.3},
-    "UniformPose2dCommand": {"ranges": PLACE | {"pos_x": [0.0, 1.0]}, "simple_heading": False},
-    "UniformPoseCommand": {"ranges": POSE | {"roll": [0.0, 1.0]}, "body_name": "left_wheel"},
-    "UniformBasePoseCommand": {"ranges": BASE},
-}
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_a_command_goes_on_where_it_was_saved(make_env, kind):
-    (first, term), (second, other) = (
-        _env(make_env, kind, seed=seed, resampling_time_range=[0.05, 0.2], **ALL[kind]) for seed in (0, 5)
-    )
-    for _ in range(3):
-        first.step(STILL)
-    second.load_state_dict(first.state_dict())
-    for _ in range(15):
-        first.step(STILL)
-        second.step(STILL)
-        assert torch.equal(term.command, other.command)
-    assert torch.equal(term.metrics, other.metrics)
-    assert int(term.command_counter.min()) > 1

@@ -25,14 +25,12 @@ VELOCITY = {
 
 
 def later(env, env_ids, old_value, add):
-    """Add at each reset after the first."""
     del env_ids
     return old_value + add if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
 
 
 @pytest.fixture
 def one(make_env, allow_test_terms):
-    """Return an environment with one curriculum."""
 
     def make(**node):
         noise = {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "n_min": -0.1, "n_max": 0.1}
@@ -58,7 +56,6 @@ PUSH = {
 
 
 def _pass(env, steps=1):
-    """Let time pass, and every episode end; return what the curriculum logs."""
     for _ in range(steps):
         env.step(STILL)
     return env.reset()[1]["log"].get("Curriculum/c")
@@ -68,7 +65,7 @@ def _pass(env, steps=1):
 
 
 def test_levels_follow_the_way_that_was_made():
-    """Tiles of 4 m, 10 s: up beyond 2 m; down below half of speed times 10 s, unless it goes up."""
+    """Tiles have 4 m, and episodes 10 s: robots go up beyond 2 m, and down below half of speed times 10 s."""
     moved = {}
     terrain = {
         "size": (4.0, 99.0),
@@ -84,43 +81,37 @@ def test_levels_follow_the_way_that_was_made():
     )
     mean = curriculums.terrain_levels_vel(env, T([0, 2, 3, 4]))
     assert moved["ids"].tolist() == [0, 2, 3, 4]
-    assert moved["up"] == [False, False, False, True]  # 1.2, 1.9, 2.0 and 2.1 m
-    assert moved["down"] == [False, True, True, False]  # against 1.1, 2.5, 2.5 and 4 m
+    assert moved["up"] == [False, False, False, True]  # the distances are 1.2, 1.9, 2.0 and 2.1 m
+    assert moved["down"] == [False, True, True, False]  # half of the commanded distances: 1.1, 2.5, 2.5 and 4 m
     assert float(mean) == 2.0
 
 
 TILES = {
     "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
-    "size": [2.0, 3.0],
-    "num_rows": 4,
-    "num_cols": 2,
-    "border_width": 1.0,
-    "horizontal_scale": 0.5,
-    "vertical_scale": 0.01,
-    "curriculum": True,
-    "difficulty_range": [0.0, 1.0],
-    "max_init_terrain_level": 0,
-    "static_friction": 0.5,
-    "dynamic_friction": 0.4,
-    "restitution": 0.0,
+    **{"size": [2.0, 3.0], "num_rows": 4, "num_cols": 2, "border_width": 1.0},
+    **{"horizontal_scale": 0.5, "vertical_scale": 0.01, "curriculum": True, "difficulty_range": [0.0, 1.0]},
+    **{"max_init_terrain_level": 0, "static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0},
     "sub_terrains": {"flat": {"_target_": "wheelleg_exp.sim.terrain.Flat", "proportion": 1.0}},
 }
 
 
+def _put(env, positions):
+    pose = torch.cat((positions, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1)
+    env.scene.robot.write_root_pose_to_sim(pose, torch.arange(4))
+
+
 def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
-    """4 x 2 tiles of 2 m x 3 m and 1 m around: x up to 5 m, y up to 4 m. 0.2 m/s for 2 s: down within 0.2 m."""
+    """The ground ends at x = 5 m and y = 4 m. Robots that cover less than half of 0.2 m/s times 2 s go down."""
     speed = VELOCITY | {"ranges": {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}}
     node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
     gone = {"_target_": "wheelleg_exp.mdp.terminations.terrain_out_of_bounds", "distance_buffer": 0.5}
-    env = make_env(
-        scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node}, terminations={"gone": gone}, events={}
-    )
+    sections = {"commands": {"v": speed}, "curriculum": {"c": node}, "terminations": {"gone": gone}, "events": {}}
+    env = make_env(scene={"terrain": TILES}, **sections)
     env.reset()
-    levels, ids = env.scene.terrain.terrain_levels, torch.arange(4)
+    levels = env.scene.terrain.terrain_levels
 
     def walk(way):
-        place = env.scene.env_origins + T([[x, y, 0.5] for x, y in way])
-        env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
+        _put(env, env.scene.env_origins + T([[x, y, 0.5] for x, y in way]))
         return env.reset()[1]["log"]["Curriculum/c"]
 
     assert walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]) == 0.5
@@ -128,13 +119,11 @@ def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
     assert walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]) == 0.75
     assert levels.tolist() == [0, 2, 1, 0]
     assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
-    place = T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]])
-    env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
+    _put(env, T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]]))
     assert env.step(STILL)[2].tolist() == [False, True, True, False]
 
 
 def test_a_second_reset_before_any_motion_sends_robots_down(make_env):
-    """Nobody has come far, and a command was drawn: only who stands still stays."""
     ranges = {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
     node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
     for standing, expected in ((0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])):
@@ -145,8 +134,7 @@ def test_a_second_reset_before_any_motion_sends_robots_down(make_env):
         terrain, ids = env.scene.terrain, torch.arange(4)
         terrain.terrain_levels[:] = T([3, 0, 2, 2])
         terrain.update_env_origins(ids, torch.zeros(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))
-        place = env.scene.env_origins + T([0.0, 0.0, 0.5])
-        env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
+        _put(env, env.scene.env_origins + T([0.0, 0.0, 0.5]))
         env.reset()
         assert terrain.terrain_levels.tolist() == expected
 
@@ -160,17 +148,11 @@ LEVELS = {
 }
 
 
-def test_the_curricula_of_both_kinds_of_commands_are_one():
-    assert curriculums.lin_vel_cmd_levels is curriculums.ang_vel_cmd_levels is curriculums.command_range_levels
-
-
 def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
-    """Being alive is worth 2 s of 2 s (100 steps); 0.9 of it is enough, and then what is half of that is not."""
+    """A perfect robot lives 100 steps. 96 steps exceed the threshold, and the mean of the later episodes does not."""
     env = one(**LEVELS)
     v = env.command_manager.get_term("v")
-    for _ in range(96):
-        env.step(STILL)
-    env.reset()
+    _pass(env, 96)
     assert v.ranges["lin_vel_x"] == [-0.2, 0.3]
     for _ in range(96):
         env.step(STILL)
@@ -178,10 +160,8 @@ def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     assert v.ranges == {"lin_vel_x": [-0.25, 0.4], "lin_vel_y": [-0.1, 0.1], "ang_vel_z": [-1.0, 1.0]}
     assert extras["log"]["Curriculum/c/lin_vel_x"] == 0.4
     assert float(v.command[:, 0].min()) >= -0.25
-    for steps in (50, 50, 50, 10, 92):  # the last is good, and is looked at together with those before it
-        for _ in range(steps):
-            env.step(STILL)
-        env.reset()
+    for steps in (50, 50, 50, 10, 92):  # only the last episode is good; the mean over all episodes is compared
+        _pass(env, steps)
     assert v.ranges["lin_vel_x"] == [-0.25, 0.4]
 
 
@@ -260,7 +240,7 @@ def _plain(value):
 
 @pytest.mark.parametrize(("term", "place", "value", "read"), PLACES, ids=[p[1] for p in PLACES])
 def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value, read):
-    """Strictly after ``num_steps``; another environment takes it from the saved state, and goes back with an older."""
+    """A value changes after more than ``num_steps``. Loading a state restores the changed or the original value."""
     first = one(**_modify(place, value, term=term))
     first.reset()
     before, early = _plain(read(first)), first.state_dict()
@@ -279,7 +259,6 @@ def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value,
 
 
 def ones(env, env_ids, old_value):
-    """Return as many ones, once time has passed."""
     return torch.ones_like(old_value) if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
 
 
@@ -323,12 +302,8 @@ def test_a_tuple_is_made_anew():
 
 
 def test_a_function_of_the_users_own_sees_the_present_value(one):
-    env = one(
-        _target_=C + "modify_term_cfg",
-        address="rewards.alive.weight",
-        modify_fn=HERE + "later",
-        modify_params={"add": 2},
-    )
+    node = _modify("rewards.alive.weight", None) | {"modify_fn": HERE + "later", "modify_params": {"add": 2}}
+    env = one(**node)
     assert env.reset()[1]["log"]["Curriculum/c"] == 1.0
     assert [_pass(env), _pass(env)] == [3.0, 5.0]
 

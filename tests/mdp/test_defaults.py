@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from wheelleg_exp.mdp import actions, commands, events, noise, observations, rewards, terminations
+from wheelleg_exp.mdp import actions, commands, curriculums, events, noise, observations, rewards, terminations
 from wheelleg_exp.sim.sensors import RayCaster
 from wheelleg_exp.terms.config_sections import ObservationGroup
 
@@ -57,3 +57,12 @@ DEFAULTS = {
 def test_a_default_is_isaac_labs(target):
     given = {name: parameter.default for name, parameter in inspect.signature(target).parameters.items()}
     assert {name: given[name] for name in DEFAULTS[target]} == DEFAULTS[target]
+
+
+def test_isaac_labs_names_are_kept():
+    assert rewards.body_lin_acc_l2 is rewards.body_lin_acc_norm_sum
+    assert rewards.desired_contacts is rewards.no_desired_contact
+    assert events.push_by_setting_velocity is events.push_by_adding_velocity
+    assert events.apply_external_force_torque is events.set_permanent_body_wrench
+    assert events.randomize_rigid_body_com is events.randomize_rigid_body_com_cumulative
+    assert curriculums.lin_vel_cmd_levels is curriculums.ang_vel_cmd_levels is curriculums.command_range_levels

@@ -1,4 +1,4 @@
-"""What events write."""
+"""The values that events write."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
     assert float(written.min()) >= 0.55
     assert float(written.max()) <= 0.85
     assert len(written.unique()) == 8
-    assert (written != written[:, :1]).any()  # per shape, not per robot
+    assert (written != written[:, :1]).any()
     assert (friction[:, model.geom("ground").id, 0] == model.geom("ground").friction[0]).all()
     assert (friction[:, :, 1:] == torch.from_numpy(model.geom_friction[:, 1:])).all()
     assert (term.buckets[:, 2] >= 0).all()
@@ -72,7 +72,7 @@ def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
 
 
 def test_the_written_friction_acts(make_env):
-    """A cube pushed at half its weight stays with an effective .65 and slides with .35."""
+    """A cube pushed with half its weight stays with an effective friction of .65 and slides with .35."""
     speeds = []
     for cube in (0.8, 0.2):
         ranges = {"static_friction_range": [cube, cube], "dynamic_friction_range": [cube, cube]}
@@ -92,14 +92,8 @@ def test_the_written_friction_acts(make_env):
 
 
 def _mass(make_env, operation, params, **fields):
-    node = event(
-        "randomize_rigid_body_mass",
-        operation=operation,
-        mass_distribution_params=params,
-        asset_cfg=bodies("base", "left_wheel"),
-        **fields,
-    )
-    env = make_env(events={"m": node}, num_envs=200)
+    fields |= {"operation": operation, "mass_distribution_params": params, "asset_cfg": bodies("base", "left_wheel")}
+    env = make_env(events={"m": event("randomize_rigid_body_mass", **fields)}, num_envs=200)
     model = env.scene.model
     ids = [model.body("base").id, model.body("left_wheel").id]
     mass, inertia = (env.scene.sim.batch.expanded(field) for field in ("body_mass", "body_inertia"))
@@ -128,7 +122,8 @@ def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_en
 
 
 def test_masses_drawn_again_do_not_add_up(make_env):
-    env, _, ids, mass, _ = _mass(make_env, "add", [0.1, 0.1])
+    env, _, ids, mass, inertia = _mass(make_env, "add", [0.1, 0.1], recompute_inertia=False)
+    assert inertia is None
     env.event_manager.apply("startup")
     again = np.array(env.scene.sim.batch.expanded("body_mass"))
     np.testing.assert_allclose(again[:, ids], mass[:, ids])
@@ -139,14 +134,8 @@ def test_a_mass_never_falls_below_its_minimum(make_env):
     assert (mass[:, ids] == 0.25).all()
 
 
-def test_inertia_may_be_left_alone(make_env):
-    *_, inertia = _mass(make_env, "add", [0.1, 0.1], recompute_inertia=False)
-    assert inertia is None
-
-
 @pytest.mark.parametrize("what", ["mass", "inertia"])
 def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_env, what):
-    """The weights of constraints, and the whole robot's centre of mass, at once."""
     params = {f"{what}_distribution_params": [2.0, 2.0], "operation": "scale", "asset_cfg": bodies("base")}
     env = make_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
     env.reset()
@@ -167,11 +156,8 @@ def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_en
 
 
 def test_the_drawn_mass_is_what_the_engine_moves(make_env):
-    """Weight on the ground: the contact force follows the mass."""
-    node = event(
-        "randomize_rigid_body_mass", operation="add", mass_distribution_params=[0.0, 3.0], asset_cfg=bodies("block")
-    )
-    env = make_env("block", events={"m": node})
+    ranges = {"operation": "add", "mass_distribution_params": [0.0, 3.0], "asset_cfg": bodies("block")}
+    env = make_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
     env.reset()
     for _ in range(60):
         env.step(torch.zeros(4, 1))
@@ -204,10 +190,8 @@ def test_distributions(distribution, mean, std):
 
 def test_centres_of_mass_shift_together_and_add_up(make_env):
     ranges = {"x": [-0.01, 0.02], "y": [0.005, 0.005]}
-    node = event(
-        "randomize_rigid_body_com_cumulative", mode="custom", com_range=ranges, asset_cfg=bodies("base", "left_arm")
-    )
-    env = make_env(events={"c": node})
+    fields = {"mode": "custom", "com_range": ranges, "asset_cfg": bodies("base", "left_arm")}
+    env = make_env(events={"c": event("randomize_rigid_body_com_cumulative", **fields)})
     env.reset()
     model = env.scene.model
     ids = [model.body("base").id, model.body("left_arm").id]
@@ -215,21 +199,17 @@ def test_centres_of_mass_shift_together_and_add_up(make_env):
     once = np.array(env.scene.sim.batch.expanded("body_ipos")) - model.body_ipos
     assert ((once[:, ids, 0] >= -0.01) & (once[:, ids, 0] <= 0.02)).all()
     np.testing.assert_allclose(once[:, ids, 1], 0.005, atol=1e-7)
-    np.testing.assert_allclose(once[:, ids[0]], once[:, ids[1]], atol=1e-15)  # one offset for all listed bodies
+    np.testing.assert_allclose(once[:, ids[0]], once[:, ids[1]], atol=1e-15)  # all listed bodies have one offset
     assert len(np.unique(once[:, ids[0], 0])) == 4
     env.apply_event("custom", torch.tensor([2]))
     twice = np.array(env.scene.sim.batch.expanded("body_ipos")) - model.body_ipos
     np.testing.assert_allclose(twice[:, ids[0], 1], [0.005, 0.005, 0.01, 0.005], atol=1e-7)
-    torch.testing.assert_close(
-        env.scene.robot.data.com_b.double(),
-        torch.from_numpy(model.body_ipos[ids[0]] + twice[:, ids[0]]),
-        atol=1e-7,
-        rtol=0,
-    )
+    expected = torch.from_numpy(model.body_ipos[ids[0]] + twice[:, ids[0]])
+    torch.testing.assert_close(env.scene.robot.data.com_b.double(), expected, atol=1e-7, rtol=0)
 
 
 def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
-    """It must reach what the engine computes, at once: subtree_com moves by m/M times the offset."""
+    """The robot's centre of mass moves by m / M times the offset of one body."""
     node = event("randomize_rigid_body_com", mode="custom", com_range={"x": [0.03, 0.03]}, asset_cfg=bodies("base"))
     env = make_env(events={"c": node})
     env.reset()
@@ -246,14 +226,8 @@ def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
 
 
 def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_env):
-    node = event(
-        "apply_external_force_torque",
-        mode="reset",
-        force_range=[1.0, 2.0],
-        torque_range=[-0.2, -0.1],
-        asset_cfg=bodies("base", "right_arm"),
-    )
-    env = make_env(events={"w": node}, num_envs=64)
+    ranges = {"force_range": [1.0, 2.0], "torque_range": [-0.2, -0.1], "asset_cfg": bodies("base", "right_arm")}
+    env = make_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
     env.reset()
     env.step(torch.zeros(64, 4))
     applied = env.scene.robot._wrench  # link axes, (N, bodies, 3, [force, torque])
@@ -267,14 +241,8 @@ def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_en
 
 
 def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
-    node = event(
-        "apply_external_force_torque",
-        mode="reset",
-        force_range=[1.0, 1.0],
-        torque_range=[0.0, 0.0],
-        min_step_count_between_reset=5,
-        asset_cfg=bodies("base"),
-    )
+    ranges = {"force_range": [1.0, 1.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("base")}
+    node = event("apply_external_force_torque", mode="reset", min_step_count_between_reset=5, **ranges)
     env = make_env(events={"w": node})
     body = env.scene.model.body("base").id
     present = []
@@ -309,13 +277,13 @@ def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
 
 
 def test_a_push_in_the_yaw_frame_turns_with_the_robot(make_env):
-    """Four robots that look to the front, to the left, backwards and 30 degrees to the right; the middle two pushed."""
+    """The four robots have the yaw angles 0, 90, 180, and -30 degrees. The second and third robots are pushed."""
     ranges = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "z": [3.0, 3.0], "roll": [4.0, 4.0], "yaw": [0.5, 0.5]}
     node = event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")
     env = make_env(events={"p": node})
     env.reset()
     yaw = torch.tensor([0.0, math.pi / 2, math.pi, -math.pi / 6])
-    pitch = torch.full((4,), 0.3)  # a robot that leans is pushed along the ground all the same
+    pitch = torch.full((4,), 0.3)  # a leaning robot is pushed along the ground, too
     pose = (env.scene.robot.data.root_pos_w, rotation.quat_from_euler_xyz(torch.zeros(4), pitch, yaw))
     env.scene.robot.write_root_pose_to_sim(torch.cat(pose, dim=1), ALL)
     env.scene.robot.write_root_velocity_to_sim(torch.zeros(4, 6), ALL)
@@ -343,20 +311,17 @@ def test_two_pushes_in_a_row_add_up(make_env):
 
 
 def test_a_push_shows_in_the_observation_of_the_same_step(make_env):
-    node = event(
-        "push_by_adding_velocity", mode="interval", interval_range_s=[0.04, 0.04], velocity_range={"x": [3.0, 3.0]}
-    )
-    env = make_env(
-        events={"r": event("reset_scene_to_default", mode="reset"), "p": node},
-        observations={"policy": {"terms": {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}}},
-    )
+    fields = {"mode": "interval", "interval_range_s": [0.04, 0.04], "velocity_range": {"x": [3.0, 3.0]}}
+    events_ = {"r": event("reset_scene_to_default", mode="reset"), "p": event("push_by_adding_velocity", **fields)}
+    seen = {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}
+    env = make_env(events=events_, observations={"policy": {"terms": seen}})
     env.reset()
     speeds = [float(env.step(torch.zeros(4, 4))[0]["policy"][0, 0]) for _ in range(3)]
     assert abs(speeds[0]) < 0.5
     assert speeds[1] == pytest.approx(3.0, abs=0.5)
 
 
-# ---- where episodes begin ----
+# ---- states at the start of episodes ----
 
 
 def _placed(make_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
@@ -393,7 +358,6 @@ def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(make_env):
 
 @pytest.mark.parametrize("name", ["reset_root_state_uniform", "reset_root_state_with_random_orientation"])
 def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name):
-    """Pose and velocity; a draw is added to both."""
     half = math.sqrt(0.5)
     env, data = _placed(make_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
     data.default_root_state[1] = torch.tensor([1.0, 2.0, 3.0, half, 0.0, 0.0, half, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
@@ -415,9 +379,8 @@ def test_draws_are_independent_between_axes_and_environments(make_env):
 
 
 def test_random_orientations_cover_the_sphere(make_env):
-    _, data = _placed(
-        make_env, "reset_root_state_with_random_orientation", num_envs=500, pose_range={}, velocity_range={}
-    )
+    name = "reset_root_state_with_random_orientation"
+    _, data = _placed(make_env, name, num_envs=500, pose_range={}, velocity_range={})
     up = rotation.quat_to_matrix(data.root_quat_w)[:, 2, 2]
     assert float(up.min()) < -0.9
     assert float(up.max()) > 0.9
@@ -433,17 +396,14 @@ def _joint_reset(make_env, name, position, velocity, defaults=0.5, speed=2.0, **
 
 
 def test_joints_by_scale(make_env):
+    still = _joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0)
+    assert (still.joint_vel == 0).all()
     data = _joint_reset(make_env, "reset_joints_by_scale", [0.5, 1.5], [-1.0, 1.0])
     assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
     assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
     assert len(data.joint_pos.unique()) == 400
     both = torch.stack((data.joint_pos.flatten(), data.joint_vel.flatten()))
-    assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint are drawn each by itself
-
-
-def test_a_default_velocity_of_zero_scaled_stays_zero(make_env):
-    data = _joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0)
-    assert (data.joint_vel == 0).all()
+    assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint have separate draws
 
 
 def test_joints_by_offset(make_env):
@@ -459,7 +419,7 @@ def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env)
 
 
 def test_joints_are_clamped_to_their_soft_limits(make_env):
-    """Of -1 to 1.5 rad the hips keep 0.8 around the middle."""
+    """The hips' limits of -1 and 1.5 rad shrink by the factor 0.8 around their middle."""
     node = event("reset_joints_by_offset", mode="reset", position_range=[-9.0, 9.0], velocity_range=[0.0, 0.0])
     env = make_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
     env.reset()
@@ -468,9 +428,8 @@ def test_joints_are_clamped_to_their_soft_limits(make_env):
 
 
 def test_only_the_joints_asked_for_are_reset(make_env):
-    data = _joint_reset(
-        make_env, "reset_joints_by_offset", [0.2, 0.2], [1.0, 1.0], speed=0.0, asset_cfg=joints(".*_hip")
-    )
+    only = {"speed": 0.0, "asset_cfg": joints(".*_hip")}
+    data = _joint_reset(make_env, "reset_joints_by_offset", [0.2, 0.2], [1.0, 1.0], **only)
     torch.testing.assert_close(data.joint_pos[0], torch.tensor([0.7, 0.7, 0.5, 0.5]))
     assert data.joint_vel[0].tolist() == [1, 1, 0, 0]
 
@@ -493,9 +452,3 @@ def test_everything_goes_back_to_its_default(make_env, targets):
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.0, 0.0, 0.3]))
     assert torch.equal(data.joint_pos_target, data.default_joint_pos) == targets
     assert torch.equal(data.joint_vel_target, data.default_joint_vel) == targets
-
-
-def test_isaac_labs_names_are_kept():
-    assert events.push_by_setting_velocity is events.push_by_adding_velocity
-    assert events.apply_external_force_torque is events.set_permanent_body_wrench
-    assert events.randomize_rigid_body_com is events.randomize_rigid_body_com_cumulative

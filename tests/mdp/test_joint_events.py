@@ -1,4 +1,4 @@
-"""What events change about joints and drives, seen in the numbers and in the physics."""
+"""Events that change joints and drives: the written numbers and the resulting motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ALL = torch.arange(4)
 
 @pytest.fixture
 def wheel(tmp_path):
-    """Return a maker of wheels of 0.01 kg·m² on fixed axles without gravity, whose events are given."""
+    """Return a function that makes wheels of 0.01 kg·m² on fixed axles without gravity, with the given events."""
 
     def make(model="ImplicitActuator", gains=(0.0, 0.0), limited="", /, **events):
         (tmp_path / "wheel.xml").write_text(
@@ -29,9 +29,7 @@ def wheel(tmp_path):
         config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
         limits = {"effort_limit": 100.0, "velocity_limit": 100.0}
         drive = {"stiffness": gains[0], "damping": gains[1], **limits}
-        config["robot"]["actuators"] = {
-            "a": {"_target_": ACTUATORS + model, "joint_names_expr": ["axle"], **drive},
-        }
+        config["robot"]["actuators"] = {"a": {"_target_": ACTUATORS + model, "joint_names_expr": ["axle"], **drive}}
         env = ManagerBasedRLEnv(config, tmp_path / "wheel.xml", 0)
         env.reset()
         return env
@@ -40,7 +38,6 @@ def wheel(tmp_path):
 
 
 def turn(env, steps):
-    """Take physics steps; return positions and speeds."""
     for _ in range(steps):
         env.scene.write_data_to_sim()
         env.scene.sim.step()
@@ -74,16 +71,10 @@ def test_each_environments_drive_acts_with_its_own_gains(wheel, model):
 
 
 def test_gains_are_drawn_from_the_configs_for_the_joints_asked_for(make_env):
-    node = event(
-        "randomize_actuator_gains",
-        mode="custom",
-        stiffness_distribution_params=[0.5, 2.0],
-        damping_distribution_params=[1.5, 1.5],
-        operation="scale",
-        asset_cfg=joints("left_.*"),
-    )
-    env = make_env(events={"g": node}, num_envs=50)
-    for _ in range(2):  # from the config's each time
+    ranges = {"stiffness_distribution_params": [0.5, 2.0], "damping_distribution_params": [1.5, 1.5]}
+    fields = {"mode": "custom", "operation": "scale", "asset_cfg": joints("left_.*")}
+    env = make_env(events={"g": event("randomize_actuator_gains", **ranges, **fields)}, num_envs=50)
+    for _ in range(2):
         env.apply_event("custom", torch.arange(1, 50))
     data = env.scene.robot.data
     left = [data.joint_names.index(n) for n in ("left_hip", "left_axle")]
@@ -112,7 +103,7 @@ def test_gains_do_not_fall_below_0(make_env):
 
 
 def test_friction_stops_a_wheel_and_viscous_friction_slows_it(wheel):
-    """I dw/dt = -friction - viscous w, from 5 rad/s."""
+    """The speed follows I dw/dt = -friction - viscous w, from 5 rad/s."""
     ranges = {"friction_distribution_params": [0.02, 0.08], "operation": "abs"}
     env = wheel(joints=event("randomize_joint_parameters", **ranges))
     data = env.scene.robot.data
@@ -154,13 +145,8 @@ def test_a_joint_stops_at_its_own_limit(wheel, limited):
 
 
 def test_soft_limits_and_defaults_follow_the_limits(make_env):
-    node = event(
-        "randomize_joint_parameters",
-        lower_limit_distribution_params=[0.5, 0.6],
-        upper_limit_distribution_params=[0.1, 0.2],
-        operation="add",
-        asset_cfg=joints(".*_hip"),
-    )
+    ranges = {"lower_limit_distribution_params": [0.5, 0.6], "upper_limit_distribution_params": [0.1, 0.2]}
+    node = event("randomize_joint_parameters", **ranges, operation="add", asset_cfg=joints(".*_hip"))
     env = make_env(events={"l": node}, robot={"soft_joint_pos_limit_factor": 0.5})
     data = env.scene.robot.data
     hips = [data.joint_names.index(n) for n in ("left_hip", "right_hip")]
@@ -222,16 +208,10 @@ def test_a_drive_holds_what_its_encoder_reads(make_env, model):
         "read": {"_target_": "wheelleg_exp.mdp.observations.joint_pos_rel"},
         "true": {"_target_": "wheelleg_exp.mdp.observations.joint_pos_rel", "measured": False},
     }
-    env = make_env(
-        "arm",
-        robot={"actuators": groups},
-        sim={"gravity": [0.0, 0.0, 0.0]},
-        events={
-            "to_default": event("reset_scene_to_default", "reset"),
-            "bias": event("randomize_encoder_bias", "reset", bias_range=[-0.05, 0.05]),
-        },
-        observations={"policy": {"terms": terms}},
-    )
+    bias = event("randomize_encoder_bias", "reset", bias_range=[-0.05, 0.05])
+    events = {"to_default": event("reset_scene_to_default", "reset"), "bias": bias}
+    sections = {"robot": {"actuators": groups}, "sim": {"gravity": [0.0, 0.0, 0.0]}, "events": events}
+    env = make_env("arm", observations={"policy": {"terms": terms}}, **sections)
     env.reset()
     data = env.scene.robot.data
     bias = data.encoder_bias.clone()
@@ -243,7 +223,7 @@ def test_a_drive_holds_what_its_encoder_reads(make_env, model):
     torch.testing.assert_close(data.joint_pos + bias, asked, atol=2e-3, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, :2] - obs["policy"][:, 2:], bias, atol=1e-6, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, 2:], data.joint_pos - data.default_joint_pos)
-    assert data.computed_torque.abs().max() < 0.2  # at rest: nothing pulls it elsewhere
+    assert data.computed_torque.abs().max() < 0.2
 
 
 def test_a_bias_is_that_of_the_environments_that_were_reset(make_env):

@@ -1,4 +1,4 @@
-"""Noise models and modifiers against closed forms."""
+"""Noise models and modifiers, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -93,13 +93,6 @@ def test_a_bias_comes_on_top_of_the_noise():
     assert model(T([[1.0]]), gen()).item() == 11.5
 
 
-def test_a_bias_goes_round():
-    model, other, generator = _biased(), _biased(), gen()
-    model(torch.zeros(2, 2), generator)
-    other.load_state_dict(model.state_dict())
-    assert torch.equal(other(torch.zeros(2, 2), gen(5)), model(torch.zeros(2, 2), gen(6)))
-
-
 def test_a_bias_drawn_inside_inference_mode_may_be_redrawn_outside():
     model, generator = _biased(), gen()
     with torch.inference_mode():
@@ -126,10 +119,6 @@ def test_a_filter_is_its_difference_equation():
     assert _run(modifiers.DigitalFilter(feedback, forward), series) == pytest.approx(y[2:])
 
 
-def test_a_filter_without_feedback_is_a_moving_sum():
-    assert _run(modifiers.DigitalFilter([], [0.5, 0.5]), [2.0, 4.0, 8.0]) == [1.0, 3.0, 6.0]
-
-
 def test_an_integral_is_the_trapezoidal_rule():
     x = np.sin(np.arange(20) / 3)
     expected = [np.trapezoid(np.concatenate(([0.0], x[: k + 1])), dx=0.1) for k in range(20)]
@@ -148,23 +137,17 @@ def test_a_reset_forgets_only_its_environments(modifier):
     assert after[0] != fresh[0]
 
 
-def test_simple_modifiers():
-    assert _run(modifiers.Scale(3.0), [2.0]) == [6.0]
-    assert _run(modifiers.Bias(3.0), [2.0]) == [5.0]
-    assert _run(modifiers.Clip([-1.0, 1.0]), [2.0, -3.0, 0.5]) == [1.0, -1.0, 0.5]
-
-
 @pytest.mark.parametrize(
-    "make", [lambda: modifiers.DigitalFilter([0.5], [1.0, 1.0]), lambda: modifiers.Integrator(0.1)]
+    ("modifier", "series", "expected"),
+    [
+        (modifiers.Scale(3.0), [2.0], [6.0]),
+        (modifiers.Bias(3.0), [2.0], [5.0]),
+        (modifiers.Clip([-1.0, 1.0]), [2.0, -3.0, 0.5], [1.0, -1.0, 0.5]),
+        (modifiers.DigitalFilter([], [0.5, 0.5]), [2.0, 4.0, 8.0], [1.0, 3.0, 6.0]),
+    ],
 )
-def test_memories_go_round(make):
-    first, second = make(), make()
-    sample = torch.ones(2, 1)
-    first.start(sample)
-    second.start(sample)
-    first(sample)
-    second.load_state_dict(first.state_dict())
-    assert torch.equal(first(sample * 2), second(sample * 2))
+def test_a_modifier_by_hand(modifier, series, expected):
+    assert _run(modifier, series) == expected
 
 
 def test_the_coefficients_of_a_filter_are_config_and_not_state():

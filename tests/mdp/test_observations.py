@@ -1,4 +1,4 @@
-"""Every observation against numbers worked out by hand."""
+"""Every observation term, compared with values computed by hand."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_heights_and_tilts_of_the_base():
 
 
 def test_a_gait_clock_goes_round_with_its_period():
-    """At steps 0, 3, 10 of .02 s and a period of .16 s: 0, 3/8 and 10/8 of a turn; the second leg is a quarter on."""
+    """With steps of .02 s and a period of .16 s, the steps 0, 3, and 10 are at 0, 3/8, and 10/8 of a cycle."""
     env = fake_env(episode_length_buf=T([0, 3, 10]), step_dt=0.02)
     half = math.sqrt(0.5)
     expected = [[0.0, 1.0, 1.0, 0.0], [half, -half, -half, -half], [1.0, 0.0, 0.0, -1.0]]
@@ -137,7 +137,6 @@ def test_joint_accelerations_are_zero_after_a_reset(make_env):
 
 
 def test_bodies_are_seen_as_mujoco_sees_them(make_env):
-    """Poses and gravity of two links in a turned robot, against MuJoCo's own forward kinematics."""
     env = make_env(num_envs=3)
     env.reset()
     quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
@@ -203,7 +202,6 @@ def _camera(intrinsics=None, **output):
 
 
 def test_pictures_are_normalised_by_what_they_show():
-    """One row of two pixels; colours less their mean, distances without infinity, normals from 0 to 1."""
     rgb = T([[[[0, 51, 255], [255, 51, 0]]]], dtype=torch.uint8)
     far = T([[[[1.5], [math.inf]]]])
     env = _camera(rgb=rgb, depth=far, normals=T([[[[-1.0, 0.0, 1.0]]]]))
@@ -213,7 +211,7 @@ def test_pictures_are_normalised_by_what_they_show():
     close(observations.image(env, sensor_cfg=eye, data_type="depth"), [[[[1.5], [0.0]]]])
     close(observations.image(env, sensor_cfg=eye, data_type="depth", normalize=False), far.tolist())
     close(observations.image(env, sensor_cfg=eye, data_type="normals"), [[[[0.0, 0.5, 1.0]]]])
-    assert rgb.tolist() == [[[[0, 51, 255], [255, 51, 0]]]]  # what the camera holds stays
+    assert rgb.tolist() == [[[[0, 51, 255], [255, 51, 0]]]]
 
 
 def test_a_kind_of_pictures_that_the_camera_does_not_take_is_told_with_those_that_it_takes():
@@ -224,7 +222,7 @@ def test_a_kind_of_pictures_that_the_camera_does_not_take_is_told_with_those_tha
 
 
 def test_distances_become_those_along_the_axis():
-    """A wall 2 m ahead of a camera with f = 2 px and 4 px about pixel (1, 0.5): each ray is longer than 2 m."""
+    """The camera with f = 2 px and 4 px about pixel (1, 0.5) sees a wall at 2 m."""
     columns, rows = T([-0.5, 0.0, 0.5]), T([-0.125, 0.125])
     slant = torch.sqrt(1 + columns.view(1, 3) ** 2 + rows.view(2, 1) ** 2)
     intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.5], [0.0, 0.0, 1.0]]])

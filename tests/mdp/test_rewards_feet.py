@@ -1,4 +1,4 @@
-"""Rewards on feet and wheels, against numbers worked out by hand and against MuJoCo's own contact points."""
+"""Rewards on feet and wheels, compared with values computed by hand and with MuJoCo's contact points."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _timed(command):
 
 
 def test_flights_count_when_they_end_and_while_walking_is_asked_for():
-    """0.75 - 0.5 + 0.25 - 0.5 of one environment, 1.0 - 0.5 of the other, whose first foot has not landed."""
+    """The rewards are 0.75 - 0.5 + 0.25 - 0.5, and 1.0 - 0.5 where the first foot has not landed."""
     close(rewards.feet_air_time(_timed(0.2), "v", FEET, threshold=0.5), [0.0, 0.5])
     close(rewards.feet_air_time(_timed(0.2), "v", FEET, threshold=0.25), [0.5, 0.75])
     close(rewards.feet_air_time(_timed(0.1), "v", FEET, threshold=0.25), [0, 0])
@@ -54,7 +54,7 @@ def test_one_foot_stands_for_as_long_as_the_other_flies():
 
 
 def test_an_uneven_gait():
-    """Two numbers a and b have the variance (a - b)^2 / 2."""
+    """The variance of two numbers a and b is (a - b)^2 / 2."""
     close(rewards.air_time_variance(_timed(0.0), FEET, max_time=0.5), [0.25**2 / 2, 0])
     close(rewards.air_time_variance(_timed(0.0), FEET, max_time=2.0), [0.5**2 / 2, 0.25**2 / 2 + 0.5**2 / 2])
 
@@ -75,15 +75,9 @@ def _slip(env, sensor, asset):
 
 @pytest.mark.parametrize("reward", [rewards.feet_slide, rewards.wheel_spin_in_air_l1, _slip])
 def test_a_sensors_bodies_have_to_be_the_robots(reward):
-    contact = {"net_forces_w": torch.ones(2, 3, 3)}
-    spin = torch.zeros(2, 2, 3)
-    env = fake_env(
-        **MOVING,
-        contact_norm=torch.ones(2, 3),
-        contact=contact,
-        data_body_ang_vel_w=spin,
-        data_joint_vel=torch.zeros(2, 2),
-    )
+    contact = {"contact_norm": torch.ones(2, 3), "contact": {"net_forces_w": torch.ones(2, 3, 3)}}
+    still = {"data_body_ang_vel_w": torch.zeros(2, 2, 3), "data_joint_vel": torch.zeros(2, 2)}
+    env = fake_env(**MOVING, **contact, **still)
     with pytest.raises(ConfigError, match="3 bodies of the sensor, and 2 of the robot"):
         reward(env, entity("contact"), entity())
 
@@ -97,7 +91,6 @@ def test_a_foot_that_runs_into_something_steep():
 
 
 def test_feet_that_move_low():
-    """Their heights above the ground are 0.05 and 0.15."""
     positions = T([[[0.0, 0.0, 0.05], [1.0, 0.0, 0.25]]] * 2)
     env = fake_env(**MOVING, data_body_pos_w=positions, ground=lambda xy: 0.1 * xy[..., 0])
     close(rewards.feet_clearance_l2(env, 0.1, entity()), [0.0025 * 6, 0.0025 * 2.5])
@@ -118,7 +111,7 @@ def _wheels(velocity, spin, force):
 
 
 def test_a_wheel_that_rolls_does_not_slip():
-    """Of 0.1 m: rolling along x; with its axle turned; locked; on the spot; sideways; hardly touching; in the air."""
+    """Wheels of 0.1 m roll along x, roll with a turned axle, lock, spin in place, slide sideways, or barely touch."""
     velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0], [1.0, 0, 0]]
     spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
     force = [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]]
@@ -127,7 +120,7 @@ def test_a_wheel_that_rolls_does_not_slip():
 
 
 def test_a_wheel_may_roll_up_a_slope_and_its_bounce_is_no_slip():
-    """On a slope of 30 degrees, and on one with a part of the velocity off the ground."""
+    """The slope has 30 degrees, and the second wheel also has a velocity along the normal of the slope."""
     c, s = math.cos(math.pi / 6), math.sin(math.pi / 6)
     up, normal = [2 * c, 0.0, 2 * s], [-7 * s, 0.0, 7 * c]
     env = _wheels([up, [2 * c - s, 0.0, 2 * s + c]], [[0, 20.0, 0]] * 2, [normal] * 2)
@@ -145,7 +138,7 @@ BALL = """
 
 
 def test_slip_is_the_speed_of_mujocos_contact_point():
-    """The jacobian of the contact point times random velocities, without the part along the normal."""
+    """The expected slip is the contact point's Jacobian times the velocity, without the part along the normal."""
     model, draw = mujoco.MjModel.from_xml_string(BALL), np.random.default_rng(0)
     data = mujoco.MjData(model)
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""Gravity, inertia, pushes that last, and starts on the ground's flat places."""
+"""Gravity, inertia, pushes of some duration, and starts on flat patches of the ground."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALL = torch.arange(4)
 
 
 def fall(env, steps=10):
-    """Let a block fall in the air; return its acceleration, (N, 3)."""
+    """Drop a block in the air, and return its acceleration, (N, 3)."""
     robot = env.scene.robot
     robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
     robot.write_root_velocity_to_sim(torch.zeros(4, 6))
@@ -45,15 +45,9 @@ def test_everything_falls_as_gravity_was_drawn(make_env, per_env):
 
 
 def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(make_env):
-    node = event(
-        "randomize_physics_scene_gravity",
-        "custom",
-        gravity_distribution_params=[[1.0, 1.0, 1.1], [1.0, 1.0, 1.5]],
-        operation="scale",
-        distribution="log_uniform",
-        per_env=True,
-    )
-    env = make_env("block", events={"g": node})
+    fields = {"operation": "scale", "distribution": "log_uniform", "per_env": True}
+    fields |= {"gravity_distribution_params": [[1.0, 1.0, 1.1], [1.0, 1.0, 1.5]]}
+    env = make_env("block", events={"g": event("randomize_physics_scene_gravity", "custom", **fields)})
     for _ in range(3):
         env.apply_event("custom", torch.tensor([1, 2]))
     down = env.scene.sim.expanded["opt.gravity"][:, 2]
@@ -74,13 +68,9 @@ def test_one_gravity_holds_for_all_whoever_is_reset(make_env):
 
 
 def test_a_body_turns_as_its_drawn_inertia_says(make_env):
-    """A torque about z for a while: w = torque t / I."""
-    node = event(
-        "randomize_rigid_body_inertia",
-        inertia_distribution_params=[0.8, 1.4],
-        operation="scale",
-        asset_cfg=bodies("block"),
-    )
+    """The expected speed is w = torque * t / I."""
+    ranges = {"inertia_distribution_params": [0.8, 1.4], "operation": "scale", "asset_cfg": bodies("block")}
+    node = event("randomize_rigid_body_inertia", **ranges)
     env = make_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
     env.reset()
     model, body = env.scene.model, env.scene.model.body("block").id
@@ -102,7 +92,7 @@ def test_a_body_turns_as_its_drawn_inertia_says(make_env):
 
 
 def _whole_inertia(model, moments, body):
-    """Return the moment of inertia about z of a robot whose base has these moments, by MuJoCo's own sum."""
+    """Return the robot's moment of inertia about z, by MuJoCo, if its base has the given moments."""
     own, data = mujoco.MjModel.__copy__(model), None
     own.body_inertia[body] = moments
     data = mujoco.MjData(own)
@@ -113,13 +103,8 @@ def _whole_inertia(model, moments, body):
 
 
 def test_no_moment_of_inertia_is_more_than_the_other_two(make_env):
-    node = event(
-        "randomize_rigid_body_inertia",
-        inertia_distribution_params=[1e-3, 10.0],
-        operation="scale",
-        distribution="log_uniform",
-        asset_cfg=bodies("base"),
-    )
+    fields = {"operation": "scale", "distribution": "log_uniform", "asset_cfg": bodies("base")}
+    node = event("randomize_rigid_body_inertia", inertia_distribution_params=[1e-3, 10.0], **fields)
     env = make_env(events={"i": node}, num_envs=200)
     moments = np.sort(env.scene.sim.expanded["body_inertia"][:, env.scene.model.body("base").id].numpy(), axis=1)
     assert (moments[:, 2] <= moments[:, 0] + moments[:, 1] + 1e-15).all()
@@ -133,13 +118,13 @@ def test_a_moment_of_inertia_never_falls_below_its_minimum(make_env):
     assert moments.tolist() == [pytest.approx([1e-4] * 3)] * 4
 
 
-# ---- pushes that last ----
+# ---- pushes of some duration ----
 
 IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
 
 
 def test_a_push_lasts_and_a_pause_follows(make_env):
-    """Pauses of 0.1 s, pushes of 0.06 s: control steps are 0.02 s."""
+    """Pauses take 0.1 s, pushes 0.06 s, and control steps 0.02 s."""
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.06, 0.06], pause_s=[0.1, 0.1])
     env = make_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
     env.reset()
@@ -171,11 +156,7 @@ def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
 
 def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(make_env):
     always = event(
-        "set_permanent_body_wrench",
-        "reset",
-        force_range=[3.0, 3.0],
-        torque_range=[0.0, 0.0],
-        asset_cfg=bodies("block"),
+        "set_permanent_body_wrench", "reset", force_range=[3.0, 3.0], torque_range=[0.0, 0.0], asset_cfg=bodies("block")
     )
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.02, 0.02])
     env = make_env("block", events={"w": always, "p": node})
@@ -203,7 +184,7 @@ def test_times_of_pushes_differ_between_environments(make_env):
     assert 5 < int(pushed.sum()) < 59
 
 
-# ---- where episodes begin ----
+# ---- states at the start of episodes ----
 
 
 def test_episodes_begin_over_flat_places_of_their_tile(make_env):
@@ -223,7 +204,7 @@ def test_episodes_begin_over_flat_places_of_their_tile(make_env):
             found = (rows[row, column] - place[i]).norm(dim=1)
             assert found.min() < 1e-4
             seen.add((i, int(found.argmin())))
-    assert len(seen) == 20  # every place of every tile
+    assert len(seen) == 20
     half = torch.tensor([math.cos(0.5), 0.0, 0.0, math.sin(0.5)])
     torch.testing.assert_close(robot.data.root_quat_w, half.expand(4, 4))
     torch.testing.assert_close(robot.data.root_lin_vel_w, torch.tensor([[0.5, 0.0, 0.0]] * 4), atol=1e-5, rtol=0.0)

@@ -1,7 +1,3 @@
-"""A block on the ground: Coulomb's friction, and its weight."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -10,7 +6,7 @@ from sim.small_envs import PLANE
 
 from .worlds import G, at_reset, placed, seen, watch
 
-# A flat block of 2 kg: half a height of 2 cm, so that it does not tip.
+# A block of 2 kg that does not tip, because it is only 4 cm high.
 BLOCK = """
 <mujoco model="block">
   <worldbody>
@@ -23,7 +19,7 @@ BLOCK = """
 </mujoco>
 """
 ROBOT, GROUND = {"static": 0.9, "dynamic": 0.5}, {"static": 0.5, "dynamic": 0.3}
-FRICTION = {"static": 0.7, "dynamic": 0.4}  # the averages, as PhysX combines them
+FRICTION = {"static": 0.7, "dynamic": 0.4}  # PhysX averages the robot's and the ground's friction.
 SPEED, DT = 1.5, 0.002
 
 
@@ -33,7 +29,6 @@ def _material(static, dynamic):
 
 
 def _block(world, source="static", slope=0.0, speed=SPEED, events=None, **changes):
-    """Return an environment of a block that begins with a speed along x, on ground that falls by an angle along x."""
     plane = {"static_friction": GROUND["static"], "dynamic_friction": GROUND["dynamic"], "restitution": 0.0}
     gravity = [G * math.sin(slope), 0.0, -G * math.cos(slope)]
     made = {"material": _material(ROBOT["static"], ROBOT["dynamic"]), "slide": placed({"z": 0.02}, {"x": speed})}
@@ -57,8 +52,8 @@ def test_a_sliding_block_loses_mu_g_a_second_and_stops_after_its_braking_distanc
     shown = watch(_block(world, source), math.ceil(1.5 * stop / (5 * DT)))
     place, velocity = shown["root_pos_w"][:, 0, 0], shown["root_lin_vel_w"][:, 0]
     t = torch.arange(len(velocity), dtype=torch.float64) * 5 * DT
-    # MuJoCo's contacts lift what slides by a millimetre, and it hops: the ground has by then given m (g t + v_z)
-    # upwards, and friction takes mu times that. On the whole it is mu m g t.
+    # MuJoCo's contacts make a sliding block hop by a millimetre. The ground's upward impulse is m (g t + v_z), and
+    # the impulse of friction is mu times the upward impulse.
     expected = SPEED - mu * (G * t + velocity[:, 2])
     sliding = t < 0.7 * stop
     torch.testing.assert_close(velocity[sliding, 0], expected[sliding], atol=2e-3, rtol=0)
@@ -80,7 +75,7 @@ def test_on_a_slope_the_block_stays_or_slides_by_the_angle_of_friction(world, de
     speed = watch(_block(world, slope=slope, speed=0.0), steps)["root_lin_vel_w"][-1, 0, 0]
     expected = max(0.0, G * (math.sin(slope) - mu * math.cos(slope))) * steps * 5 * DT
     assert float(speed) == pytest.approx(expected, rel=0.02, abs=5e-3)
-    assert (expected > 0) == (degrees > math.degrees(math.atan(mu)))  # 35 degrees
+    assert (expected > 0) == (degrees > math.degrees(math.atan(mu)))
 
 
 def test_what_the_ground_bears_is_the_weight_with_the_payload(world):
@@ -89,12 +84,8 @@ def test_what_the_ground_bears_is_the_weight_with_the_payload(world):
     sensor = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "feet"}
     borne = {"_target_": "wheelleg_exp.mdp.observations.body_contact_forces", "sensor_cfg": sensor}
     payload = at_reset("randomize_rigid_body_mass", mass_distribution_params=[1.5, 1.5], operation="add")
-    env = _block(
-        world,
-        speed=0.0,
-        events={"payload": payload},
-        sensors={"feet": contact},
-        observations={"seen": {"concatenate_terms": False, "terms": {"borne": borne}}},
-    )
+    observations = {"seen": {"concatenate_terms": False, "terms": {"borne": borne}}}
+    sensors, events = {"feet": contact}, {"payload": payload}
+    env = _block(world, speed=0.0, events=events, sensors=sensors, observations=observations)
     force = watch(env, 100)["borne"][-1, 0]
     torch.testing.assert_close(force, torch.tensor([0.0, 0.0, 3.5 * G], dtype=torch.float64), atol=0.05, rtol=0)

@@ -1,7 +1,3 @@
-"""Pendulums: their periods at any amplitude, what starts them, and the energy that they keep."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -11,9 +7,9 @@ from .worlds import PENDULUM, G, at_reset, seen, watch
 
 MASS, LENGTH, OWN = 0.5, 0.3, 0.004
 INERTIA = OWN + MASS * LENGTH**2
-SLOW = 2 * math.pi * math.sqrt(INERTIA / (MASS * G * LENGTH))  # the period of small swings, s
+SLOW = 2 * math.pi * math.sqrt(INERTIA / (MASS * G * LENGTH))  # the period of a pendulum with a small amplitude, s
 
-# Two rods of point-like masses with moments of inertia of their own, the second hung from the end of the first.
+# A double pendulum of two masses with moments of inertia.
 DOUBLE = """
 <mujoco model="double">
   <worldbody>
@@ -38,14 +34,12 @@ def _lifted(low, high):
 
 
 def _period(angle, step):
-    """Return the time between falls through the lowest point, s; angles fall straight there."""
     falls = ((angle[:-1] > 0) & (angle[1:] <= 0)).nonzero().flatten()
     first, last = (float(i + angle[i] / (angle[i] - angle[i + 1])) * step for i in (falls[0], falls[-1]))
     return (last - first) / (len(falls) - 1)
 
 
 def _exact_period(amplitude):
-    """Return T = 2 pi sqrt(I / m g l) / agm(1, cos(amplitude / 2)): the elliptic integral, by Gauss."""
     a, b = 1.0, math.cos(amplitude / 2)
     for _ in range(8):
         a, b = (a + b) / 2, math.sqrt(a * b)
@@ -55,14 +49,6 @@ def _exact_period(amplitude):
 def test_gausss_mean_gives_the_series_of_the_period():
     x = 1.0**2  # T / T0 = 1 + x / 16 + 11 x^2 / 3072 + 173 x^3 / 737280 + ...
     assert _exact_period(1.0) / SLOW == pytest.approx(1 + x / 16 + 11 / 3072 + 173 / 737280, abs=3e-5)
-
-
-def test_a_small_swing_takes_two_pi_roots_of_inertia_over_weight_times_arm(world):
-    lift = {"lift": _lifted(0.02, 0.02)}
-    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=lift)
-    angle = watch(env, 260)["joint_pos"][:, 0, 0]
-    assert _period(angle, 0.01) == pytest.approx(SLOW, rel=1e-4)  # the next term is 0.02^2 / 16
-    assert float(angle.abs().max()) == pytest.approx(0.02, rel=0.02)  # nothing is lost or won
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])
@@ -82,17 +68,10 @@ def test_every_swing_takes_the_elliptic_integral_of_its_amplitude(world):
     for angle in angles:
         assert _period(angle, 0.01) == pytest.approx(_exact_period(float(angle[0])), rel=5e-4)
     slowest = max(_exact_period(float(angle[0])) for angle in angles)
-    assert slowest > 1.3 * SLOW  # so amplitude counts
-
-
-def test_a_swing_of_one_radian_is_slower_by_a_fifteenth(world):
-    lift = {"lift": _lifted(1.0, 1.0)}
-    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=lift)
-    assert _period(watch(env, 260)["joint_pos"][:, 0, 0], 0.01) == pytest.approx(1.06632 * SLOW, rel=2e-4)
+    assert slowest > 1.3 * SLOW  # The period depends on the amplitude.
 
 
 def test_a_centre_of_mass_that_an_event_moves_starts_the_pendulum(world):
-    """Weight times the new arm, over the moment of inertia about the hinge: I + m (d^2 + l^2)."""
     shift, dt = 0.04, 0.001
     chosen = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["bob"]}
     moved = at_reset("randomize_rigid_body_com", com_range={"x": [shift, shift]}, asset_cfg=chosen)
@@ -102,7 +81,7 @@ def test_a_centre_of_mass_that_an_event_moves_starts_the_pendulum(world):
     assert float(velocity) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("factor", [0.5, 3.0])
+@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
 def test_mass_that_an_event_scales_changes_no_period(world, factor):
     heavier = at_reset("randomize_rigid_body_mass", mass_distribution_params=[factor, factor], operation="scale")
     events = {"heavier": heavier, "lift": _lifted(0.02, 0.02)}
@@ -111,7 +90,6 @@ def test_mass_that_an_event_scales_changes_no_period(world, factor):
 
 
 def _energy(angle, speed):
-    """Return the double pendulum's kinetic and potential energy, J, from (..., 2) angles and speeds."""
     (q, bend), (w, turn) = angle.unbind(-1), speed.unbind(-1)
     both = w + turn
     kinetic = (
@@ -124,7 +102,6 @@ def _energy(angle, speed):
 
 
 def _lost(world, dt, integrator):
-    """Return the largest error of the energy of a wild double pendulum in 0.6 s, J."""
     env = world(
         DOUBLE,
         dt,
@@ -137,13 +114,13 @@ def _lost(world, dt, integrator):
     shown = watch(env, 75)
     energy = _energy(shown["joint_pos"][:, 0], shown["joint_vel"][:, 0])
     speed = shown["joint_vel"].abs().max()
-    assert speed > 5  # it does move
+    assert speed > 5  # The pendulum moves.
     return float((energy - energy[0]).abs().max())
 
 
 def test_a_passive_robot_keeps_its_energy_the_better_the_shorter_the_step(world):
     coarse, middle, fine = (_lost(world, dt, "implicitfast") for dt in (0.002, 0.001, 0.0005))
-    assert coarse < 0.12  # of 3 J that move to and fro
+    assert coarse < 0.12  # 3 J change between kinetic and potential energy.
     assert middle == pytest.approx(coarse / 2, rel=0.25)
     assert fine == pytest.approx(coarse / 4, rel=0.25)
 

@@ -1,17 +1,13 @@
-"""Height scans over slopes and stairs whose heights are known, and a slanted ray that meets a face."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
 import torch
+from sim.terrain.tiles import OPTIONS, TERRAIN
 
 from .worlds import STONE, placed, term, watch
 
-TERRAIN = "wheelleg_exp.sim.terrain."
 SENSORS = "wheelleg_exp.sim.sensors."
-HALF, CELL = 2.0, 0.05  # m: half an edge of the tile, an edge of its cells
+HALF, CELL = 2.0, 0.05  # half of the tile's edge and the edge of a cell, m
 ANGLE, TOP = 0.2, 0.8  # rad, m
 RISE, TREAD, LANDING = 0.12, 0.3, 0.6  # m
 
@@ -21,37 +17,20 @@ STAIRS |= {"platform_width": LANDING}
 
 
 def _slope_height(x, y):
-    """Return a pyramid's height: tan(angle) by metre from the nearest edge, until the top."""
     inwards = HALF - torch.maximum(x.abs(), y.abs())
     return math.tan(ANGLE) * inwards.clamp(max=HALF - TOP / 2)
 
 
 def _stairs_height(x, y):
-    """Return the stairs' height: one rise by tread from the nearest edge, as long as the landing is left."""
     inwards = HALF - torch.maximum(x.abs(), y.abs())
     steps = math.ceil((2 * HALF - LANDING) / (2 * TREAD))
     return RISE * torch.floor(inwards / TREAD).clamp(max=steps)
 
 
 def _world(world, kind, pose, pattern, above=5.0):
-    """Return an environment of a weightless stone over one tile, with rays that start so far above it, m."""
-    ground = {
-        "_target_": TERRAIN + "TerrainGenerator",
-        "size": [2 * HALF, 2 * HALF],
-        "num_rows": 1,
-        "num_cols": 1,
-        "border_width": 1.0,
-        "horizontal_scale": CELL,
-        "vertical_scale": 1e-5,
-        "curriculum": True,
-        "difficulty_range": [0.0, 1.0],
-        "sub_terrains": {"one": {"proportion": 1.0, **kind}},
-        "static_friction": 0.5,
-        "dynamic_friction": 0.5,
-        "restitution": 0.0,
-        "seed": 3,
-        "origin_window": 0.05,
-    }
+    ground = {**OPTIONS, "_target_": TERRAIN + "TerrainGenerator", "size": [2 * HALF, 2 * HALF], "num_rows": 1}
+    ground |= {"num_cols": 1, "horizontal_scale": CELL, "vertical_scale": 1e-5, "seed": 3, "origin_window": 0.05}
+    ground["sub_terrains"] = {"one": {"proportion": 1.0, **kind}}
     caster = {"_target_": SENSORS + "RayCaster", "body_name": "stone", "pattern": pattern, "ray_alignment": "yaw"}
     caster["offset"] = {"pos": [0.0, 0.0, above]}
     chosen = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "eyes"}
@@ -71,7 +50,6 @@ def _grid(**fields):
 
 
 def _places(pose):
-    """Return where the rays of the grid go down, x fastest, turned by the yaw."""
     x = -0.9 + 0.09 * torch.arange(21, dtype=torch.float64)
     y = -0.54 + 0.09 * torch.arange(13, dtype=torch.float64)
     y, x = torch.meshgrid(y, x, indexing="ij")
@@ -80,7 +58,6 @@ def _places(pose):
 
 
 def _ground_seen(env, pose, top):
-    """Return the height of the ground from what a robot above its origin's height observes, m."""
     return top + pose["z"] - 0.25 - watch(env, 1)["scan"][1, 0]
 
 
@@ -98,7 +75,7 @@ def test_a_scan_of_a_slope_is_its_plane_faces_and_top(world, pose, sign):
     top = sign * math.tan(ANGLE) * (HALF - TOP / 2)
     ground = _ground_seen(_world(world, kind, pose, _grid()), pose, top)
     expected = sign * _slope_height(x, y)
-    # A cell that an edge of the pyramid crosses is cut short by up to the rise of one cell.
+    # In a cell on an edge of the pyramid, the height differs from the formula by at most the rise over one cell.
     outermost = torch.maximum(x.abs(), y.abs())
     crossed = ((x.abs() - y.abs()).abs() < CELL) | ((outermost - TOP / 2).abs() < CELL)
     torch.testing.assert_close(ground[~crossed], expected[~crossed], atol=2e-5, rtol=0)
@@ -112,7 +89,7 @@ def test_a_scan_of_a_slope_is_its_plane_faces_and_top(world, pose, sign):
 def test_a_scan_of_stairs_is_their_treads(world, pose, sign):
     kind = STAIRS | {"inverted": sign < 0}
     x, y = _places(pose)
-    top = sign * RISE * 6  # (4 - 0.6) / 0.6 is 5.67 treads
+    top = sign * RISE * 6  # The stairs have ceil((4 - 0.6) / 0.6) = 6 steps.
     ground = _ground_seen(_world(world, kind, pose, _grid()), pose, top)
     expected = sign * _stairs_height(x, y)
     part = (HALF - torch.maximum(x.abs(), y.abs())) / TREAD
@@ -123,7 +100,6 @@ def test_a_scan_of_stairs_is_their_treads(world, pose, sign):
 
 
 def test_a_slanted_ray_meets_the_face_where_two_straight_lines_cross(world):
-    """Down and forwards by 45 degrees: z0 - s = tan(angle) (HALF - x0 - s)."""
     tan, pose = math.tan(ANGLE), {"x": 0.6, "z": 0.4}
     slanted = _grid(resolution=1.0, size=[0.0, 0.0], direction=[1.0, 0.0, -1.0])
     seen = watch(_world(world, SLOPE, pose, slanted, above=0.0), 1)["scan"][1, 0, 0]

@@ -1,7 +1,3 @@
-"""A driven wheel: the time constant of its servo, and its start at the limit of its torque."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -9,11 +5,11 @@ import torch
 
 from .worlds import drive, seen, term, watch
 
-OWN, ARMATURE = 0.002, 0.003  # kg m^2, about the axle
+OWN, ARMATURE = 0.002, 0.003  # the wheel's moment of inertia and the armature, kg m^2
 INERTIA = OWN + ARMATURE
-DAMPING, WANTED = 0.05, 12.0  # N m s/rad, rad/s: a time constant of 0.1 s
+DAMPING, WANTED = 0.05, 12.0  # N m s/rad, rad/s; the time constant is 0.1 s.
 
-# A balanced wheel on a fixed axle.
+# The wheel's centre of mass is on its fixed axle.
 WHEEL = """
 <mujoco model="wheel">
   <worldbody>
@@ -30,7 +26,6 @@ WHEEL = """
 
 
 def _speeds(world, kind, dt, steps, decimation=1, **numbers):
-    """Return the wheel's speeds (steps + 1,), rad/s, after it is asked for the wanted one."""
     limits = {"effort_limit": 100.0, "velocity_limit": 50.0, "damping": DAMPING, "armature": ARMATURE}
     env = world(
         WHEEL,
@@ -48,8 +43,8 @@ def _speeds(world, kind, dt, steps, decimation=1, **numbers):
 @pytest.mark.parametrize(
     ("kind", "left"),
     [
-        ("ImplicitActuator", lambda share: 1 / (1 + share)),  # the drive acts at the end of each step
-        ("IdealPDActuator", lambda share: 1 - share),  # the drive acts as at its beginning
+        ("ImplicitActuator", lambda share: 1 / (1 + share)),  # MuJoCo integrates this drive implicitly.
+        ("IdealPDActuator", lambda share: 1 - share),  # This drive uses the speed before each step.
     ],
 )
 def test_each_step_leaves_a_share_of_the_error(world, kind, left, decimation):
@@ -62,22 +57,17 @@ def test_each_step_leaves_a_share_of_the_error(world, kind, left, decimation):
 
 @pytest.mark.parametrize("kind", ["ImplicitActuator", "IdealPDActuator"])
 def test_the_speed_comes_by_the_time_constant_of_inertia_over_damping(world, kind):
-    dt, steps = 0.0005, 200  # 0.1 s: one time constant
+    dt, steps = 0.0005, 200  # 0.1 s is one time constant.
     speed = _speeds(world, kind, dt, 1, steps)[-1]
     expected = WANTED * (1 - math.exp(-DAMPING / INERTIA * dt * steps))
     assert float(speed) == pytest.approx(expected, rel=2e-3)
-    assert float(speed) != pytest.approx(expected, rel=1e-4)  # the step's own error, which has the sign of its kind
+    assert float(speed) != pytest.approx(expected, rel=1e-4)
     assert (float(speed) < expected) == (kind == "ImplicitActuator")
 
 
 @pytest.mark.parametrize("kind", ["ImplicitActuator", "IdealPDActuator"])
 def test_a_drive_at_its_limit_accelerates_by_limit_over_inertia(world, kind):
-    limit, dt, steps = 0.1, 0.005, 20  # kd (w* - w) stays above 0.1 N m until 10 rad/s
+    limit, dt, steps = 0.1, 0.005, 20  # The torque kd (w* - w) exceeds 0.1 N m below 10 rad/s.
     speeds = _speeds(world, kind, dt, steps, effort_limit=limit)
     expected = limit / INERTIA * dt * torch.arange(steps + 1, dtype=torch.float64)
     torch.testing.assert_close(speeds, expected, atol=2e-5, rtol=0)
-
-
-def test_armature_is_inertia(world):
-    light, heavy = (_speeds(world, "IdealPDActuator", 0.001, 1, armature=a)[1] for a in (0.0, 0.002))
-    assert float(light / heavy) == pytest.approx((OWN + 0.002) / OWN, rel=1e-5)

@@ -1,7 +1,3 @@
-"""Bodies whose motion has a closed form, and nodes of terms for them. SI units."""
-
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -10,7 +6,7 @@ from sim.small_envs import ACTUATORS, env_config
 MDP = "wheelleg_exp.mdp."
 G = 9.81  # m/s^2
 
-# A free body of 2 kg: its centre of mass beside its frame, its three moments of inertia different.
+# A free body of 2 kg with three different moments of inertia. Its centre of mass is not at its origin.
 STONE = """
 <mujoco model="stone">
   <worldbody>
@@ -23,7 +19,7 @@ STONE = """
 </mujoco>
 """
 
-# A pendulum on a fixed base: 0.5 kg at 0.3 m below a hinge, with its own moment of inertia about it.
+# A pendulum on a fixed base, with a mass of 0.5 kg at 0.3 m below the hinge, and a moment of inertia.
 PENDULUM = """
 <mujoco model="pendulum">
   <worldbody>
@@ -40,29 +36,24 @@ PENDULUM = """
 
 
 def term(module: str, name: str, **fields: Any) -> dict[str, Any]:
-    """Return the node of a stock term."""
     return {"_target_": f"{MDP}{module}.{name}", **fields}
 
 
 def seen(*names: str) -> dict[str, Any]:
-    """Return observations of one group, ``seen``, of these terms by themselves."""
     terms = {name: term("observations", name) for name in names}
     return {"seen": {"concatenate_terms": False, "terms": terms}}
 
 
 def at_reset(name: str, **fields: Any) -> dict[str, Any]:
-    """Return the node of an event at each reset."""
     return term("events", name, mode="reset", **fields)
 
 
 def placed(pose: dict[str, float] | None = None, velocity: dict[str, float] | None = None) -> dict[str, Any]:
-    """Return the event that places the root: m and rad beside its default, m/s and rad/s."""
     ranges = [{axis: [value, value] for axis, value in (given or {}).items()} for given in (pose, velocity)]
     return at_reset("reset_root_state_uniform", pose_range=ranges[0], velocity_range=ranges[1])
 
 
 def config(dt: float, base: str = "floating", **changes: Any) -> dict[str, Any]:
-    """Return an env config for a robot without drives at the world's origin; sim, scene and robot are merged."""
     floating = {"to_default": at_reset("reset_scene_to_default")} if base == "floating" else {}
     state = {"pos": [0.0, 0.0, 0.0], "rot": [1.0, 0.0, 0.0, 0.0], "joint_pos": {}, "joint_vel": {}}
     robot = {"base": base, "init_state": state, "actuators": {}, **changes.pop("robot", {})}
@@ -73,7 +64,6 @@ def config(dt: float, base: str = "floating", **changes: Any) -> dict[str, Any]:
 
 
 def watch(env: Any, steps: int, action: float = 0.0) -> dict[str, torch.Tensor]:
-    """Return what each term shows at the reset and after each of the steps, (steps + 1, N, ...), in float64."""
     shown = [env.reset()[0]["seen"]]
     actions = torch.full((env.num_envs, env.action_manager.total_action_dim), action)
     shown += [env.step(actions)[0]["seen"] for _ in range(steps)]
@@ -81,5 +71,4 @@ def watch(env: Any, steps: int, action: float = 0.0) -> dict[str, torch.Tensor]:
 
 
 def drive(kind: str, joint: str, **numbers: float) -> dict[str, Any]:
-    """Return one actuator group with one joint and no stiffness."""
     return {"one": {"_target_": ACTUATORS + kind, "joint_names_expr": [joint], "stiffness": 0.0, **numbers}}

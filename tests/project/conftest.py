@@ -1,5 +1,3 @@
-"""Folders of their own, and no project that outlives its test."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator

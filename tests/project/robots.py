@@ -1,12 +1,12 @@
-"""A wheel-legged robot as a URDF: a body, two legs with a hip each, a wheel at each leg's end."""
+"""Wheeled robots as URDF files."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-BODY, LEG, RADIUS = 2.0, 0.2, 0.06  # kg; m from hip to axle; m
-LOW, HIGH = 0.2, 1.2  # rad, limits of the hips
+BODY, LEG, RADIUS = 2.0, 0.2, 0.06  # mass of the body (kg), length of a leg (m), radius of a wheel (m)
+LOW, HIGH = 0.2, 1.2  # limits of the hips, rad
 
 _LEGS = """
   <link name="{side}_leg">
@@ -30,7 +30,7 @@ _LEGS = """
 
 
 def urdf(folder: Path, inside: str = "", name: str = "two") -> Path:
-    """Write the robot; ``inside`` goes into the wheels' links."""
+    """Write the robot; ``inside`` is XML inside the links of the wheels."""
     legs = "".join(
         _LEGS.format(side=side, y=y, low=LOW, high=HIGH, radius=RADIUS, leg=LEG, inside=inside)
         for side, y in (("l", 0.08), ("r", -0.08))
@@ -50,8 +50,6 @@ def urdf(folder: Path, inside: str = "", name: str = "two") -> Path:
 
 
 def along_y(path: Path) -> Path:
-    """Turn every axis of the robot's file by 90 degrees about z: what pointed along x points along y."""
-
     def turned(match: re.Match[str]) -> str:
         x, y, z = (float(part) for part in match[2].split())
         return f'{match[1]}="{-y} {x} {z}"'
@@ -64,7 +62,7 @@ def along_y(path: Path) -> Path:
 
 
 def knees(folder: Path) -> Path:
-    """Write the robot with a knee in the middle of each leg, and hips and knees that turn both ways."""
+    """Write the robot with a knee in the middle of each leg, and with hips and knees that turn both ways."""
     path = urdf(folder, name="knees")
     text = path.read_text().replace(f'lower="{LOW}" upper="{HIGH}"', 'lower="-1.5" upper="1.5"')
     for side in "lr":
@@ -86,7 +84,7 @@ def knees(folder: Path) -> Path:
 
 
 def tetrahedron(path: Path, size: float = 0.05) -> Path:
-    """Write a mesh as an OBJ."""
+    """Write a tetrahedron mesh as an OBJ file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     corners = "".join(
         f"v {x * size} {y * size} {z * size}\n" for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -96,7 +94,7 @@ def tetrahedron(path: Path, size: float = 0.05) -> Path:
 
 
 def with_hip_yaw(folder: Path, limit: str = '<limit lower="-0.7" upper="0.7" effort="8" velocity="20"/>') -> Path:
-    """Write ``knees`` with an unlimited vertical joint above each leg, which a ``<limit>`` bounds all the same."""
+    """Write ``knees`` with an unlimited vertical joint above each leg, although the joint has a ``<limit>``."""
     path = knees(folder)
     text = path.read_text()
     for side, y in (("l", 0.08), ("r", -0.08)):
@@ -115,12 +113,6 @@ def with_hip_yaw(folder: Path, limit: str = '<limit lower="-0.7" upper="0.7" eff
 
 
 def four_legs(folder: Path, front: float = 0.2) -> Path:
-    """Write a robot on four legs with knees: hips 0.2 m before and behind the middle.
-
-    Args:
-        folder: where the file goes.
-        front: length of the front thighs, m; the hind ones have ``LEG``.
-    """
     path = knees(folder)
     text = path.read_text().replace('<box size="0.2 0.1 0.1"/>', '<box size="0.5 0.1 0.1"/>')
     head, _, legs = text.partition("</link>")

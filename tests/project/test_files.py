@@ -1,5 +1,3 @@
-"""Copying a robot's file: the copy converts to the same model, wherever the source keeps its parts."""
-
 from __future__ import annotations
 
 import os
@@ -17,15 +15,14 @@ from wheelleg_exp.project.robot_files import copy_robot
 
 
 def model(source: Path, folder: Path) -> dict[str, bytes]:
-    """Everything that a robot's conversion writes."""
+    """Return all files that the conversion of a robot writes."""
     convert(source, folder / "m" / "model.xml")
     files = {path.name: path.read_bytes() for path in (folder / "m").rglob("*") if path.is_file()}
-    # The comment on top tells where layers lay.
+    # The first line of the copy is a comment with the old paths of the layers.
     return {**files, "model.xml": re.sub(rb"^<!--.*?-->", b"", files["model.xml"], flags=re.DOTALL)}
 
 
 def moved(copy: Path, to: Path) -> Path:
-    """The copy at a place from which nothing near the source can be found."""
     to.mkdir(parents=True)
     copy.parent.rename(to / "robot")
     return to / "robot" / copy.name
@@ -114,7 +111,6 @@ def test_a_moved_mesh_does_not_take_the_place_of_one_that_stays(tmp_path):
     assert len(list((copy.parent / "meshes").iterdir())) == 2
 
 
-# ---------------------------------------------------------------- what is no part of a robot
 SECRET = "only its owner reads this"
 STAGE = """#usda 1.0
 (
@@ -131,7 +127,7 @@ def Xform "bot" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])
 
 
 def naming(folder: Path, ending: str, name: str) -> Path:
-    """A robot that names a file as its texture."""
+    """Return a robot whose texture is the file ``name``."""
     texture = f'<visual><geometry><sphere radius="1"/></geometry><material name="m"><texture filename="{name}"/>'
     if ending == "urdf":
         return urdf(folder, f"{texture}</material></visual>")

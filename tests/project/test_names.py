@@ -1,5 +1,3 @@
-"""Which names a project may have, and what is proposed instead of a bad one."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Projects: where their configs are found, whose code may run, and when."""
-
 from __future__ import annotations
 
 import sys
@@ -17,7 +15,6 @@ DECLARED = '[project.entry-points."wheelleg_exp.packages"]\n'
 
 
 def project(folder: Path, package: str = "shelf", declares: str | None = None) -> Path:
-    """A project with a reward of its own, whose import leaves a file."""
     files = {
         "pyproject.toml": DECLARED + (f'x = "{package}"\n' if declares is None else declares),
         f"{package}/__init__.py": "",
@@ -86,7 +83,6 @@ def test_config_dir_names_a_project_from_elsewhere(given, tmp_path):
 
 
 def test_config_dir_may_name_an_installed_package(tmp_path, monkeypatch):
-    """A folder beside its ``dist-info``, as pip leaves it; its configs lie in the package."""
     site = tmp_path / "site"
     root = project(site)
     (root / "pyproject.toml").unlink()
@@ -103,9 +99,6 @@ def test_config_dir_may_name_an_installed_package(tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "shelf"]:
         del sys.modules[name]
     assert said.status == 0, said.err
-
-
-# --- when its code runs ---
 
 
 @pytest.mark.parametrize(
@@ -193,11 +186,7 @@ def test_a_network_of_a_project_that_is_not_installed_trains(tmp_path, monkeypat
     assert said.status == 0, said.err
 
 
-# --- whose project it is ---
-
-
 def test_a_project_of_another_user_is_not_used_unasked(tmp_path, monkeypatch):
-    """As one that somebody put into a folder above, such as /tmp."""
     root = project(tmp_path / "p")
     monkeypatch.chdir(root)
     monkeypatch.setattr(projects.os, "getuid", lambda: 4242)
@@ -209,9 +198,6 @@ def test_a_project_of_another_user_is_not_used_unasked(tmp_path, monkeypatch):
     assert not (root / "ran").exists()
     named = wheelleg("check", "--config-dir", ".", "task=shelf_task")
     assert named.status == 0, named.err
-
-
-# --- what a declaration may say ---
 
 
 @pytest.mark.parametrize("value", ['"os"', '"wheelleg_exp"', '"not a name"', "3"])

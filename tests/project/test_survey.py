@@ -1,4 +1,4 @@
-"""What a project's YAML says of a robot, held against the robot's own numbers."""
+"""Compare a project's YAML with the known numbers of its robot."""
 
 from __future__ import annotations
 
@@ -55,21 +55,20 @@ def test_a_hub_beside_its_tyre_does_not_touch_the_ground(tmp_path):
 
 
 def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
-    """Ankles instead of axles: hinges with limits, however round what they turn."""
     path = urdf(tmp_path)
     ankle = 'type="revolute"><limit lower="-1" upper="1" effort="8" velocity="20"/>'
     path.write_text(path.read_text().replace('type="continuous">', ankle))
     found = surveyed(path)
     assert found.wheels == found.wheel_bodies == []
     assert found.legs == ["l_hip", "r_hip", "l_axle", "r_axle"]
-    assert found.raised_bodies == ["body", "l_leg", "r_leg"]  # what stands on the ground may touch it
+    # The feet are missing in the list, because they stand on the ground.
+    assert found.raised_bodies == ["body", "l_leg", "r_leg"]
     files = config_files("mine", found)
     assert not [text for text in files.values() if "wheel_air" in text or "mine_wheels" in text]
 
 
 def test_a_robot_whose_legs_cannot_balance_it_leans(two):
-    """All masses lie on the line from hip to axle: it stands on upright legs, and the body leans by their angle."""
-    hip = LOW + 0.08 * (HIGH - LOW)  # as near to the axle as the limits allow
+    hip = LOW + 0.08 * (HIGH - LOW)  # The hip angle is as near to balance as the joint limits allow.
     assert two.positions == {"l_hip": pytest.approx(hip), "r_hip": pytest.approx(hip), "l_axle": 0.0, "r_axle": 0.0}
     assert two.standing.lean == pytest.approx(-hip, abs=1e-4)
     assert two.standing.frame == pytest.approx((math.cos(hip / 2), 0.0, math.sin(hip / 2), 0.0), abs=1e-4)
@@ -84,7 +83,6 @@ def test_the_lowest_collider_touches_the_ground(two):
 
 
 def test_a_robot_drawn_along_another_axis_stands_like_the_one_along_x(two, tmp_path):
-    """The same robot with every axis of the file turned by 90 degrees about z: x of the first is y of this one."""
     turned = surveyed(along_y(urdf(tmp_path)))
     assert turned.positions == pytest.approx(two.positions, abs=1e-3)
     assert turned.facts.standing_height == pytest.approx(two.facts.standing_height, abs=1e-4)
@@ -93,29 +91,29 @@ def test_a_robot_drawn_along_another_axis_stands_like_the_one_along_x(two, tmp_p
         assert mine.damping == pytest.approx(theirs.damping, rel=0.02)
     quarter, lean = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), two.standing.frame
     product = (quarter[0] * lean[0], -quarter[3] * lean[2], quarter[0] * lean[2], quarter[3] * lean[0])
-    assert turned.standing.frame == pytest.approx(product, abs=1e-3)  # first along y, then the lean about its left
+    # The quaternion is the product of the yaw by 90 degrees and the lean.
+    assert turned.standing.frame == pytest.approx(product, abs=1e-3)
 
 
 def test_a_leg_of_two_joints_brings_the_mass_over_the_axle(tmp_path):
-    """Thigh and shank: the centre of mass of MuJoCo's own reader of the URDF stands over the axle."""
     path = knees(tmp_path)
     found = surveyed(path)
     assert found.standing.lean == 0.0
     assert found.standing.frame is None
-    model = mujoco.MjModel.from_xml_path(str(path))  # its base is welded to the world
+    model = mujoco.MjModel.from_xml_path(str(path))  # MuJoCo welds the base of a URDF to the world.
     data = mujoco.MjData(model)
     for name, value in found.positions.items():
         data.joint(name).qpos = value
     mujoco.mj_forward(model, data)
-    mass = BODY + model.body_mass.sum()  # the body is part of that world, at its origin
+    mass = BODY + model.body_mass.sum()  # The mass of the base is missing, because the base is a part of the world.
     assert mass == pytest.approx(found.facts.mass)
     assert (model.body_mass @ data.xipos / mass)[0] == pytest.approx(data.joint("l_axle").xanchor[0], abs=2e-3)
     assert found.positions["l_hip"] == found.positions["r_hip"]
-    assert abs(found.positions["l_knee"]) > 0.2  # stretched legs do not spring
+    assert abs(found.positions["l_knee"]) > 0.2  # The knees are bent, because stretched legs cannot absorb shocks.
 
 
 def wheel_centres(path, positions) -> np.ndarray:
-    """Return the wheels' centres, m, (wheels, 3), by MuJoCo's own reader of the URDF."""
+    """Return the centres of the wheels, m, (wheels, 3), from MuJoCo's own URDF reader."""
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     for name, value in positions.items():
@@ -126,20 +124,18 @@ def wheel_centres(path, positions) -> np.ndarray:
 
 @pytest.mark.parametrize("limits", ['<limit lower="-0.7" upper="0.7" effort="8" velocity="20"/>', ""])
 def test_hips_that_yaw_without_limits_do_not_make_casters_of_the_wheels(limits, tmp_path):
-    """The default pose leaves the legs facing forwards, where the weight is over the axle as without the yaw."""
     path = with_hip_yaw(tmp_path, limits)
     found = surveyed(path)
     assert found.anatomy.forward == (1, 0, 0)
     assert (found.standing.frame, found.facts.track) == (None, pytest.approx(0.16, abs=1e-3))
     assert abs(found.positions["l_yaw"]) < 0.02
-    assert abs(found.positions["l_knee"]) > 0.2  # a solved pose
+    assert abs(found.positions["l_knee"]) > 0.2  # The pose was solved, so the knee is not at 0.
     left, right = wheel_centres(path, found.positions)
     assert left - right == pytest.approx((0, 0.16, 0), abs=1e-3)
     assert not [note for note in found.notes if "parallel" in note]
 
 
 def test_a_wheel_with_written_limits_stays_a_wheel(tmp_path):
-    """URDF says that the limits of a continuous joint do not act, and nothing hangs on a wheel."""
     path = urdf(tmp_path)
     text = path.read_text()
     path.write_text(
@@ -150,7 +146,6 @@ def test_a_wheel_with_written_limits_stays_a_wheel(tmp_path):
 
 @pytest.mark.parametrize("front", [LEG, 0.26, 0.14])
 def test_all_four_wheels_touch_the_ground(front, tmp_path):
-    """Front legs as long as the hind ones, 60 mm longer, and 60 mm shorter."""
     path = four_legs(tmp_path, front)
     found = surveyed(path)
     assert np.ptp(wheel_centres(path, found.positions)[:, 2]) < 1e-3
@@ -159,7 +154,6 @@ def test_all_four_wheels_touch_the_ground(front, tmp_path):
 
 
 def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
-    """A wheel on a high nose, while the legs cannot fold."""
     path = urdf(tmp_path)
     nose = """
   <link name="nose"><inertial><mass value="0.01"/><inertia ixx="2e-6" iyy="4e-6" izz="2e-6" ixy="0" ixz="0" iyz="0"/>
@@ -176,7 +170,6 @@ def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
 
 
 def test_a_root_link_without_mass_on_the_ground_changes_nothing(tmp_path):
-    """ROS's base_footprint, below where the bent legs stand."""
     plain = knees(tmp_path / "plain")
     foot = """<link name="base_footprint"/><joint name="foot" type="fixed"><parent link="base_footprint"/>
       <child link="body"/><origin xyz="0 0 0.51"/></joint><link name="body">"""
@@ -186,7 +179,8 @@ def test_a_root_link_without_mass_on_the_ground_changes_nothing(tmp_path):
     found, expected = surveyed(source), surveyed(plain)
     assert found.facts.standing_height == pytest.approx(expected.facts.standing_height, abs=5e-4)
     task = yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]["rewards"]["base_height"]
-    assert task["target_height"] == pytest.approx(0.3815, abs=1e-3)  # hips over axles, and the wheels' radius
+    # The height is the distance from axle to hip plus the wheel radius.
+    assert task["target_height"] == pytest.approx(0.3815, abs=1e-3)
     assert task["weight"] == yaml.safe_load(config_files("mine", expected)["task/mine.yaml"])["env"]["rewards"][
         "base_height"
     ]["weight"]  # fmt: skip
@@ -209,7 +203,7 @@ def test_limits_are_the_files_and_missing_gains_follow_from_inertias(two):
     assert gains.given == ["effort", "velocity"]
     joint = two.facts.joints["l_hip"]
     kp, kd = gains.stiffness["l_hip"], gains.damping["l_hip"]
-    assert kp >= 0.95 * abs(joint.hold) / 0.05  # the weight bends it by 0.05 rad, up to the rounding
+    assert kp >= 0.95 * abs(joint.hold) / 0.05  # The weight bends the joint by at most 0.05 rad, except for rounding.
     assert kd / (2 * math.sqrt(kp * joint.effective)) == pytest.approx(0.7, rel=0.1)
 
 
@@ -231,7 +225,8 @@ def test_gains_of_drives_in_the_file_are_kept():
         for key in ("stiffness", "damping", "effort_limit", "velocity_limit"):
             assert text["actuators"][group][key] == pytest.approx(stock["actuators"][group][key]), key
     assert text["init_state"]["joint_pos"] == {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885}
-    assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)  # docs/robot.md: stands 70 mm high
+    # docs/robot.md states a standing height of 70 mm.
+    assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)
 
 
 def test_every_file_is_yaml_with_a_comment_on_top(two):
@@ -244,17 +239,11 @@ def test_every_file_is_yaml_with_a_comment_on_top(two):
         assert all(line == line.rstrip() for line in text.splitlines()), file
 
 
-@pytest.mark.parametrize(
-    ("without", "said"),
-    [
-        ("joint", "no joints"),
-        ("collision", "no shape of the robot collides"),
-    ],
-)
+@pytest.mark.parametrize(("without", "said"), [("joint", "no joints"), ("collision", "no shape of the robot collides")])
 def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
     path = urdf(tmp_path)
     text = re.sub(rf"<{without}\b.*?</{without}>", "", path.read_text(), flags=re.DOTALL)
-    if without == "joint":  # one link, since a robot has one root
+    if without == "joint":  # A robot has one root link, so only one link remains.
         text = text[: text.index('<link name="l_leg"')] + "</robot>"
     path.write_text(text)
     with pytest.raises(AssetError, match=said):
@@ -281,7 +270,7 @@ def test_odd_names_survive_yaml_and_match_themselves_alone():
     [
         ('effort="2" velocity="0.7"', "0.7 rad/s on wheels of 60 mm is 0.042 m/s"),
         ('effort="0.01" velocity="0.7"', "0.01 N·m on wheels of 60 mm"),
-        ('effort="0.6" velocity="7.46"', None),  # a speed that rounds upwards
+        ('effort="0.6" velocity="7.46"', None),  # Rounding increases this velocity.
     ],
 )
 def test_every_project_passes_its_own_check(limit, said, tmp_path):
@@ -303,7 +292,6 @@ POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 
 
 def with_lost_meshes(folder: Path, content: str | None) -> Path:
-    """Write ``knees`` with meshes as the wheels' colliders, which are pointers of Git LFS or missing."""
     path = knees(folder)
     cylinder = re.compile(r'<cylinder radius="0.06" length="0.02"/>')
     path.write_text(cylinder.sub('<mesh filename="wheel.stl"/>', path.read_text()))
@@ -323,7 +311,7 @@ def test_wheels_whose_meshes_are_missing_make_no_project_unless_allowed(content,
     assert not (tmp_path / "mine").exists()
     made = create(tmp_path / "mine", source, allow_missing=True)
     assert refused.value.message in made.robot.notes
-    for _ in range(2):  # the second run takes the robot from the cache
+    for _ in range(2):  # The second run reads the robot from the cache.
         report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
         assert [finding.message for finding in report.open] == [refused.value.message]
     assert main(["doctor", str(source), "--json"]) == 1
@@ -341,7 +329,6 @@ def test_a_robot_that_lost_all_its_meshes_is_refused_with_their_names(tmp_path):
 
 @pytest.mark.parametrize("arc", ["payload", "references"])
 def test_wheels_whose_layer_is_missing_make_no_project(arc, tmp_path):
-    """The colliders of the wheels are in a file that is not there, however the wheels name it."""
     stock = assets_dir() / "wheelleg"
     shutil.copytree(stock, tmp_path / "robot")
     bare = f'(prepend {arc} = @gone.usda@)\n{{\n over "collisions" (active = false)\n {{\n }}\n}}\n'
@@ -357,7 +344,6 @@ def test_wheels_whose_layer_is_missing_make_no_project(arc, tmp_path):
 
 
 def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
-    """Hips that turn all round: the project says so, silences it, and passes its own look."""
     source = urdf(tmp_path / "file")
     text = source.read_text()
     text = re.sub(r'(_hip" type=")revolute', r"\1continuous", text)
@@ -368,7 +354,8 @@ def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
     assert report.open == []
     assert "l_hip" in report.reasons["joint_limits"]
     wild = compose(["task=mine", "env.actions.mine_legs.scale=50"], config_dirs=[made.path / "configs"])
-    assert "action_scale" in {finding.rule for finding in examine(wild).open}  # a number of one's own is looked at
+    # The rule also checks user-defined numbers.
+    assert "action_scale" in {finding.rule for finding in examine(wild).open}
 
 
 def test_a_robot_of_implausible_size_is_reported_and_not_accepted(tmp_path):
@@ -391,7 +378,6 @@ def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):
 
 
 def test_joints_of_no_leg_are_held_and_no_action_moves_them(tmp_path):
-    """A turret on the body: its drive holds it, and neither actions, observations nor rewards name it."""
     path = urdf(tmp_path)
     turret = """
   <link name="turret"><inertial><origin xyz="0 0 0.05"/><mass value="0.3"/>
@@ -406,7 +392,6 @@ def test_joints_of_no_leg_are_held_and_no_action_moves_them(tmp_path):
 
 
 def test_no_episode_begins_with_a_wheel_in_the_ground(two):
-    """The dip of a contact beside or before the root is arm · tilt, for small tilts."""
     ranges = yaml.safe_load(config_files("mine", two)["task/mine.yaml"])["env"]["events"]["reset_base"]["pose_range"]
-    half = 0.08  # m, robots.py: hips to the sides of the middle
+    half = 0.08  # lateral distance of the hips from the middle in robots.py, m
     assert half * ranges["roll"][1] <= 0.003 * two.anatomy.size < half * (ranges["roll"][1] + 1e-3)

@@ -1,11 +1,11 @@
-"""Record what the commands answer today, and check that later code answers the same.
+"""Record the current answers of the commands, and check that later code gives equal answers.
 
     python tests/promises/golden.py record tests/promises/golden.json [SECTION ...]
     python tests/promises/golden.py check tests/promises/golden.json [SECTION ...]
 
-Without SECTION, all sections are recorded or checked. ``check`` prints one line per difference and exits with 1.
-The script uses only the command line, so that it survives a renaming of every internal module. It compares content and
-not wording: a sentence counts only as present, a line of a config file counts by its text instead of its number.
+Without SECTION, all sections are recorded or checked. ``check`` prints one line per difference and exits with 1. The
+script uses only the command line, so that renamed internal modules do not break the script. It compares content: the
+wording of a sentence does not count, and a line of a config file counts by its text instead of its number.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import torch
 
@@ -33,9 +34,7 @@ GOLDEN = Path(__file__).with_name("golden.json")
 CORPUS_VARIABLE = "WHEELLEG_USD_CORPUS"
 STOCK_ROBOT = REPOSITORY / "assets" / "wheelleg" / "wheelleg.usda"
 TASKS = ("stand", "walk", "velocity", "terrain")
-PROSE = "…"  # stands for a sentence, whose wording may change
-
-# --- running a command ---
+PROSE = "…"  # This text replaces a sentence, because its wording can change.
 
 
 def command(*words: str | Path) -> tuple[int, str, str]:
@@ -59,21 +58,11 @@ def scratch() -> Iterator[Path]:
     """Change to an empty temporary folder, which also contains the cache of converted robots."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name).resolve()
-        before = os.environ.get("WHEELLEG_CACHE")
-        os.environ["WHEELLEG_CACHE"] = str(folder / "cache")
-        try:
-            with contextlib.chdir(folder):
-                yield folder
-        finally:
-            if before is None:
-                del os.environ["WHEELLEG_CACHE"]
-            else:
-                os.environ["WHEELLEG_CACHE"] = before
+        with mock.patch.dict(os.environ, WHEELLEG_CACHE=str(folder / "cache")), contextlib.chdir(folder):
+            yield folder
 
 
-# --- removing wording ---
-
-# Sentences under these keys are part of a promise: the names and numbers in them count.
+# Sentences under these keys are part of a promise, so the names and numbers in these sentences are compared.
 _NAMING = {"message", "expected", "nearest", "type", "limits", "values", "error"}
 _SENTENCES = {"text", "meaning", "help", "what", "why", "reason"}
 _EXACT = {"key", "override", "takes", "phases"}
@@ -103,7 +92,7 @@ def line_of(file: str, number: int) -> str:
         if path.is_file():
             lines = path.read_text(encoding="utf-8").splitlines()
             text = re.sub(r"(^|\s)#.*", "", lines[number - 1]) if number <= len(lines) else ""
-            text = re.sub(r"^(\s*\w+:) [a-z]+ [a-z]+ .*", r"\1", text)  # the value is a sentence
+            text = re.sub(r"^(\s*\w+:) [a-z]+ [a-z]+ .*", r"\1", text)  # This value is a sentence.
             return re.sub(r"\s", "", text)
     return str(number)
 
@@ -123,7 +112,7 @@ def without_wording(value: Any, key: str = "", digits: int | None = None) -> Any
         return value
     text = in_repository(value)
     if key == "where" and text.startswith("wheelleg_exp.") and not text[13:].startswith(_STABLE_TARGETS):
-        return "wheelleg_exp"  # the documentation of an internal class
+        return "wheelleg_exp"  # The documentation of an internal class can change.
     if key in _EXACT or (key == "where" and text.startswith("override ")):
         return text
     if " " not in text and key not in _SENTENCES:
@@ -132,16 +121,13 @@ def without_wording(value: Any, key: str = "", digits: int | None = None) -> Any
 
 
 def without_internal_meanings(meanings: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Remove what internal classes say of a key: ``explain`` omits it where a config file says the same words."""
+    """Remove the documentation of internal classes, which ``explain`` omits if a config file has the same text."""
     public = [meaning for meaning in meanings if meaning["where"] != "wheelleg_exp"]
     return public or meanings[:1]
 
 
-# --- sections ---
-
-
 def mjcf(only: str | None = None) -> dict[str, Any]:
-    """Convert the stock robot and, where the corpus exists, its robots: sha256 of MJCF and of the mesh files."""
+    """Convert the stock robot and, if the corpus exists, its robots: sha256 of MJCF and of the mesh files."""
     found = {}
     with scratch() as folder:
         if only in (None, "stock"):
@@ -180,7 +166,7 @@ def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-# Compositions of the stock tree, beside the four tasks: each is stored as its difference from the task 'stand'.
+# Besides the four tasks, these compositions are stored as their differences from the task 'stand'.
 _VARIANTS = [
     *(["task=stand", f"robot={name}"] for name in ("explicit", "late", "motor", "physical")),
     *(["task=stand", f"scene={name}"] for name in ("rough", "stairs")),
@@ -257,19 +243,8 @@ def _all_terms(folder: Path, group: str, package: str) -> dict[str, Any]:
 
 
 _EXPLAINED = [
-    *(
-        "seed",
-        "init_from",
-        "init_from_what",
-        "robot",
-        "scene",
-        "sim",
-        "agent",
-        "task",
-        "reward",
-        "run.root",
-        "run.name",
-    ),
+    *("seed", "init_from", "init_from_what", "robot", "scene", "sim", "agent", "task", "reward"),
+    *("run.root", "run.name"),
     *("env.num_envs", "env.decimation", "env.episode_length_s", "env.sim", "env.sim.dt", "env.sim.engine"),
     *("env.sim.solver", "env.sim.nthread", "env.robot.asset", "env.robot.init_state.pos", "env.scene.terrain"),
     *("env.robot.actuators.legs.stiffness", "env.robot.actuators.wheels.effort_limit", "env.scene.sensors"),
@@ -284,7 +259,7 @@ _EXPLAINED = [
 
 
 def explain() -> dict[str, Any]:
-    """Explain keys of every section, set and not set, a changed key, and misspelled keys."""
+    """Explain set and unset keys of every config section, a changed key, and misspelled keys."""
     with scratch():
         found = {key: answer("explain", key) for key in _EXPLAINED}
         for task in TASKS[1:]:
@@ -299,25 +274,17 @@ def explain() -> dict[str, Any]:
 
 # Mistakes that users make in overrides.
 _WRONG_WORDS = [
-    ["env.num_envs=0"],
-    ["env.num_envs=many"],
+    *([word] for word in ("env.num_envs=0", "env.num_envs=many")),
     ["env.num_envs", "=", "4"],
-    ["env.num_envs:4"],
-    ["env.sim.solver=Newton"],
-    ["env.rewards.base_heigt.weight=2"],
-    ["env.rewards.base_height.wieght=2"],
-    ["env.rewards.base_height.weight=heavy"],
-    ["task=stnad"],
-    ["robot=physicl"],
-    ["+reward@env.rewards=joint_powr"],
+    *([word] for word in ("env.num_envs:4", "env.sim.solver=Newton", "env.rewards.base_heigt.weight=2")),
+    *([word] for word in ("env.rewards.base_height.wieght=2", "env.rewards.base_height.weight=heavy")),
+    *([word] for word in ("task=stnad", "robot=physicl", "+reward@env.rewards=joint_powr")),
     ["env.rewards.alive._target_=wheelleg_exp.mdp.rewards.is_alife"],
     ["env.robot.actuators.wheels.joint_names_expr=[.*04$]"],
     ["env.terminations.base_contact.sensor_cfg.body_names=[base_lnk]"],
     ["env.observations.policy.terms.velocity_commands.command_name=drive"],
-    ["agent.actor.activation=relo"],
-    ["agent.actor.distribution_cfg.class_name=Gaussian"],
-    ["~env.events.push_robt"],
-    ["env.num_envs=${sed}"],
+    *([word] for word in ("agent.actor.activation=relo", "agent.actor.distribution_cfg.class_name=Gaussian")),
+    *([word] for word in ("~env.events.push_robt", "env.num_envs=${sed}")),
     ["env.num_envs=0", "agent.max_iterations=-1", "env.decimation=2.5"],
 ]
 # Mistakes that users make in a file of a task.
@@ -356,7 +323,7 @@ def check() -> dict[str, Any]:
             file = folder / "mine" / "task" / f"{name}.yaml"
             file.write_text(f"# @package _global_\n# Mine.\n{text}")
             found[name] = _mistakes("--config-dir", str(folder / "mine"), f"task={name}")
-            file.unlink()  # a broken file is a mistake of every composition that sees it
+            file.unlink()  # Delete the broken file, because every later composition would report its mistake.
     return found
 
 
@@ -375,7 +342,7 @@ def _mistakes(*words: str) -> dict[str, Any]:
     return {**answer("check", *words), "message": [status, names_in(err)]}
 
 
-# Mistakes in a robot, each with the mistake's place in the text of a small USD or MJCF robot.
+# Mistakes in a small MJCF robot: each replaces one text in the file by another.
 _ROBOT = """<mujoco model="two_wheels">
   <compiler angle="radian" autolimits="true"/>
   <worldbody>
@@ -474,13 +441,15 @@ def _trained(task: str, seed: int, threads: int) -> dict[str, Any]:
         "scalars": _sha256(json.dumps(scalars, sort_keys=True).encode())[:32],
         "mean_reward": [line["scalars"]["Train/mean_reward"] for line in lines],
     }
-    if seed == threads == 1:  # the state of simulation, managers and random streams, by content: its layout may change
+    # Compare the state of simulation, managers and random streams by content, because its layout can change.
+    if seed == threads == 1:
         found["state"] = {name: digest[:12] for name, digest in _tensors(saved["env"]) if _is_state(name)}
     return found
 
 
 def _is_state(name: str) -> bool:
-    return not name.startswith("/extras/") and not name.endswith("_ids")  # logs, and indices that never change
+    # The logs can change, but the indices never change.
+    return not name.startswith("/extras/") and not name.endswith("_ids")
 
 
 def _tensors(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -505,36 +474,31 @@ SECTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     "training": training,
 }
 
-# --- comparing ---
-
 
 def differences(golden: dict[str, Any], found: dict[str, Any], section: str = "") -> list[str]:
-    """Return one line per value that differs; a corpus or CPU that is missing on one side is not compared."""
-    names = [name for name in {**golden, **found} if not (_optional(section, name) and name not in found)]
+    """Return one line per value that differs; a corpus or CPU without values on one side is not compared."""
     lines = []
-    for name in names:
-        if section == "training" and name not in golden:
-            continue
-        lines += _compare(golden.get(name), found.get(name), f"{section}: {name}")
+    for name in {**golden, **found}:
+        optional = section == "training" or (section == "mjcf" and name.startswith("corpus/"))
+        if not (optional and name not in found) and not (section == "training" and name not in golden):
+            lines += _compare(golden.get(name), found.get(name), f"{section}: {name}")
     return lines
-
-
-def _optional(section: str, name: str) -> bool:
-    return section == "training" or (section == "mjcf" and name.startswith("corpus/"))
 
 
 def _compare(old: Any, new: Any, path: str) -> list[str]:
     if path.endswith(" / state") and isinstance(old, dict) and isinstance(new, dict):
         digests = set(new.values())
         return [f"{path}: no tensor equals the old {name}" for name, value in old.items() if value not in digests]
+    if path.endswith(" / robot.xml") and isinstance(old, list) and new in old:
+        return []  # CPUs round the last digit of four robots differently, so the digests of both CPUs are recorded.
     if isinstance(old, dict) and isinstance(new, dict):
         return [line for key in {**old, **new} for line in _compare(old.get(key), new.get(key), f"{path} / {key}")]
-    if path == "compose: list terms / answer":  # terms are listed in the order of their definitions, which is free
+    if path == "compose: list terms / answer":  # The order of the terms is that of their definitions and can change.
         old, new = (
             sorted(terms or [], key=lambda term: (term["group"], term["term"], term["target"])) for terms in (old, new)
         )
     if path.endswith(" / where") and isinstance(new, str) and new.startswith("wheelleg_exp."):
-        old, new = (str(name).rpartition(".")[2] for name in (old, new))  # the module that defines a class may move
+        old, new = (str(name).rpartition(".")[2] for name in (old, new))  # The module of a class can change.
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         pairs = enumerate(zip(old, new, strict=True))
         return [line for index, (a, b) in pairs for line in _compare(a, b, f"{path} / {index}")]
@@ -549,21 +513,16 @@ def load(file: Path = GOLDEN) -> dict[str, Any]:
 
 
 def record(file: Path, names: Sequence[str]) -> None:
-    """Write sections to the file; keep its other sections, and the trainings of other CPUs."""
+    """Write sections to the file; other sections, and trainings of other CPUs, stay in the file."""
     sections = load(file) if file.is_file() else {}
     for name in names:
         found = json.loads(json.dumps(SECTIONS[name]()))
         sections[name] = {**sections.get(name, {}), **found} if name in ("training", "mjcf") else found
-    file.write_text(_text({name: sections[name] for name in SECTIONS if name in sections}), encoding="utf-8")
-
-
-def _text(sections: dict[str, Any]) -> str:
-    """Return JSON with one line per entry, so that a diff shows which entry changed."""
     blocks = []
-    for name, entries in sections.items():
-        lines = [f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in entries.items()]
+    for name in (name for name in SECTIONS if name in sections):  # One line per entry, so that a diff shows the entry.
+        lines = [f"  {json.dumps(key)}: {json.dumps(x, ensure_ascii=False)}" for key, x in sections[name].items()]
         blocks.append(f"{json.dumps(name)}: {{\n" + ",\n".join(lines) + "\n}")
-    return "{" + ",\n".join(blocks) + "}\n"
+    file.write_text("{" + ",\n".join(blocks) + "}\n", encoding="utf-8")
 
 
 def main(words: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ import pytest
 
 from .golden import REPOSITORY, STOCK_ROBOT, command
 from .parsers import COMMANDS
-from .runs import require_old_commit, unpack
+from .runs import of_this_cpu, require_old_commit, unpack
 
 SHORT = "protocol=stand protocol.stand.episodes=2 protocol.stand.horizon_s=1.5 protocol.stand.survival_s=[0.5]"
 TINY = "env.num_envs=2 env.sim.nthread=1 agent.torch_threads=1"
@@ -21,14 +21,9 @@ BRIEF = f"{TINY} agent.max_iterations=1 agent.num_steps_per_env=4 recording.enab
 
 @dataclass(frozen=True)
 class Line:
-    """A command line and what comes of it.
+    """A command line, with a regular expression for its output, a file that it writes, and its exit status.
 
-    Attributes:
-        words: the words after ``wheelleg``; ``{run}``, ``{robot}`` and ``{urdf}`` are files of the test.
-        output: a regular expression that standard output contains.
-        file: a file or folder that the command writes.
-        status: the exit status.
-        marks: names of pytest's markers.
+    ``words`` are the words after ``wheelleg``. In them, ``{run}``, ``{robot}`` and ``{urdf}`` are files of the test.
     """
 
     words: str
@@ -39,7 +34,6 @@ class Line:
 
     @property
     def options(self) -> set[str]:
-        """The options on the command line, without their values."""
         return {word.partition("=")[0] for word in self.words.split() if word.startswith("-")}
 
 
@@ -88,12 +82,7 @@ LINES = [
     Line(f"play {{run}} {ELSEWHERE} --script elsewhere/drive.yaml --scene rough --json", r"\{", marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} {MINE} --checkpoint 0 --json {SHORT}", '"stand/time_to_failure"', marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} --against reference --reference --kept {SHORT}", "reference", marks=SLOW),
-    Line(
-        f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --kept {SHORT}",
-        "",
-        "pages",
-        marks=SLOW,
-    ),
+    Line(f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --kept {SHORT}", "", "pages", marks=SLOW),
     Line(f"zero-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---
@@ -118,12 +107,11 @@ _URDF = f"""<robot name="cart">
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
-    """A folder with the old run, a task and a robot; the current folder is another one, which is empty."""
     here, elsewhere = tmp_path / "here", tmp_path / "here" / "elsewhere"
     here.mkdir()
     monkeypatch.chdir(here)
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where a replay leaves the restored source
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # A replay restores the source in this folder.
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     run = unpack(elsewhere / "runs")
     task = elsewhere / "mine" / "task" / "mine.yaml"
@@ -146,7 +134,9 @@ def test_a_command_line_works(line: Line, files: dict[str, str]):
         require_old_commit()
     words = [files.get(word.strip("{}"), word) for word in line.words.split()]
     status, out, err = command(*words)
-    assert status == line.status, err
+    # On another kind of CPU, the numbers of a replay can differ from the old run, and the status is 1.
+    elsewhere = line.words.startswith("replay") and not of_this_cpu(Path("elsewhere/runs/stand", files["run"]))
+    assert status in ({0, 1} if elsewhere else {line.status}), err
     assert re.search(line.output.replace("{run}", files["run"]), out), out
     assert not line.file or Path(line.file).exists(), sorted(Path().iterdir())
 

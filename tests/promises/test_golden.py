@@ -1,4 +1,4 @@
-"""What the commands answered before the restructuring, they answer now: see golden.py. A run of the old code works."""
+"""Compare what the commands answer with golden.json, and use a run of old code: see golden.py."""
 
 from __future__ import annotations
 
@@ -10,25 +10,11 @@ from typing import Any
 
 import pytest
 
-from .golden import (
-    CORPUS_VARIABLE,
-    REPOSITORY,
-    SECTIONS,
-    TASKS,
-    command,
-    cpu,
-    differences,
-    load,
-    mjcf,
-    training,
-)
-from .runs import require_old_commit, unpack
-
-# --- golden values ---
+from .golden import CORPUS_VARIABLE, REPOSITORY, SECTIONS, TASKS, command, cpu, differences, load, mjcf, training
+from .runs import of_this_cpu, require_old_commit, unpack
 
 
 def assert_as_recorded(section: str, found: dict[str, Any]) -> None:
-    """Compare entries with those of the same names in golden.json."""
     golden = {name: value for name, value in load()[section].items() if name in found}
     lines = differences(golden, json.loads(json.dumps(found)), section)
     assert not lines, "\n".join(lines)
@@ -111,12 +97,8 @@ def test_a_missing_and_an_added_entry_are_differences():
     assert [line.partition(": was")[0] for line in lines] == ["explain: env.sim.dt", "explain: new"]
 
 
-# --- a run of the old code ---
-
-
 @pytest.fixture
 def old_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The run directory, unpacked below ``runs`` of the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
     return unpack(tmp_path / "runs")
@@ -124,19 +106,12 @@ def old_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def answered() -> Callable[..., Any]:
-    """Run a command with ``--json`` that must succeed, and return its answer."""
-
     def run(*words: str | Path) -> Any:
         status, out, err = command(*words, "--json")
         assert status == 0, err
         return json.loads(out)
 
     return run
-
-
-def of_this_cpu(run: Path) -> bool:
-    hardware = json.loads((run / "manifest.json").read_text())["hardware"]
-    return cpu() == " ".join(hardware[name] for name in ("cpu", "cpu_family", "cpu_model", "cpu_stepping"))
 
 
 def test_the_old_run_is_listed(old_run, answered):
@@ -152,9 +127,6 @@ def test_the_old_run_is_verified(old_run, answered):
     assert {"manifest", "files", "params", "asset", "iterations", "checkpoints", "recording", "exported"} <= set(checks)
     assert {name for name, check in checks.items() if check["state"] != "ok"} <= {"source"}
     assert not any(check["failures"] for check in checks.values())
-
-
-def test_a_damaged_checkpoint_of_the_old_run_is_reported(old_run):
     content = bytearray((old_run / "model_3.pt").read_bytes())
     content[len(content) // 2] ^= 1
     (old_run / "model_3.pt").write_bytes(content)

@@ -17,14 +17,11 @@ from .parsers import COMMANDS
 from .test_commands import LINES
 
 LEDGER: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("ledger.yaml").read_text(encoding="utf-8"))
-TABLE = "table"  # the option is used by a line of test_commands.py
-
-# --- what the ledger says, and what exists ---
+TABLE = "table"  # A line of test_commands.py uses the option.
 
 
 @cache
 def files_by_test(folder: str) -> dict[str, list[Path]]:
-    """Return the files that define each test function of a folder and of its subfolders."""
     found: dict[str, list[Path]] = {}
     for path in sorted((REPOSITORY / folder).rglob("test_*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -35,7 +32,6 @@ def files_by_test(folder: str) -> dict[str, list[Path]]:
 
 
 def entries(ledger: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the place of each named test in the ledger, and the test as ``folder::function``."""
     for part in ("rows", "pages"):
         for name, entry in ledger[part].items():
             yield from ((f"{part}: {name}", test) for test in entry["tests"])
@@ -46,13 +42,12 @@ def entries(ledger: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def missing_tests(ledger: dict[str, Any]) -> list[str]:
-    """Return the places whose test does not exist."""
-    found = []
-    for place, test in entries(ledger):
-        folder, _, function = test.partition("::")
-        if function not in files_by_test(folder):
-            found.append(f"{place}: there is no test {test}")
-    return found
+    named = [(place, test, *test.split("::")) for place, test in entries(ledger)]
+    return [
+        f"{place}: there is no test {test}"
+        for place, test, folder, function in named
+        if function not in files_by_test(folder)
+    ]
 
 
 def unused_options(ledger: dict[str, Any]) -> list[str]:
@@ -74,19 +69,10 @@ def unused_options(ledger: dict[str, Any]) -> list[str]:
 
 
 def rows_of_readme() -> list[str]:
-    """Return the first column of the README's table "you want to"."""
     text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     _, _, table = text.partition("| you want to |")
     rows = re.findall(r"^\| (.+?) \|", table.partition("\n\n")[0], re.MULTILINE)
     return [row for row in rows if not set(row) <= {"-", " "}]
-
-
-def pages_of_docs() -> list[str]:
-    """Return the paths of the manual's pages."""
-    return sorted(str(path.relative_to(REPOSITORY)) for path in (REPOSITORY / "docs").rglob("*.md"))
-
-
-# --- tests ---
 
 
 def test_every_named_test_exists():
@@ -113,7 +99,8 @@ def test_the_rows_of_the_readme_are_those_of_the_ledger():
 
 
 def test_the_pages_of_the_manual_are_those_of_the_ledger():
-    assert pages_of_docs() == sorted(LEDGER["pages"])
+    pages = sorted(str(path.relative_to(REPOSITORY)) for path in (REPOSITORY / "docs").rglob("*.md"))
+    assert pages == sorted(LEDGER["pages"])
 
 
 def test_every_row_and_page_names_a_test_and_every_page_its_promise():
@@ -126,9 +113,6 @@ def test_every_row_and_page_names_a_test_and_every_page_its_promise():
 
 def test_the_ledger_fits_on_a_few_screens():
     assert len(Path(__file__).with_name("ledger.yaml").read_text(encoding="utf-8").splitlines()) < 500
-
-
-# --- the checks above find what they should find ---
 
 
 def test_a_test_that_is_gone_is_found():

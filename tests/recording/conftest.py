@@ -1,5 +1,3 @@
-"""A small environment of the stock task, and a seeded rollout with its own account of what happened."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -48,8 +46,6 @@ def make_env(mjcf) -> MakeEnv:
 
 @dataclass
 class Account:
-    """What the environment itself showed, step by step, of one environment."""
-
     env_id: int
     rows: dict[str, list[np.ndarray]] = field(default_factory=dict)
     ended: list[tuple[int, list[str], float]] = field(default_factory=list)
@@ -87,7 +83,6 @@ class Account:
 
 
 def roll_out(env: ManagerBasedRLEnv, account: Account, steps: int = STEPS) -> Account:
-    """Step with seeded noise; the account is taken where a recorder captures, by means of its own."""
     generator = torch.Generator().manual_seed(7)
     observed, _ = env.reset(seed=3)
     action = torch.zeros(env.num_envs, env.action_manager.total_action_dim)
@@ -115,6 +110,5 @@ def record(
 
 @pytest.fixture(scope="session")
 def recorded(make_env, tmp_path_factory) -> tuple[Path, Account, ManagerBasedRLEnv]:
-    """A recording of environment 1 of 4, and the account of the same rollout."""
     path, env = tmp_path_factory.mktemp("recorded") / "recording.rrd", make_env()
     return path, record(path, env), env

@@ -1,5 +1,3 @@
-"""Finishing a recording that cannot be finished: the file stays as it is, and why is told."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -25,13 +23,16 @@ def path(tmp_path: Path) -> Path:
         ("exit 0", "rerun wrote nothing"),
         ('echo "no recording" > "$5"', "rerun wrote nothing"),
         ("sleep 600", "rerun did not finish within 0 s"),
+        ("", "rerun's program is missing"),
     ],
 )
 def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, script, why):
     program = path.with_name("rerun")
     program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(rerun_program, "rerun_program", lambda: str(program))
+    monkeypatch.setattr(
+        rerun_program, "rerun_program", lambda: str(program if script else program.with_name("missing"))
+    )
     monkeypatch.setattr(rerun_program, "_TIMEOUT_S", 0.3 if "sleep" in script else PATIENCE_S)
     assert rerun_program.optimize_recording(path) == why
     assert path.read_bytes() == b"as it is"

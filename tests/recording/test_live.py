@@ -1,5 +1,3 @@
-"""A live viewer never stops or slows a run: viewers that hang, die, or are not there."""
-
 from __future__ import annotations
 
 import contextlib
@@ -24,7 +22,8 @@ pytestmark = pytest.mark.slow
 
 STEPS = 120
 
-# Accepts connections and never reads, tells its process id, and (with "die") ends after the first connection.
+# This fake viewer prints its process id, accepts connections and never reads. With "die", it stops after the first
+# connection.
 _VIEWER = """
     import os, socket, sys, time
     from pathlib import Path
@@ -55,7 +54,6 @@ def end_viewer(tmp_path: Path) -> None:
 
 
 def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> str:
-    """Record some steps, with a viewer if a command is given; return the digest."""
     env.common_step_counter = 0
     env.reset(seed=0)
     env.event_manager.fired.clear()
@@ -98,7 +96,7 @@ def test_a_viewer_is_opened_for_this_machine_alone_and_sends_nothing():
     command = viewer_command(5)
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     surroundings = viewer_environment()
-    assert surroundings["CI"] == "true"  # rerun's analytics are off there
+    assert surroundings["CI"] == "true"  # CI=true disables rerun's analytics.
     assert surroundings["HTTPS_PROXY"] == surroundings["https_proxy"] == "http://127.0.0.1:9"
 
 

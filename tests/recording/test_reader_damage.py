@@ -1,5 +1,3 @@
-"""Files that are not recordings, files that are not whole, and their repair."""
-
 from __future__ import annotations
 
 import gzip
@@ -23,12 +21,11 @@ from wheelleg_exp.recording.reading.recording_repair import repair
 from wheelleg_exp.recording.rrd_file import INDEX, ROWS, RrdFile
 
 HEADER = b"RRF2\0\x29\0\0\1\2\0\0"
-HEAD = 16  # bytes before the payload of a message
+HEAD = 16  # bytes before the payload of an rrd message
 
 
 @pytest.fixture(scope="module")
 def whole() -> bytes:
-    """A recording of fixed bytes, as rerun 0.41 wrote ``inspection.synthetic.play``; equal damage in every run."""
     return gzip.decompress(Path(__file__).with_name("play.rrd.gz").read_bytes())
 
 
@@ -39,7 +36,6 @@ def written(tmp_path, data):
 
 
 def damaged(tmp_path, whole):
-    """Write the recording with one message of zeros, and return the path."""
     path = written(tmp_path, whole)
     message = [m for m in RrdFile(path).messages() if m.kind == ROWS][3]
     data = bytearray(whole)
@@ -65,10 +61,7 @@ def verified(path):
         (lambda path: path.write_bytes(b"RRF0 and more"), "another format.*RRF0"),
         (lambda path: path.write_bytes(b"RRF2\0"), "cut off in its header"),
         (lambda path: path.write_bytes(HEADER), "contains no rows"),
-        (
-            lambda path: path.write_bytes(b"RRF2\0\x16\1\0\1\1\0\0 more"),
-            r"rerun 0\.22\.1, in a format that is no",
-        ),
+        (lambda path: path.write_bytes(b"RRF2\0\x16\1\0\1\1\0\0 more"), r"rerun 0\.22\.1, in a format that is no"),
         (lambda path: rr.blueprint.Blueprint(rr.blueprint.TimeSeriesView()).save("x", path), "contains no rows"),
     ],
 )
@@ -82,7 +75,7 @@ def test_an_unknown_message_of_a_newer_rerun_names_that_rerun(tmp_path, whole):
     newer = bytearray(b"RRF2\0\x63\0\0\1\2\0\0" + whole[12:])
     assert Recording(written(tmp_path, bytes(newer))).health.writer == "0.99.0"
     for message in [m for m in RrdFile(written(tmp_path, bytes(newer))).messages() if m.kind == ROWS]:
-        newer[message.begin + HEAD] = 0x3A  # the number of the first field
+        newer[message.begin + HEAD] = 0x3A  # the number of the first protobuf field
     with pytest.raises(RunDirectoryError, match=r"contains no rows|rerun rrd migrate"):
         Recording(written(tmp_path, bytes(newer)))
 
@@ -119,6 +112,8 @@ def test_a_recording_of_another_tool_is_read(tmp_path):
 def test_the_fixed_recording_is_the_synthetic_one(tmp_path, whole):
     fixed = written(tmp_path, whole)
     assert Recording(fixed).health.lines() == ["whole"]
+    assert repair(fixed).output is None
+    assert [path.name for path in tmp_path.iterdir()] == ["damaged.rrd"]
     assert entity_digests(fixed, without=()) == entity_digests(play(tmp_path / "r.rrd"), without=())
 
 
@@ -183,11 +178,6 @@ def test_a_repair_overwrites_nothing(tmp_path, whole):
             repair(path, output)
     assert (tmp_path / "damaged.repaired.rrd").read_text() == "precious"
     assert repair(path, tmp_path / "new" / "other.rrd").output == tmp_path / "new" / "other.rrd"
-
-
-def test_a_whole_recording_needs_no_repair(tmp_path, whole):
-    assert repair(written(tmp_path, whole)).output is None
-    assert [path.name for path in tmp_path.iterdir()] == ["damaged.rrd"]
 
 
 def test_an_index_ends_the_messages(tmp_path, whole):

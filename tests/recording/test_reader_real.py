@@ -1,5 +1,3 @@
-"""The summary of a recorded rollout, held against the environment's own account of it."""
-
 from __future__ import annotations
 
 from collections import Counter
@@ -27,7 +25,7 @@ def test_episodes_end_as_the_environment_told(told):
     assert {e.env_id for e in summary.episodes} == {account.env_id}
 
 
-def test_height_forces_and_efforts_are_the_environment_s(told):
+def test_height_forces_efforts_and_tracking_errors_are_the_environments(told):
     summary, account, env = told
     assert summary.base["height"].mean == pytest.approx(account["height"].mean(), rel=1e-6)
     norms = np.linalg.norm(account["forces"], axis=-1)
@@ -39,9 +37,6 @@ def test_height_forces_and_efforts_are_the_environment_s(told):
     largest = dict(zip(env.scene.robot.joint_names, np.abs(account["effort"]).max(axis=0), strict=True))
     assert {use.joint: use.largest for use in summary.efforts} == pytest.approx(largest, rel=1e-6)
     assert all(use.limit and use.largest <= use.limit * (1 + 1e-6) for use in summary.efforts)
-
-
-def test_tracking_errors_are_of_velocities_against_commands(told):
     summary, account, _ = told
     error = account["lin_vel"][:, 0] - account["command"][:, 0]
     forward = next(tracked for tracked in summary.tracking if tracked.name == "v_x")
@@ -63,5 +58,5 @@ def test_pushes_are_found_where_they_were(recorded, told):
     path, account, _ = recorded
     assert sum(told[0].events.values()) == len(account.pushed)
     hits = find_hits(Recording(path), Condition("events.push_robot"))
-    # A push comes behind a step's frame, and is seen by the account one step later.
+    # A push follows the frame of a control step, so the expected values contain the push one control step later.
     assert [hit.first.step for hit in hits] == pytest.approx(account.pushed, abs=1)

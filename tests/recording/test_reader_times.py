@@ -1,5 +1,3 @@
-"""Times that Python has no type for: parts of a microsecond, and what is further away than its years go."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -19,7 +17,6 @@ NS = [1, 1_000_000_001, 2_000_000_002]
 
 @pytest.fixture
 def path(tmp_path):
-    """A recording of another tool, whose clock has nanoseconds."""
     writer = Writer(tmp_path / "r.rrd")
     times = [
         rr.TimeColumn("step", sequence=[1, 2, 3]),
@@ -37,27 +34,21 @@ def path(tmp_path):
 def test_events_have_their_times_to_the_nanosecond(path):
     events = Recording(path).events()
     assert [event.time_s for event in events] == [value * 1e-9 for value in NS]
-    assert [(event.step, event.text, event.level) for event in events] == [
-        (1, "push", "INFO"),
-        (2, "fell", "WARN"),
-        (3, "end", "INFO"),
-    ]
+    expected = [(1, "push", "INFO"), (2, "fell", "WARN"), (3, "end", "INFO")]
+    assert [(event.step, event.text, event.level) for event in events] == expected
 
 
 def test_properties_that_are_times_are_read(path):
     recording = Recording(path)
     assert recording.properties["wheelleg"] == {"made": 7, "took": 9}
     assert summarize(recording).properties["wheelleg"]["made"] == 7
+    assert {"base/height", "documents/a", "log/episodes"} <= entity_digests(path, without=()).keys()
 
 
 def test_every_action_that_prints_reads_them(path, capsys):
     for words in ([], ["--json"], ["--names"], ["--stats", "--term", "base.height"], ["--where", "base.height > 1"]):
         assert main(["inspect", str(path), *words]) == 0, capsys.readouterr().err
     assert main(["inspect", str(path), "--compare", str(path)]) == 0
-
-
-def test_a_digest_takes_times_in(path):
-    assert {"base/height", "documents/a", "log/episodes"} <= entity_digests(path, without=()).keys()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""Which control steps a sample of a training takes, from the lengths of its episodes alone."""
-
 from __future__ import annotations
 
 from itertools import count
@@ -10,7 +8,6 @@ from wheelleg_exp.recording.recording_options import Sample
 
 
 def taken(lengths: list[int], enough: int, most: int, dues: tuple[int, ...] = (0,)) -> list[tuple[int, int]]:
-    """Return episode and step of what is taken of episodes of these lengths; a sample begins after each of ``dues``."""
     sample, found, now = Sample(), [], count(1)
     steps = {}
     for number, length in enumerate(lengths):
@@ -34,6 +31,7 @@ def whole(*episodes: tuple[int, int]) -> list[tuple[int, int]]:
 
 def test_it_waits_for_an_episode_to_begin_and_ends_with_one():
     assert taken([5, 4, 3, 9, 2], enough=6, most=99, dues=(2,)) == whole((1, 4), (2, 3))
+    assert taken([3, 3], enough=0, most=8) == []
 
 
 @pytest.mark.parametrize(("enough", "episodes"), [(4, 1), (5, 2), (7, 2), (8, 3)])
@@ -45,7 +43,3 @@ def test_an_episode_without_an_end_is_cut_off_and_the_next_sample_goes_on_if_it_
     assert taken([30], enough=3, most=8) == whole((0, 8))
     assert taken([30], enough=3, most=8, dues=(0, 5)) == whole((0, 13))
     assert taken([30, 2], enough=2, most=8, dues=(0, 20)) == [*whole((0, 8)), *whole((1, 2))]
-
-
-def test_nothing_is_taken_where_there_is_no_room():
-    assert taken([3, 3], enough=0, most=8) == []

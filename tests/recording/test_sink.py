@@ -1,5 +1,3 @@
-"""The file that a recording grows into, held against what rerun's own stream writes of the same."""
-
 from __future__ import annotations
 
 import gc
@@ -96,13 +94,9 @@ def test_a_file_holds_what_reruns_own_stream_writes(both):
     ours, reruns = both
     assert entity_digests(ours, without=()) == entity_digests(reruns, without=())
     assert Recording(ours).properties == Recording(reruns).properties
-    done = rerun("compare", "--unordered", str(ours), str(reruns))
-    assert done.returncode == 0, done.stderr
-
-
-def test_rerun_finds_nothing_wrong_with_it(both):
-    done = rerun("verify", str(both[0]))
-    assert done.returncode == 0, done.stderr
+    for words in (["compare", "--unordered", str(ours), str(reruns)], ["verify", str(ours)]):
+        done = rerun(*words)
+        assert done.returncode == 0, done.stderr
 
 
 def test_the_layout_is_the_one_that_rerun_writes(both):
@@ -123,9 +117,6 @@ def test_columns_of_different_lengths_are_refused(tmp_path):
         sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0]))
     sink.abandon()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_is_there_is_not_touched(tmp_path):
     (tmp_path / "r.rrd").write_bytes(b"mine")
     with pytest.raises(RunDirectoryError, match="exists and is not overwritten"):
         RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
@@ -162,17 +153,13 @@ def test_a_disk_that_is_full_is_told_and_what_was_whole_stays(tmp_path, monkeypa
     assert Recording(tmp_path / "r.rrd").entities() == []
 
 
-def threads() -> int:
-    return sum(1 for _ in Path("/proc/self/task").iterdir())
-
-
-def resident() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+def usage() -> tuple[int, int]:
+    threads = sum(1 for _ in Path("/proc/self/task").iterdir())
+    return threads, int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 def test_closed_recordings_leave_no_thread_and_no_memory(tmp_path, monkeypatch):
-    """A stream of rerun's leaves two threads and up to 3 MB each time; only a blueprint still needs one."""
     monkeypatch.setattr("wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None)
     values = np.zeros(20_000)
     times = [rr.TimeColumn("step", sequence=np.arange(len(values)))]
@@ -186,9 +173,10 @@ def test_closed_recordings_leave_no_thread_and_no_memory(tmp_path, monkeypatch):
     for number in range(3):
         record(number)
     gc.collect()
-    before = threads(), resident()
+    before = usage()
     for number in range(3, 23):
         record(number)
     gc.collect()
-    assert threads() == before[0]
-    assert resident() - before[1] < 10e6
+    threads, resident = usage()
+    assert threads == before[0]
+    assert resident - before[1] < 10e6

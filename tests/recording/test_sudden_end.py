@@ -1,5 +1,3 @@
-"""Processes that are killed while they record: what the file still holds, and that a viewer never matters."""
-
 from __future__ import annotations
 
 import signal
@@ -49,7 +47,6 @@ _STEPS = 154
 
 @pytest.fixture(scope="module")
 def killed(mjcf, tmp_path_factory) -> tuple[Recording, Recording]:
-    """The recordings of a play and of a training whose process was killed in step 154."""
     root = tmp_path_factory.mktemp("killed")
     words = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(mjcf), str(root)]
     done = subprocess.run(words, capture_output=True, text=True)
@@ -57,18 +54,12 @@ def killed(mjcf, tmp_path_factory) -> tuple[Recording, Recording]:
     return Recording(root / "play.rrd"), Recording(done.stdout.strip())
 
 
-def test_a_killed_play_loses_less_than_a_second(killed):
+def test_a_kill_loses_less_than_a_second_of_a_play_and_the_current_iteration_of_a_training(killed):
     steps = np.asarray(killed[0].table("base/height").column("step"))
     assert steps.tolist() == list(range(1, len(steps) + 1))
     assert 0 <= _STEPS - len(steps) < 60
-
-
-def test_a_killed_training_loses_the_iteration_under_way_alone(killed):
     steps = np.asarray(killed[1].table("base/height").column("step"))
     assert steps.tolist() == list(range(1, 6 * 24 + 1))
-
-
-def test_what_is_left_can_be_drawn(killed):
     for recording in killed:
         root = recording.properties["robot"]["root"]
         assert len(recording.table(f"world/{root}")) == len(recording.table("base/height"))

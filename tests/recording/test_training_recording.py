@@ -1,5 +1,3 @@
-"""The recording of a training: samples, bound, and resuming after a checkpoint or a sudden end."""
-
 from __future__ import annotations
 
 import copy
@@ -26,8 +24,8 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.slow
 
-ROLLOUT = 20  # control steps of an iteration
-LONGEST = 45 - 1 + 24  # steps of a sample whose last episode, of 0.4 s, begins one step before it is enough
+ROLLOUT = 20  # control steps of a training iteration
+LONGEST = 45 - 1 + 24  # The longest sample: its last episode has 24 steps.
 OPTIONS = {"enabled": True, "env_ids": [1], "interval": 3, "steps": 45, "max_mb": 200.0, "live": False}
 ACTIONS = 0.5 * torch.randn(10 * ROLLOUT, 2, 6, generator=torch.Generator().manual_seed(2))
 
@@ -44,15 +42,9 @@ def directory(tmp_path) -> RunDirectory:
 
 def a_directory(root: Path) -> RunDirectory:
     directory = RunDirectory.create(root / "runs", "stand", 0)
-    begun = {
-        "format": FORMAT,
-        "status": "running",
-        "task": "stand",
-        "started": "2026-01-01T00:00:00+00:00",
-        "ended": None,
-    }
+    begun = {"format": FORMAT, "status": "running", "task": "stand", "started": "2026-01-01T00:00:00+00:00"}
     empty = {"command": ["wheelleg", "train"], "results": {}, "resumes": [], "additions": [], "files": {}}
-    (directory.path / "manifest.json").write_text(json.dumps(begun | empty))
+    (directory.path / "manifest.json").write_text(json.dumps({**begun, **empty, "ended": None}))
     return directory
 
 
@@ -67,8 +59,6 @@ def scalars(iteration: int) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Lived:
-    """An episode as the environment itself showed it: its control steps, iterations, return, and what ended it."""
-
     steps: list[int]
     iterations: list[int]
     total: float
@@ -76,7 +66,6 @@ class Lived:
 
 
 def lived(env, env_id: int, until: int) -> list[Lived]:
-    """Return the episodes of one environment over so many iterations, watched by no recorder."""
     env.common_step_counter = 0
     env.reset(seed=4)
     rows: list[tuple] = []
@@ -101,7 +90,6 @@ def lived(env, env_id: int, until: int) -> list[Lived]:
 
 
 def sampled(episodes: list[Lived], until: int) -> list[Lived]:
-    """Return the episodes of the samples that are due with every third iteration: begun later, to 45 steps or more."""
     found: list[Lived] = []
     for due in range(0, until * ROLLOUT, 3 * ROLLOUT):
         taken = 0
@@ -113,7 +101,6 @@ def sampled(episodes: list[Lived], until: int) -> list[Lived]:
 
 
 def train(env, directory, until, *, start=0, checkpoint_at=None, **changes) -> dict | None:
-    """Step like a training; return the environment's state after ``checkpoint_at`` iterations, flushed before."""
     kept = None
     if start == 0:
         env.common_step_counter = 0
@@ -146,12 +133,9 @@ def straight(env, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def stopped(env, tmp_path_factory) -> tuple[Path, dict]:
-    """A training that ran one iteration past its checkpoint of four; its second sample is under way."""
     directory = a_directory(tmp_path_factory.mktemp("stopped"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None
-        )  # as after a kill
+    with pytest.MonkeyPatch.context() as patch:  # A killed process does not optimize its recording.
+        patch.setattr("wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None)
         kept = train(env, directory, 5, checkpoint_at=4)
     assert kept is not None
     return directory.recording, kept
@@ -204,9 +188,6 @@ def test_it_says_what_it_is_of(straight, env):
     assert (about["purpose"], about["task"], about["format_version"]) == ("training", "stand", 2)
     assert (about["step_dt"], about["num_envs"]) == (env.step_dt, 2)
     assert about["run_id"] == straight.parent.name
-
-
-def test_the_documents_tell_of_config_manifest_and_command(straight):
     recording = Recording(straight)
     assert recording.document("config") == "c"
     assert "wheelleg train" in recording.document("command")
@@ -232,7 +213,6 @@ def test_going_on_twice_is_going_on_once(env, straight, directory):
 
 
 def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, straight, stopped, tmp_path):
-    """As after a kill at any moment: what stood there at the checkpoint is all that counts."""
     path, kept = stopped
     data, later = path.read_bytes(), [span for span in RrdFile(path).messages() if span.begin >= kept["bytes"]]
     ends = [later[0].begin + 7, later[0].begin + 16, (later[1].begin + later[1].end) // 2, later[-2].end - 1]
@@ -308,7 +288,6 @@ def test_an_interrupted_rewriting_leaves_the_old_file_and_its_rest_is_removed(en
 
 @pytest.fixture(scope="module")
 def bound(env, tmp_path_factory) -> float:
-    """The bound, MB, that just leaves room for one sample."""
     path = tmp_path_factory.mktemp("bound") / "r.rrd"
     with Recorder(path, env, recording_id="r", name="n", env_ids=[1], purpose="training") as recorder:
         return next(mb for mb in np.arange(0.0, 50.0, 0.01).round(2).tolist() if recorder.frames_within(mb) >= LONGEST)
@@ -321,14 +300,18 @@ def test_at_the_bound_motion_ends_and_scalars_go_on(env, directory, bound):
     assert recording.table("training/Loss/value").column("iteration").to_pylist() == list(range(7))
     table = recording.table("log/recording")
     assert table.column("step").to_pylist() == [3 * ROLLOUT]
-    assert table.column("text").to_pylist() == [
-        [f"the bound of {bound:g} MB is reached after 1 sample; from here on there are scalars alone"]
-    ]
+    text = f"the bound of {bound:g} MB is reached after 1 sample; from here on there are scalars alone"
+    assert table.column("text").to_pylist() == [[text]]
     assert directory.recording.stat().st_size < bound * 1e6
+    directory.recording.unlink()
+    train(env, directory, 3, max_mb=0.0)
+    recording = Recording(directory.recording)
+    assert not recording.has_rows("base/height")
+    assert len(recording.table("training/Loss/value")) == 3
+    assert len(recording.table("log/recording")) == 1
 
 
 def test_a_bound_counts_the_frames_that_there_are(env, directory):
-    """Room for two samples as they were and a third as long as can be, which is less than three of the longest."""
     episodes = lived(env, 1, 9)
     frames = sum(len(one.steps) for one in sampled(episodes, 6)) + LONGEST
     assert frames < 3 * LONGEST
@@ -338,14 +321,6 @@ def test_a_bound_counts_the_frames_that_there_are(env, directory):
     train(env, directory, 9, max_mb=enough)
     assert [step for step, _ in rows(directory.recording)] == [k for one in sampled(episodes, 9) for k in one.steps]
     assert rows(directory.recording)[-1][1] >= 7
-
-
-def test_a_bound_of_nothing_leaves_the_scalars(env, directory):
-    train(env, directory, 3, max_mb=0.0)
-    recording = Recording(directory.recording)
-    assert not recording.has_rows("base/height")
-    assert len(recording.table("training/Loss/value")) == 3
-    assert len(recording.table("log/recording")) == 1
 
 
 def test_a_bound_too_small_for_a_sample_is_told_before_it_begins(env, directory, bound):
@@ -360,9 +335,7 @@ def test_a_bound_too_small_for_a_sample_is_told_before_it_begins(env, directory,
         pass
     (event,) = Recording(directory.recording).events("recording")
     assert event.text == made.note
-
-
-def test_a_bound_with_room_says_nothing(env, directory, bound):
+    directory.recording.unlink()
     with TrainingRecording(directory, env, options(max_mb=bound), {}) as made:
         assert made.note is None
 

@@ -1,5 +1,3 @@
-"""Runs to report on, and their pages."""
-
 from __future__ import annotations
 
 import functools
@@ -26,19 +24,17 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the drawing itself, which takes its time, where a test does not look at drawings."""
     if "drawings_too" not in request.fixturenames:
         monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
 
 
 @pytest.fixture
 def drawings_too() -> None:
-    """Asked for by tests that look at drawings."""
+    """A mark of the tests that check drawings; other tests skip the slow drawing."""
 
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """A small training, made before anything below is replaced."""
     return trained_once(tmp_path_factory)
 
 
@@ -49,7 +45,6 @@ def _composed(overrides: tuple[str, ...], primary: str, config_dirs: tuple[Path,
 
 @pytest.fixture(autouse=True)
 def _compose_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compose the same config once for all tests."""
 
     def once(
         overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = (), **more: Any
@@ -69,8 +64,6 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def page(root: Path) -> Reporter:
-    """Report a run without pictures and parse the page."""
-
     def report(run: RunDirectory | Path) -> Page:
         made = make_report(Path(run), root, pictures=False)
         return Page(made.path.read_text())

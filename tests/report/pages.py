@@ -1,5 +1,3 @@
-"""A page as a browser's parser sees it."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -11,8 +9,6 @@ VOID = {"meta", "link", "img", "br", "hr", "input"}
 
 @dataclass
 class Element:
-    """One element: its name, attributes and the text directly or deeper inside."""
-
     tag: str
     attributes: dict[str, str]
     text: str = ""
@@ -20,8 +16,6 @@ class Element:
 
 
 class Page(HTMLParser):
-    """Parses a page; ``elements`` in order, ``unclosed`` and ``wrong`` for what does not nest."""
-
     def __init__(self, html: str) -> None:
         super().__init__(convert_charrefs=True)
         self.elements: list[Element] = []
@@ -52,16 +46,13 @@ class Page(HTMLParser):
             element.text += data
 
     def all(self, *tags: str) -> list[Element]:
-        """Return the elements of these names."""
         return [element for element in self.elements if element.tag in tags]
 
     def section(self, name: str) -> str:
-        """Return the text of a section by its id."""
         (found,) = [element for element in self.elements if element.attributes.get("id") == name]
         return " ".join(found.text.split())
 
     @property
     def text(self) -> str:
-        """All that is read, with single blanks."""
         (body,) = self.all("body")
         return " ".join(body.text.split())

@@ -1,5 +1,3 @@
-"""Run directories made by hand, without a training: small files that hold what a report reads."""
-
 from __future__ import annotations
 
 import json
@@ -33,12 +31,11 @@ FIGURES = {
     "mean_return": 24.6,
     "ended_by": {"time_out": 6, "base_contact": 2},
 }
-# Weighted reward per second, so that the sum of absolute values over the last iterations is 6.
+# Weighted rewards per second; the sum of their absolute values over the last iterations is 6.
 REWARDS = {"alive": [1.0, 3.0, 5.0], "base_height": [-3.0, -2.0, -1.0]}
 
 
 def iteration(index: int) -> dict[str, Any]:
-    """Return one line of iterations.jsonl."""
     scalars = {f"Episode_Reward/{name}": values[min(index, 2)] for name, values in REWARDS.items()}
     scalars |= {"Train/mean_reward": float(index), "Train/mean_episode_length": 20.0 * (index + 1)}
     scalars |= {"Episode_Termination/time_out": 0.4 * index, "Episode_Termination/base_contact": 1 - 0.4 * index}
@@ -57,8 +54,7 @@ def make_run(
     config_dirs: tuple[Path, ...] = (),
     results: Mapping[str, Any] | None = None,
 ) -> RunDirectory:
-    """Make a run of the task ``stand`` with ``overrides``, as it would stand after a few iterations."""
-    trust(config_dirs)  # as a training with them does
+    trust(config_dirs)  # A training with these folders registers them.
     composed = compose(["task=stand", *(overrides or [])], config_dirs=config_dirs)
     run = RunDirectory.create(root, "stand", 0, name, STARTED)
     for part in ("env", "agent"):
@@ -80,11 +76,9 @@ def make_run(
 
 
 def add_play(run: RunDirectory, **changes: Any) -> None:
-    """Add a play with the figures above."""
     run.manifest().add("play", [], {**FIGURES, **changes}, command=["wheelleg", "play"])
 
 
 def change_manifest(run: RunDirectory, **changes: Any) -> None:
-    """Write other values into the manifest, as somebody with an editor would."""
     path = run.path / "manifest.json"
     write_json(path, {**json.loads(path.read_text()), **changes})

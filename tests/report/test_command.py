@@ -1,5 +1,3 @@
-"""``wheelleg report`` as one types it."""
-
 from __future__ import annotations
 
 import json
@@ -15,17 +13,10 @@ def test_it_says_where_the_report_is(root):
     said = wheelleg("report", "latest", "--root", root, "--no-pictures")
     assert said.status == 0, said.err
     assert f"report: {(run.path / 'report.html').relative_to(root.parent)}" in said.out
-
-
-def test_json_is_one_document(root):
-    run = make_run(root)
     said = wheelleg("report", run.id, "--root", root, "--no-pictures", "--json")
     document = json.loads(said.out)
     assert document["report"] == str(run.path / "report.html")
     assert document["size"] == (run.path / "report.html").stat().st_size
-
-
-def test_a_run_that_is_not_there_is_wrong_input(root):
     said = wheelleg("report", "nothing", "--root", root)
     assert said.status == 2
     assert "there is no run 'nothing'" in said.err
@@ -43,9 +34,3 @@ def test_an_agents_run_has_a_report(root):
     assert "No policy: the zero agent" in html
     assert "It falls in every one of 8 episodes of 5\u00a0s." in html
     assert "wheelleg play" not in html
-
-
-def test_it_starts_without_torch_and_help_is_quick(root):
-    said = wheelleg("report", "--help")
-    assert said.status == 0
-    assert "--output" in said.out

@@ -1,5 +1,3 @@
-"""Runs of which something is missing or broken: it is said there, and the rest stands."""
-
 from __future__ import annotations
 
 import shutil
@@ -24,14 +22,11 @@ def run(root):
     return run
 
 
-def test_broken_lines_of_the_log_are_left_out_and_counted(page, run):
+def test_broken_lines_of_the_log_are_left_out_and_without_it_there_are_no_curves(page, run):
     run.iterations.write_text(run.iterations.read_text() + '{"iteration": 3, "sca')
     found = page(run)
     assert "1 of the lines of iterations.jsonl cannot be read" in found.text
     assert "Return, mean of the last 100 ended episodes" in found.section("learning")
-
-
-def test_without_its_log_there_are_no_curves_and_everything_else(page, run):
     run.iterations.unlink()
     found = page(run)
     assert "no learning curves" in found.section("learning")
@@ -54,6 +49,11 @@ def test_without_hydra_source_and_asset_the_rest_stands(page, run):
     found = page(run)
     assert "were not recorded" in found.section("settings")
     assert "Return, mean of the last 100 ended episodes" in found.section("learning")
+    write_text(run.environment, "numpy==3\n")
+    found = page(run)
+    assert "was not recorded" in found.section("learning")
+    assert "Reproducibility Damaged" in found.text
+    assert "environment.txt was changed" in found.section("trust")
 
 
 @pytest.mark.parametrize("content", [b"", b"no recording", b"RRF2\x00\x00"])
@@ -65,30 +65,17 @@ def test_a_damaged_recording_is_told_in_its_section(page, run, content):
     assert "Return, mean of the last 100 ended episodes" in found.section("learning")
 
 
-def test_a_run_without_a_recording_says_so(page, run):
-    assert "was not recorded" in page(run).section("learning")
-
-
-def test_a_changed_file_damns_the_verdict(page, run):
-    write_text(run.environment, "numpy==3\n")
-    found = page(run)
-    assert "Reproducibility Damaged" in found.text
-    assert "environment.txt was changed" in found.section("trust")
-
-
 @pytest.mark.parametrize("value", [None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400], ids=repr)
 def test_whatever_a_manifest_holds_there_is_a_page(run, monkeypatch, value):
-    for part in ("settings", "learning", "objective"):
+    for part in ("settings", "learning"):
         monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
     whole = run.manifest().data
-    kept = {"format", "status", "started", "files"}  # without these it is no manifest
-    for key in whole.keys() - kept:
+    kept = {"format", "status", "started", "files"}  # A manifest must have these keys.
+    changes = [{key: value} for key in whole.keys() - kept]
+    play = {"kind": "play", "files": {}}
+    changes += [{"additions": [{**play, "results": {**FIGURES, key: value}}]} for key in FIGURES]
+    for change in changes:
         subject = open_subject(run.path, run.root)
-        subject.manifest = {**whole, key: value}
-        html = render_page(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
-        assert Page(html).wrong == []
-    for key in FIGURES:
-        subject = open_subject(run.path, run.root)
-        subject.manifest = {**whole, "additions": [{"kind": "play", "files": {}, "results": {**FIGURES, key: value}}]}
+        subject.manifest = {**whole, **change}
         html = render_page(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
         assert Page(html).wrong == []

@@ -1,5 +1,3 @@
-"""The section of the last evaluation, from small files written by hand."""
-
 from __future__ import annotations
 
 from report.runs import make_run
@@ -9,7 +7,6 @@ EPISODES = "test,survived,time_to_failure_s\nstand,1,60.0\nstand,0,10.0\n"
 
 
 def add_evaluation(run, kind="evaluation", survival=0.5, scenarios="c" * 64):
-    """Add an evaluation of two episodes under the protocol ``stand``."""
     folder = run.evaluation / kind
     folder.mkdir(parents=True)
     figures = {
@@ -24,12 +21,9 @@ def add_evaluation(run, kind="evaluation", survival=0.5, scenarios="c" * 64):
     run.manifest().add(kind, [folder / "evaluation.json", folder / "episodes.csv"], results, command=["wheelleg"])
 
 
-def test_a_run_without_an_evaluation_has_no_such_section(page, root):
-    assert "How well did it do?" not in page(make_run(root)).text
-
-
 def test_metrics_stand_with_their_intervals_and_units(page, root):
     run = make_run(root)
+    assert "How well did it do?" not in page(run).text
     add_evaluation(run)
     found = page(run).section("evaluation")
     assert "Protocol stand" in found
@@ -37,9 +31,8 @@ def test_metrics_stand_with_their_intervals_and_units(page, root):
     assert "Pitch rms 5.73° –" in found
     assert f"wheelleg evaluate {run.id} protocol=stand --reference" in found
     assert "Episodes that still stand" in found
-
-
-def test_the_reference_stands_beside_where_it_was_in_the_same_scenarios(page, root):
+    (run.evaluation / "evaluation" / "evaluation.json").unlink()
+    assert "cannot be read" in page(run).section("evaluation")
     run = make_run(root)
     add_evaluation(run)
     add_evaluation(run, "reference", survival=1.0)
@@ -49,10 +42,3 @@ def test_the_reference_stands_beside_where_it_was_in_the_same_scenarios(page, ro
     add_evaluation(other)
     add_evaluation(other, "reference", survival=1.0, scenarios="d" * 64)
     assert "Reference" not in page(other).section("evaluation").replace("--reference", "")
-
-
-def test_files_that_are_gone_are_said_to_be_so(page, root):
-    run = make_run(root)
-    add_evaluation(run)
-    (run.evaluation / "evaluation" / "evaluation.json").unlink()
-    assert "cannot be read" in page(run).section("evaluation")

@@ -1,5 +1,3 @@
-"""The top of a report and its section on plays, from runs with known figures."""
-
 from __future__ import annotations
 
 import pytest
@@ -18,7 +16,8 @@ RESUME = {
     "exact": True,
     "before": {"status": "interrupted"},
 }
-# What the run is made with, its plays, changes of its manifest, and texts by section ("" is the whole page).
+# Each case: arguments that create the run, its plays, changes of its manifest, and expected texts by section ("" is the
+# whole page).
 PAGES = {
     "a played policy": ({"overrides": ["agent.max_iterations=3"]}, [{}], {}, {"": [
         "The policy stays up through 6 of 8 episodes of 5 s, 2.1 mm (RMS, after 1 s) off its target height of 70 mm.",
@@ -51,7 +50,7 @@ PAGES = {
         {"standing": ["an episode with two terminations counts for both"]}),
     "two plays": ({}, [{"survival": 0.25}, {"survival": 1.0, "overrides": ["seed=7"]}], {}, {
         "": ["through all 8 episodes"], "standing": ["All plays", "seed=7"]}),
-    # Two environments in ten ended otherwise in the last iteration; 60 steps of 1/60 s are one second.
+    # Two of ten environments ended without a time-out in the last iteration. 60 steps of 1/60 s are one second.
     "no play": ({}, [], {}, {
         "": ["In 80 % of the environments the last episode ran to the time-out.",
              "Episode length 1.00 s mean of the last 100 ended episodes, of 5 s at most"],

@@ -1,5 +1,3 @@
-"""Run directories of somebody else: whatever stands in them is text."""
-
 from __future__ import annotations
 
 import json
@@ -18,59 +16,35 @@ EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7 * 7 }}</st
 
 @pytest.fixture
 def evil(root):
-    """A run with the text above in every field that may hold text."""
     run = make_run(root, ["agent.max_iterations=3"])
-    write_yaml(
-        run.params / "env.yaml",
-        {
-            "robot": {"asset": EVIL, "profile": EVIL},
-            "rewards": {EVIL: {"_target_": EVIL, "weight": EVIL, EVIL: EVIL}, "alive": {"weight": 1.0}},
-            "terminations": {EVIL: {"time_out": True}},
-            EVIL: EVIL,
-        },
-    )
+    rewards = {EVIL: {"_target_": EVIL, "weight": EVIL, EVIL: EVIL}, "alive": {"weight": 1.0}}
+    env = {"robot": {"asset": EVIL, "profile": EVIL}, "rewards": rewards, "terminations": {EVIL: {"time_out": True}}}
+    write_yaml(run.params / "env.yaml", {**env, EVIL: EVIL})
     write_text(run.hydra / "overrides.yaml", json.dumps([EVIL, f"{EVIL}={EVIL}"]))
     hydra = {"hydra": {"runtime": {"choices": {"task": "stand", EVIL: EVIL}, "config_sources": [{"path": EVIL}]}}}
     write_yaml(run.hydra / "hydra.yaml", hydra)
     other = {"status": EVIL, "commit": EVIL, "branch": EVIL, "remote": {EVIL: EVIL}, "note": EVIL, "root": EVIL}
     write_json(run.source / "git.json", {**other, "untracked": [EVIL], "refused": [{"path": EVIL}], "others": [other]})
     findings = [{"path": EVIL, "name": EVIL, EVIL: EVIL}]
-    report = {
-        "source": EVIL,
-        "totals": {EVIL: EVIL},
-        "warnings": findings,
-        "assumptions": findings,
-        "left_out": findings,
-    }
-    write_json(run.asset / "report.json", report)
+    found = {"warnings": findings, "assumptions": findings, "left_out": findings}
+    write_json(run.asset / "report.json", {"source": EVIL, "totals": {EVIL: EVIL}, **found})
     line = iteration(0)
     line["scalars"] |= {f"Episode_Termination/{EVIL}": 0.5, f"Episode_Reward/{EVIL}": 2.0, f"Metrics/{EVIL}": 1.0}
     write_text(run.iterations, json.dumps(line) + "\n")
+    results = {**FIGURES, "checkpoint": EVIL, "overrides": [EVIL], "ended_by": {EVIL: 8}, EVIL: EVIL}
+    addition = {"when": "2026-03-01T10:00:00.000000Z", "command": [EVIL], "files": {}, "results": results}
     change_manifest(
         run,
-        id=EVIL,
-        task=EVIL,
+        **dict.fromkeys(("id", "task", "replay_of"), EVIL),
+        **{key: {EVIL: EVIL} for key in ("versions", "threads", "environment_variables")},
         command=[EVIL, EVIL],
         error={"type": EVIL, "message": EVIL},
         seeds=[EVIL],
-        versions={EVIL: EVIL},
         hardware={"cpu": EVIL, "cores": EVIL, "platform": EVIL},
-        threads={EVIL: EVIL},
-        environment_variables={EVIL: EVIL},
         process={"host": EVIL},
         results={"iterations": EVIL, EVIL: EVIL},
-        replay_of=EVIL,
         resumes=[{"when": EVIL, "overrides": [EVIL], "iteration": 1, "before": {"status": EVIL}}],
-        additions=[
-            {
-                "kind": kind,
-                "when": "2026-03-01T10:00:00.000000Z",
-                "command": [EVIL],
-                "files": {},
-                "results": {**FIGURES, "checkpoint": EVIL, "overrides": [EVIL], "ended_by": {EVIL: 8}, EVIL: EVIL},
-            }
-            for kind in ("play", "play", "evaluation", EVIL)
-        ],
+        additions=[{"kind": kind, **addition} for kind in ("play", "play", "evaluation", EVIL)],
     )
     return run
 

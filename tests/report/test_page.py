@@ -1,5 +1,3 @@
-"""The page as a file: alone, without scripts, in order, for everybody."""
-
 from __future__ import annotations
 
 import itertools
@@ -24,7 +22,6 @@ def run(tmp_path_factory) -> RunDirectory:
 
 @pytest.fixture(scope="module")
 def html(run) -> str:
-    """The page with its drawings, as first made."""
     return make_report(run.path, run.root, pictures=False).path.read_text()
 
 

@@ -1,5 +1,3 @@
-"""What a report shows of recordings, from ones written by hand."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -18,7 +16,6 @@ PICTURE = "data:image/jpeg;base64,AAAA"
 
 @pytest.fixture
 def asked(monkeypatch) -> list[list[float]]:
-    """Leave the drawing out and keep the moments that were asked for."""
     moments: list[list[float]] = []
 
     def shots(shown, times, size):
@@ -32,7 +29,6 @@ def asked(monkeypatch) -> list[list[float]]:
 
 @pytest.fixture
 def run(root):
-    """A run with a recorded training and a recorded play."""
     run = make_run(root)
     write_recording(run.recording, training=True)
     folder = run.play / "2026-03-01_11-00-00"
@@ -50,13 +46,12 @@ def test_pictures_go_from_the_beginning_of_an_episode_to_its_end(run, root, aske
     assert f"At first, iteration 0: ended by fell after {duration:.2f} s 0.00 s" in learning
     assert "At last, iteration 10: " in learning
     times = np.linspace(DT, duration, 4).round(3).tolist()
-    assert times in asked  # the first row of the recording is the first step
+    assert times in asked  # The first row of the recording is control step 1.
     assert len(found.all("img")) == 1 + 3 * 4
     assert all(len(image.attributes["alt"]) > 20 for image in found.all("img"))
 
 
 def test_of_a_play_the_first_episode_is_shown_which_its_figures_are_of(root, page, asked):
-    """Both terminations end it after ten steps; what follows lasts longer, and the sample ends within it."""
     run = make_run(root)
     folder = run.play / "2026-03-01_11-00-00"
     folder.mkdir(parents=True)
@@ -72,7 +67,6 @@ def test_of_a_play_the_first_episode_is_shown_which_its_figures_are_of(root, pag
 
 
 def test_at_last_the_first_whole_episode_is_shown_and_not_the_longest(root, asked):
-    """The last sample had begun before it was recorded, and one before holds the longest episode of all."""
     run = make_run(root)
     writer = Writer(run.recording)
     steps = np.r_[1:11, 101:201, 301:331, 501:541]
@@ -100,7 +94,7 @@ def test_what_happened_to_a_recording_is_told(root, page):
 def test_tables_hold_what_was_recorded(run, page):
     text = page(run).section("standing")
     time = DT * np.arange(1, STEPS + 1)
-    error = 0.05 * np.cos(5 * time)  # of the forward velocity, as it was written
+    error = 0.05 * np.cos(5 * time)  # the error of the forward velocity in the recording
     rms, mean = number(float(np.sqrt(np.mean(error**2)))), number(float(np.mean(error)))
     assert f"v_x {rms} m/s {mean} m/s {number(float(np.abs(error).max()))} m/s" in text
     effort = 1.5 * np.sin(4 * time)

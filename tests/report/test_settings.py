@@ -1,5 +1,3 @@
-"""What a run set, against its task."""
-
 from __future__ import annotations
 
 import json
@@ -12,11 +10,23 @@ from wheelleg_exp.files import read_yaml, write_text, write_yaml
 pytestmark = pytest.mark.slow
 
 
-def test_an_override_is_told_with_both_values(page, root):
-    text = page(make_run(root, ["env.rewards.base_height.weight=-30"])).section("settings")
-    assert "2 overrides on the command line: task=stand env.rewards.base_height.weight=-30" in text
-    told = "env.rewards.base_height.weight -1000.0 -30 override env.rewards.base_height.weight=-30"
-    assert told in text
+# Each case: the overrides of a run, and expected texts in the section on settings.
+CHANGED = {
+    "env.rewards.base_height.weight=-30": [
+        "2 overrides on the command line: task=stand env.rewards.base_height.weight=-30",
+        "env.rewards.base_height.weight -1000.0 -30 override env.rewards.base_height.weight=-30"],
+    "~env.events.push_robot": ["env.events.push_robot", "not set override ~env.events.push_robot"],
+    "+reward@env.rewards=action_acceleration": [
+        "env.rewards.action_acceleration not set",
+        "weight: -0.005} override +reward@env.rewards=action_acceleration"],
+    "robot=physical": ["env.robot.profile article physical", "robot/physical.yaml:"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("override", CHANGED)
+def test_a_changed_value_is_told_with_its_default_and_who_set_it(page, root, override):
+    text = page(make_run(root, [override])).section("settings")
+    assert [expected for expected in CHANGED[override] if expected not in text] == []
 
 
 def test_a_run_without_overrides_differs_in_nothing(page, root):
@@ -27,26 +37,15 @@ def test_a_run_without_overrides_differs_in_nothing(page, root):
     assert "the task's current default" in text
 
 
-def test_terms_that_an_override_removed_or_added_name_it(page, root):
-    run = make_run(root, ["~env.events.push_robot", "+reward@env.rewards=action_acceleration"])
-    text = page(run).section("settings")
-    assert "env.events.push_robot" in text
-    assert "not set override ~env.events.push_robot" in text
-    assert "env.rewards.action_acceleration not set" in text
-    assert "weight: -0.005} override +reward@env.rewards=action_acceleration" in text
-
-
-def test_another_robot_names_the_file_that_set_its_values(page, root):
-    text = page(make_run(root, ["robot=physical"])).section("settings")
-    assert "env.robot.profile article physical" in text
-    assert "robot/physical.yaml:" in text
-
-
-def test_a_value_that_the_configs_no_longer_give_is_of_that_time(page, root):
+def test_values_that_the_configs_no_longer_give_are_of_that_time(page, root):
     run = make_run(root)
     file = run.params / "agent.yaml"
     write_yaml(file, {**read_yaml(file), "save_interval": 7})
     assert "agent.save_interval 50 7 the configs at the time of the run" in page(run).section("settings")
+    run = make_run(root, ["env.rewards.base_height.weight=-30"])
+    write_text(run.hydra / "overrides.yaml", json.dumps(["env.rewards.gone.weight=1"]))
+    text = page(run).section("settings")
+    assert "env.rewards.base_height.weight -1000.0 -30 the configs at the time of the run" in text
 
 
 def test_values_of_the_users_own_files_are_listed(page, root, tmp_path):
@@ -68,10 +67,3 @@ def test_a_task_that_is_not_here_leaves_the_overrides(page, root):
     text = page(run).section("settings")
     assert "env.rewards.base_height.weight=-30" in text
     assert "The task cannot be composed here" in text
-
-
-def test_overrides_that_no_longer_compose_leave_the_values(page, root):
-    run = make_run(root, ["env.rewards.base_height.weight=-30"])
-    write_text(run.hydra / "overrides.yaml", json.dumps(["env.rewards.gone.weight=1"]))
-    text = page(run).section("settings")
-    assert "env.rewards.base_height.weight -1000.0 -30 the configs at the time of the run" in text

@@ -1,5 +1,3 @@
-"""``wheelleg report`` of several runs and of sweeps: settings, and the spread over seeds."""
-
 from __future__ import annotations
 
 import json
@@ -15,13 +13,13 @@ from wheelleg_exp.report.report_subject import Series, Subject, open_subject
 from wheelleg_exp.report.several_runs_page import course, grouped, sentence
 from wheelleg_exp.run.run_index import SweepIndex
 
-# By weight of a reward: the last return of each seed. Mean 4 and 8; standard deviation of a sample 2 and sqrt(2).
+# The last return of each seed, by the weight of a reward term. The means are 4 and 8; the sample standard deviations
+# are 2 and sqrt(2).
 RETURNS = {"1": (2.0, 4.0, 6.0), "2": (7.0, 9.0)}
 
 
 @pytest.fixture
 def runs(root):
-    """Five runs: three seeds of one setting, two of another."""
     found = []
     for weight, returns in RETURNS.items():
         for seed, value in enumerate(returns):
@@ -36,14 +34,13 @@ def runs(root):
     return found
 
 
-def page_of(*words):
-    said = wheelleg("report", *words)
+def page_of(root, runs, *words, name="comparison.html"):
+    said = wheelleg("report", *(run.path for run in runs), "--root", root, *words)
     assert said.status == 0, said.err
-    return said
+    return Page((root.parent / name).read_text(encoding="utf-8"))
 
 
 def rows(page, section):
-    """Return the texts of the rows of a section's table."""
     inside, found = False, []
     for element in page.elements:
         if element.tag == "section" and "id" in element.attributes:
@@ -54,8 +51,7 @@ def rows(page, section):
 
 
 def test_settings_are_compared_with_the_spread_over_their_seeds(root, runs):
-    page_of(*(run.path for run in runs), "--root", root)
-    page = Page((root.parent / "comparison.html").read_text(encoding="utf-8"))
+    page = page_of(root, runs)
     head, first, second = rows(page, "ended")
     assert head == "env.rewards.alive.weight runs return episode length, steps time-out survived the last play"
     assert first == "1 3 4.00 ± 2.00 60.0 ± 0.00 80.0 % ± 0 % 75 % ± 35.4 %"
@@ -63,10 +59,12 @@ def test_settings_are_compared_with_the_spread_over_their_seeds(root, runs):
     told = "5 runs with 2 settings. Their returns do not compare, as env.rewards.alive.weight differs."
     assert told in " ".join(page.all("body")[0].text.split())
     assert len(rows(page, "runs")) == 6
+    page = page_of(root, runs[:3], "-o", "a.html", name="a.html")
+    assert len(rows(page, "ended")) == 2
+    assert "3 runs with 1 setting." in page.all("body")[0].text
 
 
 def subject(folder, config, scalars):
-    """Return a run of that config and those values of its last iteration."""
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "config.yaml").write_text(json.dumps(config))
     return Subject(folder, None, scalars={key: Series((9,), (value,)) for key, value in scalars.items()})
@@ -75,7 +73,7 @@ def subject(folder, config, scalars):
 @pytest.mark.parametrize(
     ("configs", "time_outs", "told"),
     [
-        # Returns 1 and 3 of one and the same reward; of other rewards they tell nothing.
+        # The returns 1 and 3 are comparable only if both runs have equal rewards.
         (({"a": 1}, {"a": 2}), (0.5, 0.25), "The highest mean return, 3.00, is that of a=2."),
         (
             ({"env": {"rewards": {"alive": {"weight": 1}}}}, {"env": {"rewards": {"alive": {"weight": 3}}}}),
@@ -109,24 +107,16 @@ def test_where_trainings_have_no_time_out_the_last_plays_survival_ranks(root, ru
     found = [open_subject(run.path, root) for run in (runs[0], runs[3])]
     for subject in found:
         del subject.scalars["Episode_Termination/time_out"]
-    assert "survival" not in sentence(grouped(found))  # one of them was never played
+    assert "survival" not in sentence(grouped(found))  # One of the runs was never played.
     add_play(runs[3], survival=0.75)
     found[1].manifest = json.loads((runs[3].path / "manifest.json").read_text())
     assert sentence(grouped(found)).endswith("The highest mean survival in the last plays, 75 %, is that of weight=2.")
 
 
-def test_names_and_seeds_alone_make_no_other_setting(root, runs):
-    page_of(*(run.path for run in runs[:3]), "--root", root, "-o", "a.html")
-    page = Page((root.parent / "a.html").read_text(encoding="utf-8"))
-    assert len(rows(page, "ended")) == 2
-    assert "3 runs with 1 setting." in page.all("body")[0].text
-
-
 def test_curves_are_overlaid(root, runs, drawings_too):
-    page_of(*(run.path for run in runs), "--root", root)
-    page = Page((root.parent / "comparison.html").read_text(encoding="utf-8"))
+    page = page_of(root, runs)
     assert len(page.all("figcaption")) == 3
-    assert page.section("learned").count("weight=2") == 3  # in the legend of each of three drawings
+    assert page.section("learned").count("weight=2") == 3  # Each of three legends contains the group.
 
 
 def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
@@ -137,9 +127,6 @@ def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
     np.testing.assert_allclose(mean, [2.0, 4.0])
     np.testing.assert_allclose(deviation, [np.sqrt(2), 0.0])
     assert [len(part) for part in course([])] == [0, 0, 0]
-
-
-def test_long_runs_of_unequal_length_are_averaged_before_they_are_thinned():
     at, mean, deviation = course([(range(1499), [1.0] * 1499), (range(1500), [3.0] * 1500)])
     assert len(at) <= 800
     assert at[-1] == 1498
@@ -151,17 +138,16 @@ def test_a_sweeps_report_stands_in_its_folder(root, runs):
     jobs = [([f"seed={i}"], [f"seed={i}"]) for i in range(6)]
     index = SweepIndex.create(root, command=[], launcher={}, jobs=jobs)
     for number, run in enumerate(runs, 1):
-        index.job_has_run(number, run.path)  # the sixth has not begun
-    said = json.loads(page_of(index.folder.name, "--root", root, "--json").out)
-    assert said["report"] == str(index.folder / "report.html")
+        index.job_has_run(number, run.path)  # The sixth job has not started.
+    said = wheelleg("report", index.folder.name, "--root", root, "--json")
+    assert json.loads(said.out)["report"] == str(index.folder / "report.html")
     assert len(rows(Page((index.folder / "report.html").read_text(encoding="utf-8")), "runs")) == 6
-    page_of(index.folder, "--root", root)  # and again, over the earlier one
+    assert wheelleg("report", index.folder, "--root", root).status == 0  # The second report replaces the first report.
 
 
 def test_a_single_seed_and_unequal_lengths_are_said(root, runs):
     make_run(root, ["seed=9", "env.rewards.alive.weight=3"], name="short", iterations=1)
-    page_of(*(run.path for run in runs), sorted(root.glob("stand/*short"))[0], "--root", root)
-    text = " ".join(Page((root.parent / "comparison.html").read_text(encoding="utf-8")).section("ended").split())
+    text = page_of(root, runs, sorted(root.glob("stand/*short"))[0]).section("ended")
     assert "One setting has a single run" in text
     assert "They were trained for 1 to 3 iterations." in text
 
@@ -171,9 +157,6 @@ def test_something_else_is_not_overwritten(root, runs):
     said = wheelleg("report", runs[0].path, runs[1].path, "--root", root)
     assert said.status == 2
     assert "not overwritten" in said.err
-
-
-def test_an_empty_sweep_is_told(root):
     root.mkdir(exist_ok=True)
     index = SweepIndex.create(root, command=[], launcher={}, jobs=[(["seed=1"], ["seed=1"])])
     said = wheelleg("report", index.folder, "--root", root)

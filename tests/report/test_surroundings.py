@@ -1,5 +1,3 @@
-"""What a run ran on, for people."""
-
 from __future__ import annotations
 
 from report.runs import change_manifest, make_run
@@ -29,9 +27,5 @@ def test_threads_and_arithmetic_are_told_in_words(page, root):
     assert "Library oneDNN v3.7" in text
     for raw in ("{", "[]", "variables_in_time", "Dependent because"):
         assert raw not in text
-
-
-def test_why_numbers_depend_on_threads_is_told(page, root):
-    run = make_run(root)
     change_manifest(run, threads={**THREADS, "independent": False, "dependent_because": ["MKL is not strict"]})
     assert "Numbers depend on torch's threads MKL is not strict" in page(run).section("source")

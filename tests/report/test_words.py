@@ -9,23 +9,20 @@ from wheelleg_exp.report import value_format
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(24.5648, "24.6"), (-0.0479, "−0.0479"), (0.0, "0.00"), (1234.5, "1234"), (12345, "12 345"), (-3, "−3")],
+    [
+        *((24.5648, "24.6"), (-0.0479, "−0.0479"), (0.0, "0.00"), (1234.5, "1234"), (12345, "12 345"), (-3, "−3")),
+        *((-6.74e-5, "−6.74×10⁻⁵"), (2.5e12, "2.50×10¹²")),
+        *((math.nan, "–"), (math.inf, "infinite"), (None, "–"), ("many", "many")),
+    ],
 )
 def test_numbers_have_three_digits_and_whole_ones_all(value, text):
     assert value_format.number(value) == text
 
 
-def test_very_small_numbers_are_written_with_a_power_of_ten():
-    assert value_format.number(-6.74e-5) == "−6.74×10⁻⁵"
-    assert value_format.number(2.5e12) == "2.50×10¹²"
-
-
-def test_what_is_no_number_is_said_to_be_none():
-    assert value_format.number(math.nan) == "–"
+def test_nan_of_a_json_file_becomes_none():
     assert value_format.numbers({"a": ["nan", math.nan, "infinite", 1.5]}) == {"a": [None, None, "infinite", 1.5]}
-    assert value_format.number(math.inf) == "infinite"
-    assert value_format.number(None) == "–"
-    assert value_format.number("many") == "many"
+    assert [value_format.exact(v) for v in (5.0, -50.0, 0.07)] == ["5", "−50", "0.07"]
+    assert len(value_format.brief("x" * 1000)) < 200
 
 
 @pytest.mark.parametrize(("share", "text"), [(1.0, "100 %"), (0.9999, "99.9 %"), (0.0, "0 %"), (1e-6, "0.1 %")])
@@ -46,11 +43,3 @@ def test_durations_have_two_units(seconds, text):
 )
 def test_sizes_have_three_digits(octets, text):
     assert value_format.size(octets) == text
-
-
-def test_a_chosen_value_is_shown_as_it_was_chosen():
-    assert [value_format.exact(v) for v in (5.0, -50.0, 0.07)] == ["5", "−50", "0.07"]
-
-
-def test_long_values_are_cut():
-    assert len(value_format.brief("x" * 1000)) < 200

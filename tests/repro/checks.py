@@ -1,4 +1,7 @@
-"""The proofs: each trains small runs in processes of their own and returns what should be equal and is not."""
+"""Proofs that a training repeats bit for bit.
+
+Each proof trains small runs in new processes and returns the unequal values.
+"""
 
 from __future__ import annotations
 
@@ -19,33 +22,36 @@ from wheelleg_exp.config.composing.compose import compose
 
 
 def two_processes(lab: Lab) -> list[str]:
-    """The same command in two processes, with other hash seeds."""
+    """Compare the runs of one training command in two processes with different hash seeds."""
     return differences(lab.once(), lab.train(PYTHONHASHSEED="12345"))
 
 
 def torch_threads(lab: Lab) -> list[str]:
-    """One and two threads of torch; with AMX, products in bfloat16 are not said to be independent of them."""
+    """Compare a run with one and a run with two torch threads.
+
+    With AMX, only float32 products do not depend on the number of threads.
+    """
     same = ["agent.matmul=float32"] if torch.cpu._is_amx_tile_supported() else []
     return differences(lab.once(*same), lab.once(*same, "agent.torch_threads=1"))
 
 
 def physics_threads(lab: Lab) -> list[str]:
-    """One and three threads of MuJoCo."""
+    """Compare a run with one MuJoCo thread and a run with three MuJoCo threads."""
     return differences(lab.once("env.sim.nthread=1"), lab.once("env.sim.nthread=3"))
 
 
 def recording(lab: Lab) -> list[str]:
-    """With and without a recording."""
+    """Compare a run with and a run without a recording."""
     return differences(lab.once(), lab.once("recording.enabled=false"))
 
 
 def tensorboard(lab: Lab) -> list[str]:
-    """With and without TensorBoard."""
+    """Compare runs with and without TensorBoard."""
     return differences(lab.once(), lab.once("agent.logger=null"))
 
 
 def added_term(lab: Lab, target: str = "planted.terms.own_draw") -> list[str]:
-    """A further term that draws: the policy and the physics must be the same."""
+    """Add a term that draws random numbers; the policy and the physics must not change."""
     term = ["+event@env.events=idle", f"env.events.idle._target_={target}"]
     with_term = Lab(lab.folder, [*lab.planted, *term], lab.environ)
     plain, added = lab.once(), with_term.train()
@@ -67,7 +73,7 @@ def _unequal_tensors(a: Path, b: Path) -> Iterator[str]:
 
 
 def splits(lab: Lab, every: Sequence[Sequence[int]] = ([2], [1, 2, 3])) -> list[str]:
-    """Stopped once, and after every iteration, then resumed."""
+    """Compare a run with runs that were stopped once, and after every iteration, and then resumed."""
     straight, found = lab.once(), []
     for stops in every:
         run = lab.train(f"agent.max_iterations={stops[0]}")
@@ -78,13 +84,9 @@ def splits(lab: Lab, every: Sequence[Sequence[int]] = ([2], [1, 2, 3])) -> list[
 
 
 def killed(lab: Lab, lines: Sequence[int] = (1, 3), seed: int = 0, longest_s: float = 0.2) -> list[str]:
-    """Killed with SIGKILL again and again, then resumed to the end.
+    """Kill a run repeatedly with SIGKILL, resume it to the end, and compare it with an uninterrupted run.
 
-    Args:
-        lab: where.
-        lines: how many iterations stand in the log when each kill is aimed; it strikes a little later.
-        seed: of how much later.
-        longest_s: the latest moment of that, s.
+    Each kill comes at most ``longest_s`` after the log has the next number of ``lines``.
     """
     straight = lab.once()
     root = lab.folder / f"runs_killed_{seed}"
@@ -100,48 +102,39 @@ def killed(lab: Lab, lines: Sequence[int] = (1, 3), seed: int = 0, longest_s: fl
 
 
 def kill(lab: Lab, words: list[str | Path], root: Path, lines: int, delay_s: float) -> None:
-    """Start a command, wait until it has written so many iterations, and a little, and kill it.
-
-    Raises:
-        Refused: it ended before it could be killed.
-    """
+    """Start a command, and kill it ``delay_s`` after it has logged a number of iterations."""
     began = time.time()
     process = subprocess.Popen(
         lab.command(*words), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=lab.variables()
     )
-    while process.poll() is None and not _has_written(root, lines, began):
+    while process.poll() is None:
+        found = [path for path in root.glob("*/*/iterations.jsonl") if path.stat().st_mtime >= began]
+        if any(path.read_bytes().count(b"\n") >= lines for path in found):
+            break
         time.sleep(0.002)
     time.sleep(delay_s)
     process.send_signal(signal.SIGKILL)
     if process.wait() != -signal.SIGKILL:
-        raise Refused(f"ended with {process.returncode} before it could be killed")
-
-
-def _has_written(root: Path, lines: int, since: float) -> bool:
-    found = [path for path in root.glob("*/*/iterations.jsonl") if path.stat().st_mtime >= since]
-    return any(path.read_bytes().count(b"\n") >= lines for path in found)
+        raise Refused(f"the command ended with {process.returncode} before it could be killed")
 
 
 def replay(lab: Lab) -> list[str]:
-    """Trained again from the run's own snapshot, in a folder of its own."""
+    """Train a run again from its own snapshot, in another folder."""
     run = copy_of(lab.once(), lab.folder / "replayed")
-    root = run.parents[1]
-    answer = lab.wheelleg("replay", run, "--root", root, "--json", statuses=(0, 1))
+    answer = lab.wheelleg("replay", run, "--root", run.parents[1], "--json", statuses=(0, 1))
     if answer.status:
         return [answer.out[-2000:] or answer.err[-2000:]]
-    again = only_run(root / "replays")
-    return differences(run, again)
+    return differences(run, only_run(run.parents[1] / "replays"))
 
 
 def snapshot(lab: Lab) -> list[str]:
-    """What the snapshot says is what its overrides compose to."""
+    """Compare the snapshot of a run with the config that its overrides compose to."""
     return snapshot_differences(lab.once())
 
 
 def snapshot_differences(run: Path) -> list[str]:
     """Return the leaves in which a run's snapshot differs from what its overrides compose to today."""
-    overrides = yaml.safe_load((run / ".hydra/overrides.yaml").read_text())
-    composed = compose(overrides).config
+    composed = compose(yaml.safe_load((run / ".hydra/overrides.yaml").read_text())).config
     kept = yaml.safe_load((run / ".hydra/config.yaml").read_text())
     parts = {part: yaml.safe_load((run / "params" / f"{part}.yaml").read_text()) for part in ("env", "agent")}
     found = [f"params: {key}" for key in _unequal_leaves({p: composed[p] for p in parts}, parts)]
@@ -156,7 +149,7 @@ def _unequal_leaves(a: object, b: object, path: str = "") -> list[str]:
 
 
 def flipped_byte(lab: Lab) -> list[str]:
-    """One changed bit in any file of a run is found."""
+    """Return the files of a run in which ``verify`` does not find a changed bit."""
     run = copy_of(lab.once(), lab.folder / "flipped")
     assert lab.inside("verify", run).status == 0
     names = sorted(path.relative_to(run).as_posix() for path in run.rglob("*") if path.is_file())
@@ -165,7 +158,7 @@ def flipped_byte(lab: Lab) -> list[str]:
 
 
 def notices(lab: Lab, run: Path, name: str) -> bool:
-    """Return whether a flipped bit in the middle of one file is found and named; the file is mended again."""
+    """Return whether ``verify`` finds and names a flipped bit in the middle of one file. The file is restored."""
     path = run / name
     whole = path.read_bytes()
     middle = len(whole) // 2
@@ -176,7 +169,7 @@ def notices(lab: Lab, run: Path, name: str) -> bool:
 
 
 def copy_of(run: Path, root: Path) -> Path:
-    """Return a copy of a run below another root."""
+    """Copy a run below another root, and return the copy."""
     target = root / run.parent.name / run.name
     shutil.copytree(run, target)
     return target

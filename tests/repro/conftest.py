@@ -1,4 +1,4 @@
-"""One folder, one cache of converted robots and one plain training for all proofs."""
+"""One folder, one cache of converted robots, and one plain training for all proofs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def lab(folder: Path) -> Lab:
-    """The laboratory whose trainings carry nothing planted."""
     made = folder / "plain"
     made.mkdir()
     return Lab(made, environ={"WHEELLEG_CACHE": str(folder / "cache")})
@@ -24,8 +23,6 @@ def lab(folder: Path) -> Lab:
 
 @pytest.fixture
 def planted(folder: Path, tmp_path: Path):
-    """Make a laboratory whose trainings carry a term that breaks a promise."""
-
     def make(term: str, **environ: str) -> Lab:
         node = f"+env.rewards.planted={{_target_: planted.terms.{term}, weight: 1.0}}"
         return Lab(tmp_path, [node], {"WHEELLEG_CACHE": str(folder / "cache"), **environ})

@@ -1,4 +1,4 @@
-"""Small trainings by the command line, and what must be equal in two of them."""
+"""Small trainings by the command line, and the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -21,24 +21,17 @@ from wheelleg_exp.recording.reading.recording_digest import entity_digests
 
 PROJECT = Path(__file__).parent / "planted_project"
 ITERATIONS = 4
-SMALL = [
-    "task=stand",
-    "env.num_envs=32",
-    "env.episode_length_s=0.5",
-    f"agent.max_iterations={ITERATIONS}",
-    "agent.save_interval=1",
-    "recording.interval=2",
-    "recording.steps=30",
-]
+SMALL = ["task=stand", "env.num_envs=32", "env.episode_length_s=0.5", f"agent.max_iterations={ITERATIONS}"]
+SMALL += ["agent.save_interval=1", "recording.interval=2", "recording.steps=30"]
 
 
 class Refused(Exception):
-    """A command did not do what it was asked for."""
+    """A command-line call failed or ended before the test could kill it."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command answered."""
+    """The exit status and the output of a command."""
 
     status: int
     out: str
@@ -47,13 +40,9 @@ class Answer:
 
 @dataclass
 class Lab:
-    """A folder for trainings that all carry the same planted overrides.
+    """A folder for trainings that all have the same ``planted`` overrides, in addition to the overrides ``base``.
 
-    Attributes:
-        folder: where the runs are made.
-        planted: overrides of every training.
-        environ: variables of every command, beside the present ones.
-        base: what is trained.
+    ``environ`` contains environment variables of every command, in addition to the present ones.
     """
 
     folder: Path
@@ -69,7 +58,6 @@ class Lab:
         return {**os.environ, **self.environ, **more}
 
     def wheelleg(self, *words: str | Path, statuses: Sequence[int] = (0,), **variables: str) -> Answer:
-        """Run a command in a process of its own."""
         done = subprocess.run(
             self.command(*words), capture_output=True, text=True, timeout=PATIENCE_S, env=self.variables(**variables)
         )
@@ -78,56 +66,49 @@ class Lab:
         return Answer(done.returncode, done.stdout, done.stderr)
 
     def inside(self, *words: str | Path) -> Answer:
-        """Run a command in this process."""
         out, err = io.StringIO(), io.StringIO()
         with redirect_stdout(out), redirect_stderr(err):
             status = main([str(word) for word in words])
         return Answer(status, out.getvalue(), err.getvalue())
 
     def words(self, root: Path, *overrides: str) -> list[str | Path]:
-        """Return the words that train into a root."""
         return ["train", *self.base, *self.planted, *overrides, f"run.root={root}", *self.project]
 
     def train(self, *overrides: str, **variables: str) -> Path:
-        """Train in a new process and return the run directory."""
         root = self.folder / f"runs_{len(list(self.folder.glob('runs_*')))}"
         self.wheelleg(*self.words(root, *overrides), **variables)
         return only_run(root)
 
     def once(self, *overrides: str) -> Path:
-        """Return the run of these overrides, trained at the first call; nobody changes it."""
+        """Return the run of some overrides, which is trained at the first call. Nobody changes this run."""
         if overrides not in self._runs:
             self._runs[overrides] = self.train(*overrides)
         return self._runs[overrides]
 
     def take(self, run: Path) -> None:
-        """Take a run of another laboratory for the plain one."""
+        """Use a run of another lab as the run without overrides."""
         self._runs[()] = run
 
     def resume(self, run: Path, *overrides: str) -> None:
-        """Go on with a run, to the end unless the overrides say otherwise."""
         self.wheelleg(*self.resume_words(run, *overrides))
 
     def resume_words(self, run: Path, *overrides: str) -> list[str | Path]:
-        """Return the words that go on with a run."""
         return ["resume", run, *overrides, *self.project]
 
     @property
     def project(self) -> list[str | Path]:
-        """The option that names the project of the planted terms, where there are any."""
         return ["--config-dir", PROJECT / "configs"] if self.planted else []
 
 
 def only_run(root: Path) -> Path:
-    """Return the one run below a root."""
     (run,) = (path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith("."))
     return run
 
 
 def differences(a: Path, b: Path, *, exported: bool = True) -> list[str]:
-    """Return what is not the same in two runs: checkpoints, exported policies, iterations, recordings.
+    """Return the unequal parts of two runs: checkpoints, exported policies, iterations, recordings.
 
-    Bytes are compared by sha256 and the recordings by their content; nothing here is the program's own ``verify``.
+    Bytes are compared by sha256, and recordings by their content, without the program's own ``verify``.
     """
     patterns = ["model_*.pt", *(["exported/*.onnx", "exported/*.json"] if exported else [])]
     found = [name for pattern in patterns for name in _unequal_files(a, b, pattern)]
@@ -152,18 +133,13 @@ def _lines(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
 
 
-def _unequal_iterations(a: list[dict[str, Any]], b: list[dict[str, Any]]) -> list[str]:
-    if [line["iteration"] for line in a] != [line["iteration"] for line in b]:
-        return [f"iterations: {[x['iteration'] for x in a]} and {[x['iteration'] for x in b]}"]
-    return [
-        f"iteration {one['iteration']}: {key}"
-        for one, other in zip(a, b, strict=True)
-        for key in _unequal_keys(one, other)
-    ]
-
-
-def _unequal_keys(a: dict[str, Any], b: dict[str, Any]) -> Iterator[str]:
-    for part in ("digests", "scalars"):
-        for key in sorted(a[part].keys() | b[part].keys()):
-            if not key.startswith("Perf/") and a[part].get(key) != b[part].get(key):
-                yield f"{part}.{key}"
+def _unequal_iterations(a: list[dict[str, Any]], b: list[dict[str, Any]]) -> Iterator[str]:
+    numbers = [[line["iteration"] for line in lines] for lines in (a, b)]
+    if numbers[0] != numbers[1]:
+        yield f"iterations: {numbers[0]} and {numbers[1]}"
+        return
+    for one, other in zip(a, b, strict=True):
+        for part in ("digests", "scalars"):
+            for key in sorted(one[part].keys() | other[part].keys()):
+                if not key.startswith("Perf/") and one[part].get(key) != other[part].get(key):
+                    yield f"iteration {one['iteration']}: {part}.{key}"

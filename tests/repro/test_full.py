@@ -1,4 +1,4 @@
-"""The long proofs: full trainings, and many kills. `nox -s repro -- full` runs them; they take long."""
+"""The long proofs: complete trainings and many kills. ``nox -s repro -- full`` runs them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.full, pytest.mark.train]
 
 @pytest.fixture(scope="module")
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    """Trainings of the whole task, as a user starts them."""
+    """Trainings of the whole stock task."""
     return Lab(tmp_path_factory.mktemp("full"), base=["task=stand", "agent.save_interval=10"])
 
 
@@ -23,12 +23,9 @@ def test_a_full_training_killed_five_times_is_the_uninterrupted_one(stand: Lab):
     assert checks.killed(stand, lines, seed=1, longest_s=1.5) == []
 
 
-def test_a_full_training_repeats_in_another_process_with_other_threads(stand: Lab):
-    assert checks.torch_threads(stand) == []
-
-
-def test_a_full_training_is_replayed(stand: Lab):
-    assert checks.replay(stand) == []
+@pytest.mark.parametrize("proof", [checks.torch_threads, checks.replay])
+def test_a_full_training_repeats_with_other_threads_and_from_its_snapshot(stand: Lab, proof):
+    assert proof(stand) == []
 
 
 @pytest.mark.parametrize("seed", range(10))

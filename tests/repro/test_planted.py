@@ -1,4 +1,4 @@
-"""Each proof fails when its cause is planted."""
+"""Each proof fails when a planted term breaks its promise."""
 
 from __future__ import annotations
 
@@ -18,24 +18,17 @@ usual, long = pytest.mark.repro, pytest.mark.full
 Planter = Callable[..., Lab]
 
 
-@usual
-def test_two_processes_show_a_draw_that_has_no_stream(planted: Planter):
-    assert "model_0.pt" in checks.two_processes(planted("entropy"))
-
-
-@long
-def test_torch_threads_show_a_term_that_depends_on_them(planted: Planter):
-    assert "model_0.pt" in checks.torch_threads(planted("torch_threads"))
-
-
-@long
-def test_physics_threads_show_a_term_that_depends_on_them(planted: Planter):
-    assert "model_0.pt" in checks.physics_threads(planted("physics_threads"))
-
-
-@long
-def test_recording_shows_a_term_that_sees_it(planted: Planter):
-    assert "model_0.pt" in checks.recording(planted("observers"))
+@pytest.mark.parametrize(
+    ("proof", "term"),
+    [
+        pytest.param(checks.two_processes, "entropy", marks=usual),
+        pytest.param(checks.torch_threads, "torch_threads", marks=long),
+        pytest.param(checks.physics_threads, "physics_threads", marks=long),
+        pytest.param(checks.recording, "observers", marks=long),
+    ],
+)
+def test_a_proof_fails_when_its_cause_is_planted(planted: Planter, proof, term):
+    assert "model_0.pt" in proof(planted(term))
 
 
 @usual

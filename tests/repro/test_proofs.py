@@ -1,6 +1,8 @@
-"""Runs repeat to the bit: one proof a line."""
+"""Runs repeat bit for bit."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import pytest
 
@@ -10,44 +12,17 @@ from repro.runs import Lab, differences
 pytestmark = [pytest.mark.repro, pytest.mark.train]
 
 
-def test_two_processes_give_the_same_run(lab: Lab):
-    assert checks.two_processes(lab) == []
+PROOFS = [checks.two_processes, checks.torch_threads, checks.physics_threads, checks.recording, checks.tensorboard]
+PROOFS += [checks.added_term, checks.splits, checks.killed, checks.snapshot]
 
 
-def test_torch_threads_change_nothing(lab: Lab):
-    assert checks.torch_threads(lab) == []
-
-
-def test_physics_threads_change_nothing(lab: Lab):
-    assert checks.physics_threads(lab) == []
-
-
-def test_recording_changes_nothing(lab: Lab):
-    assert checks.recording(lab) == []
-
-
-def test_tensorboard_changes_nothing(lab: Lab):
-    assert checks.tensorboard(lab) == []
-
-
-def test_another_term_changes_no_other_draw(lab: Lab):
-    assert checks.added_term(lab) == []
-
-
-def test_any_split_into_stops_and_resumes_changes_nothing(lab: Lab):
-    assert checks.splits(lab) == []
-
-
-def test_kill_9_and_resume_changes_nothing(lab: Lab):
-    assert checks.killed(lab) == []
+@pytest.mark.parametrize("proof", PROOFS)
+def test_nothing_changes_a_run(lab: Lab, proof: Callable[[Lab], list[str]]):
+    assert proof(lab) == []
 
 
 def test_a_replay_from_the_snapshot_is_the_same_run(lab: Lab):
     assert checks.replay(lab) == []
-
-
-def test_the_snapshot_is_what_the_source_composes_to(lab: Lab):
-    assert checks.snapshot(lab) == []
 
 
 def test_a_flipped_bit_in_any_file_is_found(lab: Lab):

@@ -1,4 +1,4 @@
-"""Small trainers of the stock task."""
+"""Fixtures with small trainers of the stock task."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 MakeTrainer = Callable[..., Trainer]
 
 
-@pytest.fixture(scope="module", autouse=True)  # before a module's own trainings: on some CPUs threads change bits
+@pytest.fixture(scope="module", autouse=True)  # On some CPUs threads change bits.
 def _one_thread() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""Digests of a training's state notice every bit, and nothing but the state."""
+"""Test that digests change with every bit of a training's state, and with the state only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATE = {
 
 
 def changed(change):
-    """The names of the digests that a change of the state changes."""
+    """Return the names of the digests that differ after a change of the state."""
     state = copy.deepcopy(STATE)
     change(state)
     before, after = digests.of_state(STATE), digests.of_state(state)
@@ -77,6 +77,5 @@ def test_layout_in_memory_does_not_matter():
 
 
 def test_one_number_of_a_row_has_the_bytes_of_that_number():
-    """Such a view is contiguous, and has another stride all the same: the bound of an action on one joint."""
     number = torch.tensor([[1.0, 2.0]])[:, 1]
     assert bytes(digests.tensor_bytes(number)) == bytes(digests.tensor_bytes(torch.tensor([2.0])))

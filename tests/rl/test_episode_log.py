@@ -1,4 +1,4 @@
-"""Returns, lengths and logs of a rollout, against cases worked out by hand."""
+"""Test the returns, lengths, and logs of a rollout against hand-computed cases."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wheelleg_exp.rl.rollout_log import EpisodeLog
 
 
 def step(log, rewards, dones, values=None):
-    """One step; ``values`` is the managers' log when some environment was reset, else the last one stays."""
+    """Add one step to the log; ``values`` is the managers' log if an environment was reset in this step."""
     if values is not None:
         step.last = {k: torch.tensor(v) for k, v in values.items()}
     extras = {"log": getattr(step, "last", {}), "log_is_fresh": any(dones)}
@@ -30,9 +30,9 @@ def test_nothing_is_said_before_an_episode_ends():
 def test_return_and_length_are_those_of_the_finished_episodes():
     log = EpisodeLog(3)
     step(log, [1.0, 10.0, 0.5], [0, 0, 0])
-    step(log, [2.0, 10.0, 0.5], [1, 0, 0], {})  # env 0: 3 in 2 steps
-    step(log, [4.0, 10.0, 0.5], [0, 0, 1], {})  # env 2: 1.5 in 3 steps
-    step(log, [8.0, 10.0, 0.5], [1, 0, 0], {})  # env 0: 12 in 2 steps
+    step(log, [2.0, 10.0, 0.5], [1, 0, 0], {})  # Environment 0 ends with return 3 after 2 steps.
+    step(log, [4.0, 10.0, 0.5], [0, 0, 1], {})  # Environment 2 ends with return 1.5 after 3 steps.
+    step(log, [8.0, 10.0, 0.5], [1, 0, 0], {})  # Environment 0 ends with return 12 after 2 steps.
     scalars = log.collect()
     assert scalars["Train/mean_reward"] == pytest.approx((3.0 + 1.5 + 12.0) / 3)
     assert scalars["Train/mean_episode_length"] == pytest.approx((2 + 3 + 2) / 3)

@@ -1,4 +1,4 @@
-"""The exported policy: one file each, the same actions, and a description that is right."""
+"""Test exported policies: one file per format, actions equal to the policy's, and a correct description."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def trainer(make_trainer):
-    """A policy whose observation normaliser has seen something."""
+    """Return a policy whose observation normalizer has processed random observations."""
     made = make_trainer("agent.actor.obs_normalization=true")
     seen = torch.randn(64, 135, generator=torch.Generator().manual_seed(3)) * 3.0 + 1.0
     made.algorithm.actor.update_normalization(TensorDict({"policy": seen, "critic": torch.zeros(64, 180)}, [64]))
@@ -48,10 +48,6 @@ def model(policy) -> bytes:
 @pytest.fixture(scope="module")
 def described(trainer, tiny_config):
     return json.loads(export.description(trainer.env.env, tiny_config()["agent"], 41))
-
-
-def observed(batch: int) -> torch.Tensor:
-    return torch.randn(batch, 135, generator=torch.Generator().manual_seed(batch))
 
 
 def by_hand(policy, observations: torch.Tensor) -> np.ndarray:
@@ -80,7 +76,7 @@ def test_onnx_is_one_file(model, tmp_path):
 
 @pytest.mark.parametrize("batch", [1, 2, 7])
 def test_torch_torchscript_and_onnx_give_the_same_actions(policy, model, tmp_path, batch):
-    observations = observed(batch)
+    observations = torch.randn(batch, 135, generator=torch.Generator().manual_seed(batch))
     (tmp_path / "policy.pt").write_bytes(export.torchscript(policy))
     session = onnxruntime.InferenceSession(model)
     (name,) = [entry.name for entry in session.get_inputs()]
@@ -128,7 +124,7 @@ Path(sys.argv[3]).write_bytes(graph)
 
 
 def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> RunDirectory:
-    """A run with the last of some policies, exported in a process of its own one after another."""
+    """Return a run directory with an exported policy; a child process exports several policies in turn."""
     run = RunDirectory(folder)
     run.exported.mkdir(parents=True)
     files = [run.exported / name for name in ("policy.pt", "policy.onnx")]
@@ -160,7 +156,6 @@ def test_exporting_leaves_the_policy_as_it_was(policy):
 
 
 def test_the_slices_of_the_observation_hold_what_they_name(trainer, described):
-    """Each slice of a real observation, against what the robot itself says; newest sample last."""
     env = trainer.env.env
     env.reset()
     action = torch.linspace(-0.3, 0.3, 6).repeat(16, 1)

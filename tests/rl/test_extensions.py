@@ -1,4 +1,4 @@
-"""rsl_rl's extensions in training: the stock examples learn, and go on to the bit after a stop."""
+"""Test that stock configs of rsl_rl's extensions learn, and that a resumed training is bit-identical."""
 
 from __future__ import annotations
 
@@ -32,14 +32,12 @@ def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
 
 
 def test_what_has_been_seen_is_no_longer_new(make_trainer):
-    """The predictor learns: its loss falls on states that come again and again."""
     losses = [done.scalars["Loss/rnd"] for done in make_trainer("agent=ppo_rnd").learn(until=8)]
     assert all(loss > 0.0 for loss in losses)
     assert losses[-1] < 0.5 * max(losses[:3])
 
 
 def test_novelty_is_rewarded_by_the_weight_and_the_control_step(make_trainer):
-    """By hand: the length of the prediction error, times the weight, times 1/60 s, without normalisation."""
     plain = ["agent.algorithm.rnd_cfg.reward_normalization=false", "agent.algorithm.rnd_cfg.weight_schedule=null"]
     trainer = make_trainer("agent=ppo_rnd", *plain, "agent.algorithm.rnd_cfg.weight=3.0")
     rnd, seen = trainer.algorithm.rnd, trainer.env.get_observations()
@@ -54,7 +52,6 @@ def test_novelty_is_rewarded_by_the_weight_and_the_control_step(make_trainer):
     "words", [["agent=ppo_symmetry", "agent.algorithm.symmetry_cfg.use_mirror_loss=true"], ["agent=ppo_mirror_loss"]]
 )
 def test_mirror_images_make_a_policy_its_own_image(make_trainer, words):
-    """With the loss on it, the policy's answer to an image comes nearer to the image of its answer."""
     losses = [
         [done.scalars["Loss/symmetry"] for done in make_trainer(*words, f"{key}={factor}").learn(until=6)][-1]
         for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]

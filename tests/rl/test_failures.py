@@ -1,4 +1,4 @@
-"""Numbers that are not finite fail a training, with whose they are, when, and what they came from."""
+"""Test that NaN and inf end a training with an error that names the term, the iteration, and the saved state."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAN, INF = math.nan, math.inf
 
 
 def spoil(monkeypatch, module, name: str, value: float, *, rows=slice(2, 3), calls=range(40, 10**9)) -> None:
-    """Let a term of the library give ``value`` in some environments, at some of its calls."""
+    """Make a stock term return ``value`` for some environments at some of its calls."""
     function, number = getattr(module, name), itertools.count()
 
     @functools.wraps(function)

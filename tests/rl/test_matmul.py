@@ -1,4 +1,4 @@
-"""Products of the update in bfloat16: how exact they are, when they are taken, and that they repeat to the bit."""
+"""Test the precision, the selection, and the repeatability of matrix products in bfloat16."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.torch_threads import dependent_products, set_threads
 from wheelleg_exp.rl import matmul
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, has_units, linear
 
-HALF_STEP = 2.0**-8  # the largest relative error of rounding to bfloat16's 8 bits
+HALF_STEP = 2.0**-8  # This is the largest relative rounding error of bfloat16.
 AGENT = {"device": "cpu", "torch_threads": 1, "algorithm": {}, "matmul": "auto"}
 
 
@@ -30,14 +30,14 @@ def drawn(rows=96, inputs=135, outputs=64):
 
 
 def rounded(x):
-    """Return float64 numbers that bfloat16 has, by its definition: half a unit of the eighth bit, ties to even."""
+    """Return numbers rounded to the 8 bits of bfloat16, to nearest with ties to even, as float64."""
     mantissa, exponent = torch.frexp(x.double())
     return torch.ldexp((mantissa * 256).round(), exponent - 8)
 
 
 @pytest.fixture
 def units(monkeypatch):
-    """Let the CPU have bf16 vector instructions, or not, AMX, or not, and be Intel's, or not."""
+    """Simulate a CPU with or without bf16 vector instructions and AMX, from Intel or another vendor."""
     monkeypatch.delenv("ONEDNN_MAX_CPU_ISA", raising=False)
     monkeypatch.delenv("DNNL_MAX_CPU_ISA", raising=False)
 
@@ -49,13 +49,13 @@ def units(monkeypatch):
     return set_to
 
 
-# --- how exact ---
+# --- precision ---
 
 
 def test_a_product_of_rounded_factors_is_rounded_once():
     x, weight, bias, _ = drawn()
     exact = rounded(x) @ rounded(weight).t()
-    added_up = rounded(x).abs() @ rounded(weight).abs().t()  # what errors of float32's sums are in proportion to
+    added_up = rounded(x).abs() @ rounded(weight).abs().t()  # The error of float32 sums is proportional to this.
     found = linear(x, weight, bias)
     assert found.dtype == torch.float32
     error = (found.double() - (exact + bias.double())).abs()
@@ -73,7 +73,7 @@ def test_gradients_are_those_of_float64_within_a_few_roundings(elu):
     torch.where(y > 0, y, torch.expm1(y) if elu else y).backward(grad.double())
     for leaf, other in zip(leaves, exact, strict=True):
         assert leaf.grad.dtype == torch.float32
-        # Roundings of two factors, the result and the derivative are independent: they add up as their squares do.
+        # The rounding errors of both factors, the result, and the derivative are independent, so their squares add up.
         assert (leaf.grad - other.grad).norm() <= 2 * HALF_STEP * other.grad.norm()
 
 
@@ -117,7 +117,7 @@ def test_small_layers_and_users_own_perceptrons_are_left_alone():
             assert torch.equal(net(x), exact)
 
 
-# --- when ---
+# --- selection of bfloat16 ---
 
 
 @pytest.mark.parametrize(("there", "found"), [(True, "bfloat16"), (False, "float32")])
@@ -226,7 +226,7 @@ for threads in map(int, sys.argv[1:]):
 
 
 def bits(*threads, **variables):
-    """Return digests of outputs and gradients for each number of threads, of a process of its own."""
+    """Return digests of outputs and gradients for each number of threads, computed in a child process."""
     environ = os.environ | {"MKL_CBWR": "AVX2,STRICT", "OMP_WAIT_POLICY": "PASSIVE"} | variables
     command = [sys.executable, "-c", CODE, *map(str, threads)]
     said = subprocess.run(command, env=environ, capture_output=True, timeout=PATIENCE_S, check=True).stdout.split()
@@ -256,4 +256,4 @@ def test_products_that_depend_on_threads_are_found_and_recorded(monkeypatch):
     assert found["independent"] is False
     assert "agent.matmul=float32" in found["dependent_because"][0]
     assert torch.get_num_threads() == before
-    assert dependent_products([MLP(8, 2, [16], "elu")], AGENT, 960, record) == {}  # nothing is multiplied so
+    assert dependent_products([MLP(8, 2, [16], "elu")], AGENT, 960, record) == {}  # This precision uses no bfloat16.

@@ -1,4 +1,4 @@
-"""The mean of a policy's weights is what is played, and training does not know of it."""
+"""Test that the mean of a policy's weights is played, and that training does not depend on the mean."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def test_the_mean_is_that_of_all_at_first_and_exponential_from_then_on():
         mean.take()
         kept = mean.state_dict()["averaged_state_dict"]
         assert float(kept["weight"]) == expected[index]
-        assert int(kept["count"]) == index + 1  # a whole number has no mean
+        assert int(kept["count"]) == index + 1  # An integer buffer is not averaged.
     assert policy.weight.item() == 8.0
 
 
 @pytest.fixture(scope="module")
 def averaged(make_trainer):
-    """Checkpoints of three iterations, each behind one more."""
+    """Return the checkpoints of three successive iterations."""
     trainer = make_trainer(OVER)
     return [trainer.state_dict() for _ in trainer.learn(3)]
 
@@ -106,7 +106,7 @@ def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
     assert torch.equal(policy.state_dict()["mlp.0.weight"], mean)
     trainer.load_state_dict(copy.deepcopy(averaged[0]))
     list(trainer.learn(3))
-    with trainer.played() as played:  # what a training exports
+    with trainer.played() as played:
         assert torch.equal(played.state_dict()["mlp.0.weight"], mean)
     assert of_state(trainer.state_dict()) == of_state(averaged[-1])
 

@@ -1,4 +1,4 @@
-"""The update that a GPU does as graphs is rsl_rl's own: here minibatch by minibatch, on a GPU captured as well."""
+"""Test that the update with CUDA graphs equals rsl_rl's update; without a GPU, minibatches run without capture."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ UPDATES = 4
 
 
 def updated(trainer, update) -> tuple[list[dict], list[float]]:
-    """Return losses and learning rates of some iterations."""
+    """Return the losses and learning rates of several iterations."""
     losses, rates = [], []
     for index in range(UPDATES):
         torch.manual_seed(2 * index)
         trainer._collect()
-        torch.manual_seed(2 * index + 1)  # rsl_rl draws actions in the update, too, and ours does not
+        torch.manual_seed(2 * index + 1)  # rsl_rl also draws actions in the update.
         losses.append(update())
         rates.append(trainer.algorithm.learning_rate)
     return losses, rates
@@ -44,7 +44,7 @@ def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
     assert is_plain_ppo(ours.algorithm)
     found = updated(ours, CapturedUpdate(ours.algorithm))
     if theirs.algorithm.symmetry:
-        del theirs.algorithm.symmetry.compute_loss  # ours; rsl_rl's own is behind it
+        del theirs.algorithm.symmetry.compute_loss  # Restore rsl_rl's own method.
     expected = updated(theirs, theirs.algorithm.update)
     near = 1e-5 if DEVICE == "cpu" else 1e-3
     for mine, others in zip(found[0], expected[0], strict=True):
@@ -96,7 +96,7 @@ def test_what_it_does_not_do_is_rsl_rls(make_trainer):
     assert not is_plain_ppo(make_trainer("agent=ppo_symmetry").algorithm)
 
 
-# Each process updates one trainer as rsl_rl does and another as graphs would, with environments of its own.
+# Each process updates one trainer with rsl_rl's update and another trainer with the captured update.
 _TOGETHER = """
 import json, os, sys
 os.environ["MASTER_PORT"] = str(json.loads(sys.argv[2])[0])
@@ -145,4 +145,4 @@ def test_processes_that_train_together_update_as_rsl_rl_does(mjcf, tmp_path):
     assert ours[0][0] == ours[1][0]
     assert len(set(ours[0][0])) > 1  # the learning rate has changed
     assert ours[0][2] == ours[1][2]
-    assert ours[0][1] != ours[1][1]  # each has learned from samples of its own
+    assert ours[0][1] != ours[1][1]  # Each process collected different samples.

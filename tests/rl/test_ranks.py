@@ -1,4 +1,4 @@
-"""What processes that train together tell each other."""
+"""Test the messages between the processes that train one policy together."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import ranks
 from wheelleg_exp.rl.ranks import ALONE, Ranks, joined
 
-# Each process says what it has heard; the last word of the first is an error of the second.
+# Each process prints its received messages; the last line of the first process is an error of the second process.
 _TALK = """
 import json, os, sys
 os.environ["MASTER_PORT"] = str(json.loads(sys.argv[2])[0])
@@ -87,7 +87,7 @@ def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
 def test_another_config_is_refused(said):
     kind, message = said[0][0][8]
     assert kind == "ConfigError"
-    assert message.startswith("the config: process 1 has another than the first")
+    assert message.startswith("the config: process 1 has another value than the first process")
 
 
 def test_a_process_that_dies_is_noticed(said):
@@ -130,10 +130,10 @@ def test_variables_that_are_not_torchruns_are_refused(monkeypatch):
     for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("WORLD_SIZE", "2")
-    with pytest.raises(ConfigError, match="2 processes, and RANK is not set"), joined():
+    with pytest.raises(ConfigError, match="2 processes, but RANK is not set"), joined():
         pass
     monkeypatch.setenv("WORLD_SIZE", "many")
-    with pytest.raises(ConfigError, match="WORLD_SIZE: is 'many'"), joined():
+    with pytest.raises(ConfigError, match="WORLD_SIZE: the variable is 'many'"), joined():
         pass
 
 

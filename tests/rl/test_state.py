@@ -1,4 +1,4 @@
-"""A trainer restored from its checkpoint is the same wherever one looks, with all that rsl_rl may keep."""
+"""Test that a trainer restored from a checkpoint equals the original, for all kinds of rsl_rl state."""
 
 from __future__ import annotations
 
@@ -13,37 +13,26 @@ from wheelleg_exp.rl import checkpoint, digests
 
 pytestmark = pytest.mark.train
 
-# What is written before it is read: the rollout of the last iteration, and what the last forward pass left.
+# These values are overwritten before they are read: the last rollout, and results of the last forward pass.
 DERIVED = frozenset(
-    {
-        ".algorithm.storage",
-        ".algorithm.transition",
-        ".algorithm.intrinsic_rewards",
-        "['distribution']._distribution",
-        ".rnd.weight",
-        "._views['sensordata']",
-        "._views['actuator_force']",
-        "._sim._current",
-        ".robot.data._cache",
-        ".step_errors",  # of the step alone
-        ".robot.data.motion_at_start",  # read within a control step alone
-        ".command_manager.step_errors",  # of the step alone
-        ".robot._has_new_targets",  # set where a control step begins
-        ".action_manager._is_new",
-        "._has_worked",  # what messages tell: whether a term has run before, and what it returned
-        ".form",
-        "._part_forms",
-        "._norms",
-        "._largest_norm",
-        "._counts",
-        ".data._history",
-        "._shows_outputs",
-        "._data",
-        "._readings",
-        "._pressures",
-        "._normals",
-        ".grad",
-    }
+    [
+        *(".algorithm.storage", ".algorithm.transition", ".algorithm.intrinsic_rewards", ".rnd.weight", ".grad"),
+        *("['distribution']._distribution", "._views['sensordata']", "._views['actuator_force']", "._sim._current"),
+        *(".step_errors", ".robot.data.motion_at_start"),  # only used within a control step
+        *(".robot._has_new_targets", ".action_manager._is_new"),  # set at the start of a control step
+        *("._has_worked", ".form", "._part_forms"),  # used in messages
+        *(
+            "._norms",
+            "._largest_norm",
+            "._counts",
+            ".data._history",
+            "._data",
+            "._readings",
+            "._pressures",
+            "._normals",
+        ),
+        *(".robot.data._cache", "._shows_outputs"),
+    ]
 )
 NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
 RND = [
@@ -52,16 +41,8 @@ RND = [
     "state_normalization: true, reward_normalization: true, "
     "weight_schedule: {mode: linear, initial_step: 0, final_step: 100, final_value: 0.1}}",
 ]
-RECURRENT = [
-    word
-    for role in ("actor", "critic")
-    for word in (
-        f"agent.{role}.class_name=RNNModel",
-        f"+agent.{role}.rnn_type=lstm",
-        f"+agent.{role}.rnn_hidden_dim=8",
-        f"+agent.{role}.rnn_num_layers=1",
-    )
-]
+RNN = ("{0}.class_name=RNNModel", "+{0}.rnn_type=lstm", "+{0}.rnn_hidden_dim=8", "+{0}.rnn_num_layers=1")
+RECURRENT = [word.format(f"agent.{role}") for role in ("actor", "critic") for word in RNN]
 KINDS = {"plain": [], "normalised": NORMALISED, "rnd": RND, "recurrent": RECURRENT}
 
 
@@ -96,7 +77,6 @@ def test_a_restored_trainer_is_the_same_wherever_one_looks(make_trainer, kind, t
     ],
 )
 def test_each_part_matters(make_trainer, kind, spoil):
-    """With a part changed, the digests and the next iteration are others."""
     trainer = make_trainer(*KINDS[kind])
     list(trainer.learn(until=1))
     saved = checkpoint.serialize(trainer.state_dict())

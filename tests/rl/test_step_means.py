@@ -1,4 +1,4 @@
-"""Means over all control steps: closed forms in which episodes that end early would give another number."""
+"""Test means over all control steps against closed forms, with episodes of different lengths."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def manager(**fields):
 
 @pytest.fixture
 def env():
-    """Two environments; a reward that is 1 in the first 4 steps of an episode and 0 later, and its mirror."""
+    """Return two environments with a reward that is 1 in the first 4 steps and 0 later, and its opposite."""
     term = SimpleNamespace(metric_names=["error"])
     return SimpleNamespace(
         reward_manager=manager(active_terms=["early", "late"], step_reward=torch.zeros(2, 2)),
@@ -26,7 +26,7 @@ def env():
 
 
 def run(env, means, lengths, steps):
-    """Let environment ``i`` end its episodes after ``lengths[i]`` steps, for ``steps`` steps."""
+    """Simulate ``steps`` steps in which environment ``i`` ends its episodes after ``lengths[i]`` steps."""
     for step in range(steps):
         age = torch.tensor([step % length for length in lengths])
         env.reward_manager.step_reward[0] = (age < 4).float()
@@ -37,11 +37,6 @@ def run(env, means, lengths, steps):
 
 
 def test_each_environment_counts_alike_in_each_step(env):
-    """One falls every 4 steps, one lives for 16: of the 4 + 1 episodes of 16 steps, 4 are short.
-
-    The mean over the episodes that ended would be (4 x 1 + 4 / 16) / 5 = 0.85 for the first term's value per step,
-    and 0.15 for the mean error of the short ones against 0.75 of the long one.
-    """
     means = StepMeans(env)
     run(env, means, [4, 16], 16)
     scalars = means.collect()
@@ -68,7 +63,6 @@ def test_nothing_is_kept_between_iterations(env):
 
 @pytest.mark.train
 def test_a_training_tells_the_means_of_what_its_environment_gave(make_trainer):
-    """The sum over the terms times the control step is the mean reward that the environment returned."""
     trainer, rewards = make_trainer(), []
     env = trainer.env.env
     compute = env.reward_manager.compute

@@ -1,4 +1,4 @@
-"""Mirror images: held against the physics itself, and against signs worked out by hand."""
+"""Test mirror images against the physics and against hand-computed signs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.mirror_images import joint_images, joint_signs
+from wheelleg_exp.rl.mirror_pairs import joint_images, joint_signs
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.symmetry import left_right, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -21,9 +21,9 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 MIRRORED = "agent=ppo_symmetry"
 SETTINGS = "agent.algorithm.symmetry_cfg"
 CALM = ["event@env.events=[]", "env.terminations.leg_contact=null", "env.terminations.base_contact=null"]
-# By hand: joints l01 r01 l02 r02 l03 r03 change sides, and all turn about +y on both sides, so that no sign changes.
+# The joints l01, r01, l02, r02, l03, r03 change sides, and all axes are +y, so no sign changes.
 SIDES = [1, 0, 3, 2, 5, 4]
-ACTIONS = [2, 3, 0, 1, 5, 4]  # of l01 l02 r01 r02 l03 r03
+ACTIONS = [2, 3, 0, 1, 5, 4]  # The order is l01, l02, r01, r02, l03, r03.
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def adapter(make_trainer):
 
 
 def write_twins(env, ids=None):
-    """Give the first half of ``ids``, 0-31, any states near the ground, and the second half their images, by hand."""
+    """Set random states near the ground in 16 environments, and their mirror images in the other 16."""
     robot, half, generator = env.scene.robot, 16, torch.Generator().manual_seed(4)
 
     def draw(*shape, size=1.0):
@@ -59,7 +59,6 @@ def write_twins(env, ids=None):
 
 
 def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
-    """Landing, wheels on the ground and falls: positions, velocities, efforts, commands and actions of both groups."""
     env, half = adapter.env, 16
     env.autoreset = "disabled"
     env.reset()
@@ -78,11 +77,10 @@ def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
         torch.testing.assert_close(adapter.mirror.actions(one), image)
     assert contacts > 1.0
     still = adapter.get_observations()[half:]["policy"]
-    assert (adapter.get_observations()[:half]["policy"] - still).abs().max() > 0.5  # the images are not the same
+    assert (adapter.get_observations()[:half]["policy"] - still).abs().max() > 0.5  # The mirrored observations differ.
 
 
 def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
-    """The policy that acts alike on both sees alike and earns alike, though one robot is the other's image."""
     command = "env.commands.base_velocity"
     words = [f"{command}.resampling_time_range=[9,9]", f"{command}.rel_standing_envs=0.0"]
     adapter = make_trainer("agent=ppo_mirrored", *CALM, "env.num_envs=32", *words).env
@@ -100,7 +98,7 @@ def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
         torch.testing.assert_close(rewards[images], rewards[ones], atol=1e-4, rtol=1e-3)
         assert torch.equal(dones[images], dones[ones])
     raw = env.action_manager.action
-    torch.testing.assert_close(raw[images], one[:, ACTIONS])  # what the robots themselves are told
+    torch.testing.assert_close(raw[images], one[:, ACTIONS])  # Mirrored robots get mirrored actions.
     assert (env.observation_manager.obs_buf["policy"][images] - seen["policy"][images]).abs().max() > 0.5
 
 
@@ -117,13 +115,12 @@ def test_a_policy_that_is_played_meets_no_robot_in_a_mirror(make_trainer, tmp_pa
 
 
 def test_one_robot_has_no_second(make_trainer):
-    with pytest.raises(ConfigError, match=r"agent\.symmetry\.mirrored_envs.*there is one"):
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.mirrored_envs.*there is only one"):
         make_trainer("agent=ppo_mirrored", "env.num_envs=1")
 
 
 @pytest.mark.filterwarnings("ignore:The observation configuration dictionary")
 def test_a_group_that_is_not_named_for_the_critic_is_mirrored_too(make_trainer):
-    """rsl_rl takes the group of its name."""
     trainer = make_trainer("agent=ppo_mirrored", "~agent.obs_groups.critic", "env.num_envs=4")
     seen, own = trainer.env.get_observations()["critic"], trainer.env.env.observation_manager.obs_buf["critic"]
     assert [torch.equal(seen[i], own[i]) for i in range(4)] == [True, False, True, False]
@@ -146,7 +143,6 @@ def test_a_batch_is_followed_by_its_image(adapter):
 
 
 def test_signs_of_joints_are_those_of_their_axes():
-    """Hips about x and z, knees about y, slides: by the right hand rule, with the left one's axis written about."""
     model = mujoco.MjModel.from_xml_string("""
       <mujoco><worldbody><body name="base" pos="1 2 3" quat="0.6 0.8 0 0"><freejoint/><geom size="0.1"/>
         <body pos="0 0.2 0"><joint name="l_roll" axis="1 0 0"/><geom size="0.05"/>
@@ -180,7 +176,6 @@ def test_pairs_that_cannot_be_are_told(pairs, said):
 
 
 def test_a_pair_that_is_null_is_none():
-    """Who builds on an agent of other joints' names takes its pair back."""
     assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
@@ -199,7 +194,7 @@ def lopsided(change):
     ("change", "said"),
     [
         ({"r": 'pos="0 -0.21 0"'}, "10.0 mm off"),
-        ({"r": 'pos="0 -0.2 0" euler="0 45 0"'}, "off the image"),  # zero of the joint is elsewhere
+        ({"r": 'pos="0 -0.2 0" euler="0 45 0"'}, "off the image"),  # The joint has another zero position.
         ({"r": 'pos="0 -0.2 0" euler="0 0 20"'}, "axes differ by 20.0 degrees"),
     ],
 )
@@ -278,7 +273,6 @@ def test_what_is_looked_at_for_novelty_alone_has_an_image_too(make_trainer):
 
 @pytest.mark.train
 def test_each_minibatch_holds_the_images_too(make_trainer, monkeypatch):
-    """What the actor learns from is twice as much, and its second half the image of the first."""
     trainer, seen = make_trainer(MIRRORED), []
     actor = trainer.algorithm.actor
     forward = type(actor).forward
@@ -293,14 +287,13 @@ def test_each_minibatch_holds_the_images_too(make_trainer, monkeypatch):
     batch = seen[0]
     assert len(batch) == 2 * 16 * 24 // 4
     half = len(batch) // 2
-    frame = np.s_[12:15]  # the newest angular velocity of five: by hand, it turns as a pseudovector does
+    frame = np.s_[12:15]  # The columns are the latest angular velocity, which is a pseudovector.
     assert torch.equal(batch[half:, frame], batch[:half, frame] * torch.tensor([-1.0, 1.0, -1.0]))
     assert done.scalars["Loss/symmetry"] >= 0.0
 
 
 @pytest.mark.parametrize("is_learned_from", ["true", "false"])
 def test_the_mirror_loss_is_that_of_rsl_rl(make_trainer, monkeypatch, is_learned_from):
-    """Its value and all gradients, of a policy that is far from its image."""
     words = ("agent=ppo_mirror_loss", f"{SETTINGS}.use_mirror_loss={is_learned_from}")
     trainer = make_trainer(*words, "agent.actor.obs_normalization=true")
     trainer._collect()

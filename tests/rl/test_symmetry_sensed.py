@@ -1,4 +1,4 @@
-"""Mirror images of what sensors measure, of single bodies, of clocks and of commands: by physics and by hand."""
+"""Test mirror images of sensors, bodies, clocks, and commands against the physics and hand-computed values."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def both(values, *signs):
 
 
 def write_commands(env):
-    """Command environments 16-31 the images of what the others are commanded, by hand."""
+    """Set the commands of environments 16-31 to the mirror images of the commands of environments 0-15."""
     generator = torch.Generator().manual_seed(3)
     pose, place = (env.command_manager.get_term(name) for name in ("base_pose", "place"))
     pose.command[:] = both(torch.rand(HALF, 3, generator=generator), 1, -1, 1)
@@ -70,7 +70,6 @@ def write_commands(env):
 
 
 def test_what_an_image_senses_is_the_image_of_what_is_sensed(adapter):
-    """IMU, contacts, times in the air, poses of links and commands, while it lands, rolls and falls."""
     env = adapter.env
     env.autoreset = "disabled"
     env.reset()
@@ -82,7 +81,7 @@ def test_what_an_image_senses_is_the_image_of_what_is_sensed(adapter):
         env.step(torch.cat((one, adapter.mirror.actions(one))))
         observed = adapter.get_observations()
         image = adapter.mirror.observations(observed[:HALF])["critic"]
-        if step:  # before, the histories' older frames are of the reset
+        if step:  # After one step, histories still contain frames of the reset.
             torch.testing.assert_close(image, observed["critic"][HALF:], atol=2e-3, rtol=2e-3)
         touched += float(env.scene["contact_forces"].data.net_forces_w.abs().sum())
     assert touched > 1.0
@@ -120,13 +119,12 @@ def test_a_scan_from_the_mirrored_place_of_a_mirrored_ground_is_the_image(make_t
 
 
 def rule(trainer, group, width):
-    """Return where the numbers of a group's first frame come from, and their signs."""
+    """Return the source index and the sign of each number in the first frame of a mirrored group."""
     sources, signs = trainer.env.mirror._groups[group]
     return sources[:width].tolist(), signs[:width].tolist()
 
 
 def test_the_rays_of_a_grid_and_of_a_lidar_change_sides(make_trainer):
-    """By hand: three columns along x in two rows; four beams forwards, left, backwards and right."""
     pattern = "{_target_: wheelleg_exp.sim.sensors.GridPattern, resolution: 0.1, size: [0.2, 0.1]}"
     word = f"env.scene.sensors.height_scanner.pattern={pattern}"
     sources, signs = rule(make_trainer(*WORDS, word, seen("sensors/height_scan")), "critic", 6)
@@ -139,7 +137,6 @@ def test_the_rays_of_a_grid_and_of_a_lidar_change_sides(make_trainer):
 
 
 def test_the_clocks_of_both_legs_change_sides(make_trainer):
-    """Sines, then cosines, at 0 and half a cycle: each is the other's half a cycle later."""
     trainer = make_trainer(*WORDS, seen("gait_phase"))
     t = torch.arange(5) / 7
     left, right = 2 * math.pi * t, 2 * math.pi * (t + 0.5)
@@ -150,7 +147,6 @@ def test_the_clocks_of_both_legs_change_sides(make_trainer):
 
 
 def test_an_imu_that_is_turned_along_its_body_has_signs_of_its_own(make_trainer):
-    """A quarter turn about x: its y is the body's z, its z the body's -y; so z changes its sign and y does not."""
     turned = f"{IMU}.offset={{rot: [{math.sqrt(0.5)}, {math.sqrt(0.5)}, 0.0, 0.0]}}"
     trainer = make_trainer(*WORDS, turned, seen("sensors/imu_lin_acc", "sensors/imu_ang_vel"))
     assert rule(trainer, "critic", 3) == ([0, 1, 2], [1.0, 1.0, -1.0])

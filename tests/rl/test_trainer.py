@@ -1,18 +1,12 @@
-"""Training: the networks that the config asks for, runs that go on as if they had never stopped, failures."""
+"""Test training: networks from the config, exact resume, and failures."""
 
 from __future__ import annotations
 
 import copy
-import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
-from jobs.small import TINY
-from patience import PATIENCE_S
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
@@ -25,7 +19,7 @@ NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalizat
 
 @pytest.fixture(scope="module")
 def adapter(make_trainer):
-    """An environment behind the adapter, for tests that do not step it."""
+    """Return an rsl_rl adapter with its environment, for tests that do not step it."""
     return make_trainer().env
 
 
@@ -52,7 +46,7 @@ def test_the_seed_decides_the_first_weights(make_trainer):
         return torch.cat([p.detach().flatten() for p in make_trainer(seed=seed).algorithm.actor.parameters()])
 
     first = weights(0)
-    torch.manual_seed(123)  # what was drawn before does not matter
+    torch.manual_seed(123)  # Earlier draws must not change the weights.
     assert torch.equal(weights(0), first)
     assert not torch.equal(weights(1), first)
 
@@ -98,29 +92,18 @@ def test_a_device_that_is_not_there_is_the_configs_mistake(adapter, tiny_config)
         build_algorithm(adapter, tiny_config()["agent"] | {"device": "cuda:77"})
 
 
-# --- what an iteration says ---
+# --- logged scalars of an iteration ---
 
 
 @pytest.mark.train
 def test_an_iteration_tells_rsl_rls_and_isaac_labs_scalars(make_trainer):
     first, second = finish(make_trainer(), 2)
     assert (first.index, second.index, first.env_steps) == (0, 1, 16 * 24)
-    for key in (
-        "Loss/value",
-        "Loss/surrogate",
-        "Loss/entropy",
-        "Loss/learning_rate",
-        "Policy/mean_std",
-        "Perf/total_fps",
-        "Perf/collection_time",
-        "Perf/learning_time",
-        "Train/mean_reward",
-        "Train/mean_episode_length",
-        "Episode_Reward/alive",
-        "Episode_Termination/time_out",
-        "Metrics/base_velocity/error_vel_xy",
-        "Curriculum/lin_vel_z_weight",
-    ):
+    keys = [f"Loss/{name}" for name in ("value", "surrogate", "entropy", "learning_rate")]
+    keys += [f"Perf/{name}" for name in ("total_fps", "collection_time", "learning_time")]
+    keys += ["Policy/mean_std", "Train/mean_reward", "Train/mean_episode_length", "Episode_Reward/alive"]
+    keys += ["Episode_Termination/time_out", "Metrics/base_velocity/error_vel_xy", "Curriculum/lin_vel_z_weight"]
+    for key in keys:
         assert isinstance(first.scalars[key], float), key
     assert first.scalars["Train/mean_episode_length"] <= 18
     assert first.scalars["Policy/mean_std"] == pytest.approx(1.0, abs=0.1)
@@ -137,7 +120,6 @@ def test_training_goes_up_to_a_total(make_trainer):
 
 @pytest.mark.train
 def test_returns_are_those_of_the_environment(make_trainer):
-    """Rewards summed here, from what the environment gave to the adapter."""
     trainer, rewards, ends = make_trainer(), [], []
     step = trainer.env.step
 
@@ -157,7 +139,7 @@ def test_returns_are_those_of_the_environment(make_trainer):
     assert done.scalars["Train/mean_reward"] == pytest.approx(sum(returns[-100:]) / len(returns[-100:]), rel=1e-5)
 
 
-# --- going on ---
+# --- resume ---
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +152,7 @@ def straight(make_trainer):
 
 @pytest.fixture(scope="module")
 def stopped(make_trainer, tmp_path_factory) -> Path:
-    """The checkpoint of the first of three iterations."""
+    """Return the checkpoint of the first of three iterations."""
     torch.set_num_threads(1)
     trainer = make_trainer(*NORMALISED)
     finish(trainer, 1)
@@ -185,7 +167,6 @@ def without_times(done):
 
 @pytest.mark.train
 def test_three_iterations_are_one_and_two_more_in_new_objects(make_trainer, straight, stopped):
-    """Also when the new objects were made with another seed, and have been used already."""
     trainer = make_trainer(*NORMALISED, seed=5)
     finish(trainer, 2)
     trainer.load_state_dict(checkpoint.load(stopped))
@@ -194,39 +175,8 @@ def test_three_iterations_are_one_and_two_more_in_new_objects(make_trainer, stra
     assert checkpoint.serialize(trainer.state_dict()) == straight[0]
 
 
-_GO_ON = """
-import hashlib, sys, torch
-from pathlib import Path
-from wheelleg_exp.asset import convert_cached
-from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.paths import cache_dir, find_asset
-from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.trainer import Trainer
-from wheelleg_exp.rl.vec_env import RslRlVecEnv
-
-torch.set_num_threads(1)
-config = compose(sys.argv[2:]).config
-mjcf = convert_cached(find_asset("wheelleg/wheelleg.usda"), cache_dir=cache_dir() / "assets").output
-trainer = Trainer(RslRlVecEnv(ManagerBasedRLEnv(config["env"], mjcf, 9)), config["agent"], 9)
-trainer.load_state_dict(checkpoint.load(Path(sys.argv[1])))
-list(trainer.learn(until=3))
-print(hashlib.sha256(checkpoint.serialize(trainer.state_dict())).hexdigest())
-"""
-
-
-@pytest.mark.train
-@pytest.mark.full
-def test_three_iterations_are_one_and_two_more_in_a_new_process(mjcf, straight, stopped):
-    environment = {**os.environ, "WHEELLEG_CACHE": str(mjcf.parents[2])}
-    command = [sys.executable, "-c", _GO_ON, str(stopped), "task=stand", *TINY, *NORMALISED]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=PATIENCE_S)
-    assert done.stdout.split()[-1:] == [hashlib.sha256(straight[0]).hexdigest()], done.stderr
-
-
 @pytest.mark.train
 def test_nothing_but_the_checkpoint_decides_what_comes(make_trainer, straight, stopped):
-    """Another random state gives another end: the comparisons above would notice."""
     saved = checkpoint.load(stopped)
     saved["rng"]["torch"] = torch.Generator().manual_seed(1).get_state()
     trainer = make_trainer(*NORMALISED)
@@ -246,7 +196,7 @@ def test_a_checkpoint_of_other_networks_does_not_fit(adapter, tiny_config, stopp
 
 @pytest.fixture(scope="module")
 def trainer(make_trainer):
-    """A trainer for tests that do not mind what it did before."""
+    """Return a trainer for tests that do not depend on the trainer's state."""
     return make_trainer()
 
 
@@ -262,7 +212,7 @@ def test_the_policys_draws_leave_the_environments_streams_alone(trainer):
 
 def test_the_environment_leaves_the_policys_stream_alone(trainer):
     before = torch.get_rng_state()
-    for _ in range(20):  # past the end of an episode
+    for _ in range(20):  # The loop runs past the end of an episode.
         trainer.env.step(torch.zeros(16, 6))
     assert torch.equal(torch.get_rng_state(), before)
 

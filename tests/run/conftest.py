@@ -15,7 +15,6 @@ Git = Callable[..., str]
 
 @pytest.fixture
 def git(monkeypatch: pytest.MonkeyPatch) -> Git:
-    """Plain git, as a user with no settings of their own."""
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", "/dev/null")
     monkeypatch.setenv("GIT_CONFIG_NOSYSTEM", "1")
     for role in ("AUTHOR", "COMMITTER"):
@@ -31,7 +30,6 @@ def git(monkeypatch: pytest.MonkeyPatch) -> Git:
 
 @pytest.fixture
 def repository(tmp_path: Path, git: Git) -> Path:
-    """A repository with one commit."""
     folder = tmp_path / "repository"
     folder.mkdir()
     git(folder, "init", "-q", "-b", "main")
@@ -48,8 +46,6 @@ def repository(tmp_path: Path, git: Git) -> Path:
 
 @pytest.fixture
 def make_run(tmp_path: Path) -> Callable[..., RunDirectory]:
-    """Make a run with a manifest below ``tmp_path/runs``."""
-
     def make(task: str = "walk", seed: int = 1, name: str | None = None, **keywords: Any) -> RunDirectory:
         now = keywords.pop("now", None)
         directory = RunDirectory.create(tmp_path / "runs", task, seed, name, now)

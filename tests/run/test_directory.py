@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -12,16 +13,14 @@ from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 NOW = datetime(2026, 1, 31, 17, 5, 9)
 
 
-def test_the_name_is_task_time_seed_and_name(tmp_path):
+def test_the_name_is_task_time_seed_and_name(tmp_path, monkeypatch):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 42, "fast", NOW)
     assert directory.path == tmp_path / "runs" / "walk" / "2026-01-31_17-05-09_42_fast"
     assert directory.path.is_dir()
     assert directory.id == "2026-01-31_17-05-09_42_fast"
     assert directory.root == tmp_path / "runs"
-
-
-def test_the_name_is_left_out_when_there_is_none(tmp_path):
-    assert RunDirectory.create(tmp_path, "walk", 0, now=NOW).id == "2026-01-31_17-05-09_0"
+    monkeypatch.chdir(tmp_path)  # A relative root folder gives an absolute run directory.
+    assert RunDirectory.create("runs", "walk", 0, now=NOW).path == tmp_path / "runs/walk/2026-01-31_17-05-09_0"
 
 
 def test_a_taken_name_gets_a_number(tmp_path):
@@ -29,25 +28,15 @@ def test_a_taken_name_gets_a_number(tmp_path):
     assert names == ["2026-01-31_17-05-09_0", "2026-01-31_17-05-09_0-2", "2026-01-31_17-05-09_0-3"]
 
 
-def test_a_relative_root_gives_an_absolute_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert RunDirectory.create("runs", "walk", 0, now=NOW).path == tmp_path / "runs/walk/2026-01-31_17-05-09_0"
-
-
 def test_many_that_start_in_one_moment_get_a_directory_each(tmp_path):
-    made = []
     barrier = threading.Barrier(16)
 
-    def make():
+    def make(_):
         barrier.wait()
-        made.append(create_exclusively(tmp_path, "x"))
+        return create_exclusively(tmp_path, "x")
 
-    threads = [threading.Thread(target=make) for _ in range(16)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(set(made)) == 16
+    with ThreadPoolExecutor(16) as pool:
+        assert len(set(pool.map(make, range(16)))) == 16
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "a b", "ä", "x" * 101, "-x", "a\n"])
@@ -57,18 +46,15 @@ def test_a_name_that_no_folder_should_have_is_refused(tmp_path, name):
     with pytest.raises(ConfigError, match=r"task\.name: "):
         RunDirectory.create(tmp_path, name, 0, None, NOW)
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        RunDirectory.create(tmp_path / "runs", "walk", 0)
 
 
 @pytest.mark.parametrize("task", ["agents", "sweeps", "latest"])
 def test_a_task_cannot_take_a_name_that_means_something_else(tmp_path, task):
     with pytest.raises(ConfigError, match="is reserved and cannot be the name"):
         RunDirectory.create(tmp_path, task, 0)
-
-
-def test_a_root_that_is_a_file_is_told_to_people(tmp_path):
-    (tmp_path / "runs").write_text("")
-    with pytest.raises(RunDirectoryError, match="cannot write"):
-        RunDirectory.create(tmp_path / "runs", "walk", 0)
 
 
 def test_a_run_opens_by_path_id_and_task_with_id(make_run, tmp_path, monkeypatch):
@@ -80,19 +66,14 @@ def test_a_run_opens_by_path_id_and_task_with_id(make_run, tmp_path, monkeypatch
     assert RunDirectory.open(f"runs/walk/{run.id}/", "elsewhere") == run
 
 
-def test_latest_is_the_newest_start_over_all_tasks(make_run, tmp_path):
+def test_latest_is_the_newest_start_in_any_manifest_whatever_the_name(make_run, tmp_path):
     base = datetime(2026, 1, 1, 12, tzinfo=UTC)
     make_run("walk", now=base)
     newest = make_run("stand", now=base + timedelta(hours=2))
     make_run("walk", now=base + timedelta(hours=1))
     assert RunDirectory.open("latest", tmp_path / "runs") == newest
-
-
-def test_latest_goes_by_the_manifest_not_by_the_name(make_run, tmp_path):
-    older = make_run("walk", now=datetime(2026, 1, 1, 12, tzinfo=UTC))
-    newer = make_run("walk", now=datetime(2026, 1, 1, 13, tzinfo=UTC))
-    renamed = newer.path.rename(newer.path.with_name("2000-01-01_00-00-00_1"))
-    assert RunDirectory.open("latest", tmp_path / "runs").path == renamed != older.path
+    renamed = newest.path.rename(newest.path.with_name("2000-01-01_00-00-00_1"))
+    assert RunDirectory.open("latest", tmp_path / "runs").path == renamed
 
 
 def test_latest_looks_neither_at_agents_nor_at_sweeps(make_run, tmp_path):
@@ -110,9 +91,16 @@ def test_latest_looks_neither_at_agents_nor_at_sweeps(make_run, tmp_path):
     assert RunDirectory.open(f"agents/walk/{agent.id}", root) == agent
 
 
-def test_latest_without_runs_says_so(tmp_path):
+def test_a_run_that_does_not_exist_is_told_with_the_nearest(make_run, tmp_path):
+    root = tmp_path / "runs"
     with pytest.raises(RunDirectoryError, match="there is no run below"):
-        RunDirectory.open("latest", tmp_path / "runs")
+        RunDirectory.open("latest", root)
+    run = make_run(name="gentle")
+    with pytest.raises(RunDirectoryError, match=f"there is no run.*did you mean '{run.id}'"):
+        RunDirectory.open(run.id.replace("gentle", "gentel"), root)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(RunDirectoryError, match=r"is not a run directory: it has no manifest\.json"):
+        RunDirectory.open(tmp_path / "folder", root)
 
 
 def test_a_newest_run_that_is_damaged_is_not_passed_over(make_run, tmp_path):
@@ -121,18 +109,6 @@ def test_a_newest_run_that_is_damaged_is_not_passed_over(make_run, tmp_path):
     (newest.path / "manifest.json").write_text("{")
     with pytest.raises(RunDirectoryError, match="broken JSON"):
         RunDirectory.open("latest", tmp_path / "runs")
-
-
-def test_a_misspelled_id_names_the_nearest(make_run, tmp_path):
-    run = make_run(name="gentle")
-    with pytest.raises(RunDirectoryError, match=f"there is no run.*did you mean '{run.id}'"):
-        RunDirectory.open(run.id.replace("gentle", "gentel"), tmp_path / "runs")
-
-
-def test_a_folder_without_manifest_is_no_run_directory(tmp_path):
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(RunDirectoryError, match=r"is not a run directory: it has no manifest\.json"):
-        RunDirectory.open(tmp_path / "folder", tmp_path / "runs")
 
 
 def test_a_path_into_a_run_names_the_run(make_run, tmp_path):

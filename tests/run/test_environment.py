@@ -36,23 +36,18 @@ def test_every_distribution_stands_with_its_version_sorted():
     assert names == sorted(names)
 
 
-def test_local_versions_and_origins_are_kept(tmp_path, monkeypatch):
-    folder = tmp_path / "zz_demo-1.0+cpu.dist-info"
-    folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: zz_demo\nVersion: 1.0+cpu\n")
+def test_local_versions_and_origins_are_kept_and_the_first_installation_counts(tmp_path, monkeypatch):
     origin = {"url": "https://me:pw@host.org/a.git", "vcs_info": {"vcs": "git", "commit_id": "abc"}}
-    (folder / "direct_url.json").write_text(json.dumps(origin))
+    for name, version, source in (("zz_demo", "1.0+cpu", origin), ("NumPy", "0.0.1", None)):
+        folder = tmp_path / f"{name}-{version}.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        if source:
+            (folder / "direct_url.json").write_text(json.dumps(source))
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert "zz_demo==1.0+cpu  # https://host.org/a.git abc" in environment.distributions()
-
-
-def test_the_first_of_two_installations_counts(tmp_path, monkeypatch):
-    folder = tmp_path / "NumPy-0.0.1.dist-info"
-    folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: NumPy\nVersion: 0.0.1\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    lines = [line for line in environment.distributions() if line.lower().startswith("numpy==")]
-    assert lines == ["NumPy==0.0.1"]
+    lines = environment.distributions()
+    assert "zz_demo==1.0+cpu  # https://host.org/a.git abc" in lines
+    assert [line for line in lines if line.lower().startswith("numpy==")] == ["NumPy==0.0.1"]
 
 
 def test_the_text_is_the_same_twice_and_reads_as_requirements():
@@ -65,12 +60,7 @@ def test_the_text_is_the_same_twice_and_reads_as_requirements():
 
 
 def test_variables_that_change_numbers_are_kept_and_others_are_not():
-    environ = {
-        "MKL_CBWR": "AVX2",
-        "OMP_NUM_THREADS": "1",
-        "ATEN_CPU_CAPABILITY": "avx2",
-        "PYTHONHASHSEED": "0",
-    }
+    environ = {"MKL_CBWR": "AVX2", "OMP_NUM_THREADS": "1", "ATEN_CPU_CAPABILITY": "avx2", "PYTHONHASHSEED": "0"}
     other = {"HOME": "/x", "AWS_SECRET_ACCESS_KEY": "k", "WHEELLEG_TOKEN": "t", "MY_OMP_X": "1"}
     assert environment.variables({**environ, **other}) == dict(sorted(environ.items()))
 
@@ -109,17 +99,7 @@ def test_another_processor_or_container_shows(key, tmp_path, monkeypatch):
 
 
 class Backends:
-    class cpu:
-        @staticmethod
-        def get_cpu_capability():
-            return "ANOTHER"
-
-
-def test_hardware_comes_from_the_system():
-    facts = environment.hardware()
-    assert facts["cores"] == os.cpu_count()
-    assert facts["cpu"]
-    json.dumps(facts)
+    cpu = SimpleNamespace(get_cpu_capability=lambda: "ANOTHER")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file")
@@ -127,6 +107,8 @@ def test_the_cpu_is_read_from_the_first_block(tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpuinfo")
     before = environment.hardware()
     assert not {"cpu_family", "cpu_flags"} & before.keys()
+    assert before["cores"] == os.cpu_count()
+    json.dumps(before)
     (tmp_path / "cpuinfo").write_text(CPUINFO)
     facts = environment.hardware()
     assert facts["cpu"] == "AMD EPYC"

@@ -15,25 +15,22 @@ from wheelleg_exp import files
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 
 
-def test_a_file_and_its_missing_folders_are_written(tmp_path):
+def test_a_file_and_its_missing_folders_are_written_and_no_temporary_file_stays(tmp_path):
     path = tmp_path / "a" / "b" / "c.txt"
     files.write_text(path, "größe\n")
     assert path.read_bytes() == "größe\n".encode()
-
-
-def test_a_file_is_replaced_and_no_temporary_file_stays(tmp_path):
-    path = tmp_path / "c.bin"
-    files.write_bytes(path, b"old")
     files.write_bytes(path, memoryview(b"new"))
     assert path.read_bytes() == b"new"
-    assert [p.name for p in tmp_path.iterdir()] == ["c.bin"]
+    assert [p.name for p in path.parent.iterdir()] == ["c.txt"]
 
 
 def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path):
     path = tmp_path / "model.pt"
     files.write_bytes(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))  # the kernel refuses larger files, like a full disk
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (1_000_000, hard)
+    )  # The kernel refuses larger files, like a full disk does.
     try:
         with pytest.raises(SimulationFailure, match=r"cannot write '.*model\.pt'") as caught:
             files.write_bytes(path, bytes(2_000_000))
@@ -53,17 +50,17 @@ def test_the_data_is_on_the_disk_before_the_name_points_to_it(tmp_path, monkeypa
     assert order[:2] == ["sync", "replace"]
 
 
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_fails_the_run(code):
+@pytest.mark.parametrize(
+    ("code", "kind", "status"),
+    [
+        *((code, SimulationFailure, 3) for code in (errno.ENOSPC, errno.EDQUOT)),
+        *((code, RunDirectoryError, 2) for code in (errno.EACCES, errno.EROFS, errno.EPERM)),
+    ],
+)
+def test_a_full_disk_fails_the_run_and_a_missing_permission_is_wrong_input(code, kind, status):
     error = files.file_error(Path("x"), OSError(code, "no"))
-    assert isinstance(error, SimulationFailure)
-
-
-@pytest.mark.parametrize("code", [errno.EACCES, errno.EROFS, errno.EPERM])
-def test_a_place_without_permission_is_wrong_input(code):
-    error = files.file_error(Path("x"), OSError(code, "no"))
-    assert isinstance(error, RunDirectoryError)
-    assert error.exit_code == 2
+    assert isinstance(error, kind)
+    assert error.exit_code == status
 
 
 def test_a_file_where_a_folder_should_be_is_told_to_people(tmp_path):
@@ -72,44 +69,27 @@ def test_a_file_where_a_folder_should_be_is_told_to_people(tmp_path):
         files.write_text(tmp_path / "runs" / "x" / "y.txt", "")
 
 
-def test_json_takes_numpy_scalars_arrays_and_paths(tmp_path):
+def test_json_takes_numpy_scalars_arrays_paths_nan_and_odd_names(tmp_path):
+    name, nan = os.fsdecode(b"\xff.txt"), [float("nan"), float("inf"), -np.float64("inf")]
     value = {
         "a": np.float32(0.5),
         "b": np.arange(3),
         "c": Path("x/y"),
         "d": np.int64(7),
         "e": (1, 2),
+        "f": nan,
+        "g": name,
     }
-    files.write_json(tmp_path / "x.json", value)
-    read = json.loads((tmp_path / "x.json").read_text())
-    assert read == {"a": 0.5, "b": [0, 1, 2], "c": "x/y", "d": 7, "e": [1, 2]}
-
-
-def test_json_has_no_nan_that_other_readers_refuse(tmp_path):
-    files.write_json(tmp_path / "x.json", [float("nan"), float("inf"), -np.float64("inf")])
 
     def refuse(word):
         raise AssertionError(word)
 
+    files.write_json(tmp_path / "x.json", value)
     read = json.loads((tmp_path / "x.json").read_text(), parse_constant=refuse)
-    assert read == ["nan", "inf", "-inf"]
-
-
-def test_json_keeps_a_file_name_that_is_no_utf8(tmp_path):
-    name = os.fsdecode(b"\xff.txt")
-    files.write_json(tmp_path / "x.json", [name])
-    assert files.read_json(tmp_path / "x.json") == [name]
-
-
-def test_json_refuses_what_it_cannot_say():
+    nan = ["nan", "inf", "-inf"]
+    assert read == {"a": 0.5, "b": [0, 1, 2], "c": "x/y", "d": 7, "e": [1, 2], "f": nan, "g": name}
     with pytest.raises(TypeError, match="object"):
         files.dump_json({"a": object()})
-
-
-def test_broken_json_is_told_with_its_line(tmp_path):
-    (tmp_path / "x.json").write_text('{\n "a": 1,\n oops\n}')
-    with pytest.raises(RunDirectoryError, match=r"broken JSON.*x\.json:3"):
-        files.read_json(tmp_path / "x.json")
 
 
 BROKEN_JSON = {
@@ -138,23 +118,22 @@ BROKEN_YAML = {
 }
 
 
-@pytest.mark.parametrize("content", BROKEN_JSON.values(), ids=BROKEN_JSON)
-def test_json_of_others_is_read_or_told(tmp_path, content):
-    (tmp_path / "x.json").write_bytes(content)
-    with pytest.raises(RunDirectoryError, match=r"broken JSON: .*x\.json") as caught:
+CASES = [("x.json", content) for content in BROKEN_JSON.values()] + [("x.yaml", x) for x in BROKEN_YAML.values()]
+
+
+@pytest.mark.parametrize(("name", "content"), CASES, ids=[*BROKEN_JSON, *BROKEN_YAML])
+def test_a_foreign_file_is_read_or_told(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    kind = name[2:].upper()
+    with pytest.raises(RunDirectoryError, match=rf"broken {kind}: .*{name}") as caught:
+        (files.read_json if kind == "JSON" else files.read_yaml)(tmp_path / name)
+    assert caught.value.exit_code == 2
+
+
+def test_broken_text_is_told_with_its_line(tmp_path):
+    (tmp_path / "x.json").write_text('{\n "a": 1,\n oops\n}')
+    with pytest.raises(RunDirectoryError, match=r"broken JSON.*x\.json:3"):
         files.read_json(tmp_path / "x.json")
-    assert caught.value.exit_code == 2
-
-
-@pytest.mark.parametrize("content", BROKEN_YAML.values(), ids=BROKEN_YAML)
-def test_yaml_of_others_is_read_or_told(tmp_path, content):
-    (tmp_path / "x.yaml").write_bytes(content)
-    with pytest.raises(RunDirectoryError, match=r"broken YAML: .*x\.yaml") as caught:
-        files.read_yaml(tmp_path / "x.yaml")
-    assert caught.value.exit_code == 2
-
-
-def test_broken_yaml_is_told_with_its_line(tmp_path):
     (tmp_path / "x.yaml").write_text("a: 1\nb: [1, 2\nc: 3\n")
     with pytest.raises(RunDirectoryError, match=r"broken YAML.*x\.yaml:3"):
         files.read_yaml(tmp_path / "x.yaml")
@@ -174,7 +153,7 @@ def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refus
     tracemalloc.start()
     assert files.read_bytes(path, 3) == b"abc"
     assert files.read_text(path) == "abc"
-    os.truncate(path, (64 << 20) + 1)  # a hole: nothing is on the disk
+    os.truncate(path, (64 << 20) + 1)  # A sparse file uses no space on the disk.
     with pytest.raises(RunDirectoryError, match="has more than 64 MiB") as caught:
         files.read_bytes(path, 64 << 20)
     most = tracemalloc.get_traced_memory()[1]

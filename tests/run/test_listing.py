@@ -33,11 +33,8 @@ def dead_pid():
     return process.pid
 
 
-def test_no_root_is_no_runs(tmp_path):
-    assert list_runs(tmp_path / "runs") == []
-
-
 def test_runs_of_all_tasks_are_listed_newest_first(make_run, tmp_path):
+    assert list_runs(tmp_path / "runs") == []
     a = make_run("walk", 1, now=START)
     b = make_run("stand", 2, now=START + timedelta(hours=2))
     c = make_run("walk", 3, now=START + timedelta(hours=1))
@@ -52,30 +49,20 @@ def test_runs_of_all_tasks_are_listed_newest_first(make_run, tmp_path):
     assert found[1].seeds == (3,)
 
 
-def test_a_run_whose_process_is_gone_has_crashed(make_run, tmp_path, dead_pid):
-    set_process(make_run(), pid=dead_pid)
-    assert [s.status for s in list_runs(tmp_path / "runs")] == ["crashed"]
-
-
-def test_a_pid_that_now_belongs_to_a_later_process_has_crashed(make_run, tmp_path):
-    set_process(make_run(), start_ticks=1)  # our own pid, but another start
-    assert [s.status for s in list_runs(tmp_path / "runs")] == ["crashed"]
-
-
-def test_a_run_from_before_a_reboot_has_crashed(make_run, tmp_path):
-    set_process(make_run(), boot_id="00000000-0000-0000-0000-000000000000")
-    assert [s.status for s in list_runs(tmp_path / "runs")] == ["crashed"]
-
-
-def test_a_run_on_another_host_is_believed(make_run, tmp_path, dead_pid):
-    set_process(make_run(), pid=dead_pid, host="elsewhere")
-    assert [s.status for s in list_runs(tmp_path / "runs")] == ["running"]
-
-
-def test_a_finished_run_has_not_crashed(make_run, tmp_path, dead_pid):
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        ({"pid": "dead"}, "crashed"),
+        ({"start_ticks": 1}, "crashed"),  # A later process has the same pid.
+        ({"boot_id": "00000000-0000-0000-0000-000000000000"}, "crashed"),
+        ({"pid": "dead", "host": "elsewhere"}, "running"),
+    ],
+)
+def test_a_run_has_crashed_if_its_process_has_ended(make_run, tmp_path, dead_pid, changes, status):
     run = make_run()
+    set_process(run, **{key: dead_pid if value == "dead" else value for key, value in changes.items()})
+    assert [s.status for s in list_runs(tmp_path / "runs")] == [status]
     run.manifest().finish("finished")
-    set_process(run, pid=dead_pid)
     assert [s.status for s in list_runs(tmp_path / "runs")] == ["finished"]
 
 
@@ -86,12 +73,11 @@ def test_a_damaged_run_is_listed_with_its_problem(make_run, tmp_path):
     first, second = list_runs(tmp_path / "runs")
     assert (first.status, second.status) == ("damaged", "running")
     assert "broken JSON" in first.problem
-    # the name tells whole seconds of local time
+    # The folder's name contains the start in local time, in whole seconds.
     assert first.started == START + timedelta(hours=1)
 
 
 def written(run, iterations, *, checkpoints=(), total=10, cut=""):
-    """Give a run what a training leaves: lines, checkpoints, and how many iterations it should have."""
     scalars = {"Train/mean_reward": 1.5, "Train/mean_episode_length": 30.0, "Episode_Termination/time_out": 0.25}
     lines = [{"iteration": i, "digests": {}, "scalars": scalars} for i in range(iterations)]
     (run.path / "iterations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines) + cut)
@@ -130,18 +116,26 @@ def test_how_long_a_resumed_run_took_leaves_out_the_pauses(make_run, tmp_path):
     assert list_runs(tmp_path / "runs")[0].seconds == 0.0
 
 
-@pytest.mark.parametrize(("end", "resumable"), [("interrupted", True), ("failed", True), ("finished", False)])
-def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(make_run, tmp_path, end, resumable):
-    run = written(make_run(), 10 if end == "finished" else 6, checkpoints=(9 if end == "finished" else 5,))
-    run.manifest().finish(end, {"iterations": 6}, "disk full" if end == "failed" else None)
+@pytest.mark.parametrize(
+    ("end", "iterations", "checkpoint", "resumable"),
+    [
+        (None, 3, 0, False),  # The run still runs.
+        ("interrupted", 6, 5, True),
+        ("failed", 6, 5, True),
+        ("finished", 10, 9, False),
+        ("interrupted", 3, 5, False),  # The log ends before the last checkpoint.
+        ("finished", 10, 5, True),  # The last checkpoint is lost.
+    ],
+)
+def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(
+    make_run, tmp_path, end, iterations, checkpoint, resumable
+):
+    run = written(make_run(), iterations, checkpoints=(checkpoint,))
+    if end is not None:
+        run.manifest().finish(end, {"iterations": iterations}, "disk full" if end == "failed" else None)
     (found,) = list_runs(tmp_path / "runs")
-    assert (found.status, found.resumable) == (end, resumable)
+    assert (found.status, found.resumable) == (end or "running", resumable)
     assert found.problem == ("disk full" if end == "failed" else None)
-
-
-def test_while_it_runs_nothing_can_be_resumed(make_run, tmp_path):
-    written(make_run(), 3, checkpoints=(0,))
-    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False]
 
 
 def test_a_run_that_was_killed_while_exporting_can_be_resumed(make_run, tmp_path, dead_pid):
@@ -166,33 +160,15 @@ def test_without_a_checkpoint_a_run_begins_again_if_what_it_needs_is_there(
     assert (found.status, found.checkpoint, found.resumable) == ("crashed", None, lacks is None)
 
 
-def test_a_log_that_ends_before_the_last_checkpoint_cannot_be_gone_on_with(make_run, tmp_path):
-    run = written(make_run(), 3, checkpoints=(5,))
-    run.manifest().finish("interrupted", {"iterations": 3})
-    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False]
-
-
-def test_a_finished_run_whose_last_checkpoint_is_lost_can_be_resumed(make_run, tmp_path):
-    run = written(make_run(), 10, checkpoints=(5,))
-    run.manifest().finish("finished", {"iterations": 10})
-    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [True]
-
-
-def test_what_a_play_found_stands_beside(make_run, tmp_path):
+def test_what_a_play_found_and_what_was_exported_stands_beside(make_run, tmp_path):
     run = written(make_run(), 10)
     run.manifest().finish("finished")
-    for survival in (0.5, 1.0):
+    assert (list_runs(tmp_path / "runs")[0].played, list_runs(tmp_path / "runs")[0].bundles) == ({}, ())
+    for survival, name in ((0.5, "bundle"), (1.0, "bundle-2")):
         run.manifest().add("play", results={"survival": survival})
-    assert list_runs(tmp_path / "runs")[0].played == {"survival": 1.0}
-
-
-def test_what_was_exported_stands_beside(make_run, tmp_path):
-    run = written(make_run(), 10)
-    run.manifest().finish("finished")
-    assert list_runs(tmp_path / "runs")[0].bundles == ()
-    for name in ("bundle", "bundle-2"):
         run.manifest().add("export", results={"folder": f"exported/{name}"})
-    assert list_runs(tmp_path / "runs")[0].bundles == ("exported/bundle", "exported/bundle-2")
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.played, found.bundles) == ({"survival": 1.0}, ("exported/bundle", "exported/bundle-2"))
 
 
 def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_path):
@@ -209,14 +185,14 @@ def test_listing_costs_by_the_number_of_runs_and_not_by_their_length(make_run, t
 
     first = written(make_run(), 10, checkpoints=(0, 5, 9))
     first.manifest().finish("finished", {"iterations": 10})
-    effort()  # what is imported or compiled once
+    effort()  # The first call imports and compiles modules.
     one = effort()
     for number in range(49):
         shutil.copytree(first.path, first.path.parent / f"2026-01-01_00-00-00_{number}")
     assert len(list_runs(tmp_path / "runs")) == 50
     assert effort() < 51 * one
 
-    written(first, 30_000)  # some 4 MB of lines
+    written(first, 30_000)  # The iteration log has about 4 MB.
     tracemalloc.start()
     summarize(first.path)
     most = tracemalloc.get_traced_memory()[1]
@@ -249,5 +225,5 @@ def test_a_zombie_is_not_alive():
     recorded["pid"] = process.pid
     assert is_alive(recorded) is True
     process.stdin.close()
-    assert wait_until(lambda: not is_alive(recorded))  # ended, and not yet waited for
+    assert wait_until(lambda: not is_alive(recorded))  # The process has ended, but nobody has waited for it.
     process.wait()

@@ -23,7 +23,6 @@ time.sleep(600)
 
 @pytest.fixture
 def holder(tmp_path):
-    """Another process that holds the lock."""
     process = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "held\n"
     yield process
@@ -32,41 +31,23 @@ def holder(tmp_path):
     process.stdout.close()
 
 
-def test_a_second_process_is_refused_with_the_pid_of_the_first(tmp_path, holder):
-    with (
-        pytest.raises(RunDirectoryError, match=f"is being written by process {holder.pid} "),
-        RunLock(tmp_path),
-    ):
+def test_another_process_is_refused_with_the_pid_until_the_holder_is_killed(tmp_path, holder):
+    with pytest.raises(RunDirectoryError, match=f"is being written by process {holder.pid} "), RunLock(tmp_path):
         pass
-
-
-def test_a_killed_process_leaves_no_lock_behind(tmp_path, holder):
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     with RunLock(tmp_path, timeout_s=PATIENCE_S):
         pass
 
 
-def test_one_process_cannot_take_it_twice(tmp_path):
-    with RunLock(tmp_path):
-        with pytest.raises(RunDirectoryError, match=f"process {os.getpid()} "):
-            RunLock(tmp_path).acquire()
-        with pytest.raises(RunDirectoryError, match="being written"):
-            RunLock(tmp_path, timeout_s=0.05).acquire()
-
-
-def test_it_can_be_taken_again_after_release(tmp_path):
+def test_one_process_cannot_take_it_twice_but_again_after_release(tmp_path):
     held = RunLock(tmp_path)
     for _ in range(2):
-        with held:
-            pass
-    with RunLock(tmp_path):
-        pass
-
-
-def test_two_names_are_two_locks(tmp_path):
-    with RunLock(tmp_path), RunLock(tmp_path, name=".manifest.lock"):
-        pass
+        with held, RunLock(tmp_path, name=".manifest.lock"):
+            with pytest.raises(RunDirectoryError, match=f"process {os.getpid()} "):
+                RunLock(tmp_path).acquire()
+            with pytest.raises(RunDirectoryError, match="being written"):
+                RunLock(tmp_path, timeout_s=0.05).acquire()
 
 
 def test_a_directory_that_is_not_there_is_told_to_people(tmp_path):

@@ -1,5 +1,3 @@
-"""Parameters of runs that earlier versions made still build the environment that they were made with."""
-
 from __future__ import annotations
 
 import copy
@@ -11,7 +9,7 @@ from wheelleg_exp.run.run_config import on_reference_engine, upgrade_env_params
 
 
 def earlier():
-    """Return a config as it was before engines and grounds had keys of their own."""
+    """Return the parameters of an environment in the format before engines and terrains had keys."""
     config = env_config()
     for key in ("engine", "device"):
         del config["sim"][key]

@@ -8,7 +8,7 @@ import pytest
 from wheelleg_exp.run.manifest import bytes_match_digest, text_with_digest, values_match_digest
 
 DOCUMENT: dict[str, Any] = {"a": [1, 0.1, None, {"b": "ü"}], "c": {"x": True}}
-# What a program of format 1 wrote, whose digest is of the values.
+# An old program wrote this manifest of format 1 with a digest of its values.
 OF_VALUES: dict[str, Any] = {**DOCUMENT, "sha256": "1be7de195f5b192e19776cdec00626a6bc2cc5c73c1eba2d48160f1066d09ddd"}
 
 

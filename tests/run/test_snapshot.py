@@ -11,48 +11,31 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.start_run import start_run
 
 PARAMS = {
-    "env": {
-        "decimation": 4,
-        "sim": {"dt": 0.008333333333333333},
-        "rewards": {"b": {"weight": -5e-5}, "a": None},
-    },
+    "env": {"decimation": 4, "sim": {"dt": 0.008333333333333333}, "rewards": {"b": {"weight": -5e-5}, "a": None}},
     "agent": {"lr": 1e-5, "clip": float("inf"), "flag": True, "name": "1e5"},
 }
 
 
 @pytest.fixture
 def run(tmp_path, repository, git):
-    """A run below the repository itself, as users have it."""
     directory = RunDirectory.create(repository / "runs", "walk", 7)
     (repository / "package" / "new.py").write_text("y = 2\n")
-    files = {"config": "a: 1\n", "overrides.yaml": "- task=walk\n"}
+    files = {"config.yaml": "a: 1\n", "overrides.yaml": "- task=walk\n"}
     manifest = start(directory, hydra_files=files, source_roots=[repository / "package"])
     return directory, manifest
 
 
 def test_everything_stands_before_the_first_step(run):
-    directory, _ = run
-    files = {p.relative_to(directory.path).as_posix() for p in directory.path.rglob("*") if p.is_file()}
-    assert files == {
-        "manifest.json",
-        ".manifest.lock",
-        "params/env.yaml",
-        "params/agent.yaml",
-        ".hydra/config.yaml",
-        ".hydra/overrides.yaml",
-        "source/git.json",
-        "source/source.patch",
-        "environment.txt",
-    }
-    assert (directory.hydra / "overrides.yaml").read_text() == "- task=walk\n"
-
-
-def test_the_manifest_lists_the_snapshot_and_says_running(run):
     directory, manifest = run
+    files = {p.relative_to(directory.path).as_posix() for p in directory.path.rglob("*") if p.is_file()}
+    snapshot = {"params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", ".hydra/overrides.yaml"}
+    snapshot |= {"source/git.json", "source/source.patch", "environment.txt"}
+    assert files == snapshot | {"manifest.json", ".manifest.lock"}
+    assert (directory.hydra / "overrides.yaml").read_text() == "- task=walk\n"
     data = json.loads((directory.path / "manifest.json").read_text())
     assert data == manifest.data
     assert data["status"] == "running"
-    assert len(data["files"]) == 7
+    assert set(data["files"]) == snapshot
     assert data["source"]["dirty"] is True
     assert data["source"]["tree"]
     assert not manifest.compare_files()
@@ -80,11 +63,6 @@ def test_parameters_that_are_not_plain_write_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_part_is_an_error(tmp_path):
-    with pytest.raises(RunDirectoryError, match="env and agent"):
-        write_params(tmp_path, {"env": {}})
-
-
 def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"'.*params/env\.yaml' is missing"):
         load_params(tmp_path)
@@ -93,13 +71,12 @@ def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"agent\.yaml:2"):
         load_params(tmp_path)
     (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
-    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: contains a list"):
+    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: the file contains a list"):
         load_params(tmp_path)
 
 
 def start(directory, **changes):
-    """Start a run in a new directory; ``changes`` replace the default arguments."""
-    given = {"command": ["wheelleg"], "params": PARAMS, "hydra_files": {"config": "a: 1\n"}, "source_roots": []}
+    given = {"command": ["wheelleg"], "params": PARAMS, "hydra_files": {"config.yaml": "a: 1\n"}, "source_roots": []}
     return start_run(directory, **({**given, "seed": 7, "task": "walk", "threads": {"torch": 2}} | changes))
 
 
@@ -141,20 +118,11 @@ def test_a_change_in_a_users_repository_shows(tmp_path, repository, git, user_fo
     assert before["git"]["others"][0]["tree"] != after["git"]["others"][0]["tree"]
 
 
-def test_a_changed_installed_package_shows(tmp_path, git):
-    package = tmp_path / "site-packages" / "terms"
-    package.mkdir(parents=True)
-    (package / "a.py").write_text("1\n")
-    before = snapshot_of(tmp_path, source_roots=[package])["git"]
-    (package / "a.py").write_text("2\n")
-    assert before["content_sha256"] != snapshot_of(tmp_path, source_roots=[package])["git"]["content_sha256"]
-
-
 @pytest.mark.parametrize(
     ("change", "where"),
     [
         ({"params": {**PARAMS, "env": {**PARAMS["env"], "decimation": 5}}}, "files"),
-        ({"hydra_files": {"config": "a: 2\n"}}, "files"),
+        ({"hydra_files": {"config.yaml": "a: 2\n"}}, "files"),
         ({"command": ["wheelleg", "train"]}, "command"),
         ({"seed": 8}, "seeds"),
         ({"threads": {"torch": 3}}, "threads"),
@@ -165,11 +133,10 @@ def test_a_change_of_what_is_given_shows(tmp_path, change, where):
 
 
 @pytest.mark.parametrize(
-    ("name", "where"),
-    [("OMP_NUM_THREADS", "environment_variables"), ("LEG_LENGTH", "config_variables")],
+    ("name", "where"), [("OMP_NUM_THREADS", "environment_variables"), ("LEG_LENGTH", "config_variables")]
 )
 def test_a_variable_that_matters_or_that_the_config_asks_for_shows(tmp_path, monkeypatch, name, where):
-    files = {"config": "a: ${oc.env:LEG_LENGTH}\n"}
+    files = {"config.yaml": "a: ${oc.env:LEG_LENGTH}\n"}
     found = []
     for value in ("1", "2"):
         monkeypatch.setenv(name, value)
@@ -215,9 +182,3 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
         start(directory)
     assert seen == ["running"]
     assert directory.manifest().status == "interrupted"
-
-
-def test_a_hydra_file_cannot_leave_its_folder(tmp_path, repository, git):
-    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
-    with pytest.raises(RunDirectoryError, match="not a file name"):
-        start(directory, hydra_files={"../config": ""})

@@ -25,7 +25,7 @@ def snapshot(root, folder, **keywords):
 
 
 def digests(folder):
-    """Content, mode and time of everything below a folder (git renews the times of objects that it has)."""
+    """Return content, mode and time of each file below a folder, without the times of git's objects."""
     found = {}
     for path in sorted(folder.rglob("*")):
         facts = path.lstat()
@@ -36,7 +36,6 @@ def digests(folder):
 
 
 def make_a_mess(repository, git):
-    """Every kind of change at once."""
     (repository / "package" / "code.py").write_bytes(b"x = 2\r\nno newline at the end")
     (repository / "package" / "data.bin").write_bytes(hashlib.sha256(b"").digest() * 9)
     (repository / "gone.txt").unlink()
@@ -60,7 +59,6 @@ def make_a_mess(repository, git):
 
 
 def tree_by_plain_git(repository, git, tmp_path):
-    """The tree that plain git makes of a copy of the whole folder."""
     copy = tmp_path / "copy"
     shutil.copytree(repository, copy, symlinks=True)
     shutil.rmtree(copy / "runs", ignore_errors=True)
@@ -69,7 +67,6 @@ def tree_by_plain_git(repository, git, tmp_path):
 
 
 def tree_by_plain_apply(repository, git, tmp_path, patch, commit):
-    """The tree that the patch makes of a clean clone, with nothing but git's own commands."""
     clone = tmp_path / "clone"
     git(tmp_path, "clone", "-q", "--no-hardlinks", str(repository), str(clone))
     git(clone, "checkout", "-q", commit)
@@ -77,12 +74,20 @@ def tree_by_plain_apply(repository, git, tmp_path, patch, commit):
     return git(clone, "write-tree"), clone
 
 
-def test_the_patch_makes_the_recorded_tree_from_a_clean_clone(repository, git, tmp_path):
+def test_the_patch_makes_the_recorded_tree_and_the_repository_stays_untouched(repository, git, tmp_path):
     make_a_mess(repository, git)
+    git(repository, "remote", "add", "origin", "https://me:token@host.org/a/b.git")
+    before = digests(repository)
     record = snapshot(repository / "package", tmp_path, runs_root=repository / "runs")
+    assert digests(repository) == before
     patch = tmp_path / "source" / "source.patch"
     tree, clone = tree_by_plain_apply(repository, git, tmp_path, patch, record["commit"])
-    assert record["status"] == "ok"
+    assert (record["status"], record["branch"], record["dirty"]) == ("ok", "main", True)
+    assert record["commit"] == git(repository, "rev-parse", "HEAD")
+    assert record["remote"] == {"name": "origin", "url": "https://host.org/a/b.git"}
+    assert record["root"] == str(repository)
+    assert set(record["untracked"]) == {"new.bin", "empty.txt", "link", *(f"odd/{name}" for name in ODD)}
+    assert json.loads((tmp_path / "source" / "git.json").read_text()) == record
     assert tree == record["tree"] == tree_by_plain_git(repository, git, tmp_path)
     assert record["patch_sha256"] == hashlib.sha256(patch.read_bytes()).hexdigest()
     names = ["package/code.py", "package/data.bin", "new.bin", "staged.py", *(f"odd/{name}" for name in ODD)]
@@ -92,36 +97,6 @@ def test_the_patch_makes_the_recorded_tree_from_a_clean_clone(repository, git, t
     assert (clone / "link").is_symlink()
     assert not (clone / "gone.txt").exists()
     assert not (clone / "runs").exists()
-
-
-def test_the_record_says_what_it_holds(repository, git, tmp_path):
-    make_a_mess(repository, git)
-    git(repository, "remote", "add", "origin", "https://me:token@host.org/a/b.git")
-    snapshot(repository / "package", tmp_path, runs_root=repository / "runs")
-    record = json.loads((tmp_path / "source" / "git.json").read_text())
-    assert record["commit"] == git(repository, "rev-parse", "HEAD")
-    assert record["branch"] == "main"
-    assert record["remote"] == {"name": "origin", "url": "https://host.org/a/b.git"}
-    assert record["dirty"] is True
-    assert record["root"] == str(repository)
-    expected = {"new.bin", "empty.txt", "link", *(f"odd/{name}" for name in ODD)}
-    assert set(record["untracked"]) == expected
-    assert "token" not in (tmp_path / "source" / "git.json").read_text()
-
-
-def test_index_objects_and_working_tree_stay_untouched_to_the_byte(repository, git, tmp_path):
-    make_a_mess(repository, git)
-    before = digests(repository)
-    record = snapshot(repository, tmp_path, runs_root=repository / "runs")
-    assert record["status"] == "ok"
-    assert digests(repository) == before
-
-
-def test_a_clean_tree_has_the_tree_of_its_commit_and_an_empty_patch(repository, git, tmp_path):
-    record = snapshot(repository, tmp_path)
-    assert record["dirty"] is False
-    assert record["tree"] == git(repository, "rev-parse", "HEAD^{tree}")
-    assert (tmp_path / "source" / "source.patch").read_bytes() == b""
 
 
 def test_a_change_of_the_same_size_in_the_same_second_is_seen(repository, git, tmp_path):
@@ -146,18 +121,8 @@ def test_a_change_that_git_was_told_to_overlook_is_kept(repository, git, tmp_pat
 def test_the_users_diff_settings_change_nothing(repository, git, tmp_path):
     make_a_mess(repository, git)
     plain = snapshot(repository, tmp_path / "plain", runs_root=repository / "runs")
-    settings = {
-        "diff.noprefix": "true",
-        "diff.mnemonicPrefix": "true",
-        "color.ui": "always",
-        "diff.relative": "true",
-    }
-    settings |= {
-        "diff.external": "false",
-        "diff.renames": "copies",
-        "diff.context": "0",
-        "core.quotePath": "false",
-    }
+    settings = {"diff.noprefix": "true", "diff.mnemonicPrefix": "true", "color.ui": "always", "diff.relative": "true"}
+    settings |= {"diff.external": "false", "diff.renames": "copies", "diff.context": "0", "core.quotePath": "false"}
     for key, value in settings.items():
         git(repository, "config", key, value)
     git(repository, "config", "diff.odd.command", "false")
@@ -181,8 +146,7 @@ def test_it_works_from_another_folder_and_inside_a_hook(repository, git, tmp_pat
     (repository / "new.py").write_text("")
     expected = snapshot(repository, tmp_path / "a")
     other = tmp_path / "other"
-    other.mkdir()
-    git(other, "init", "-q")
+    git(tmp_path, "init", "-q", str(other))
     monkeypatch.chdir(other)
     monkeypatch.setenv("GIT_DIR", str(other / ".git"))
     monkeypatch.setenv("GIT_INDEX_FILE", str(other / ".git" / "index"))
@@ -195,38 +159,31 @@ def test_a_linked_working_tree_is_its_own(repository, git, tmp_path):
     record = snapshot(tmp_path / "linked" / "package", tmp_path)
     assert record["branch"] == "side"
     assert b"linked" in (tmp_path / "source" / "source.patch").read_bytes()
-
-
-def test_a_detached_head_has_no_branch(repository, git, tmp_path):
+    # The main working tree is clean.
     git(repository, "checkout", "-q", "--detach")
-    assert snapshot(repository, tmp_path)["branch"] is None
+    record = snapshot(repository, tmp_path)
+    assert (record["branch"], record["dirty"]) == (None, False)
+    assert record["tree"] == git(repository, "rev-parse", "HEAD^{tree}")
+    assert (tmp_path / "source" / "source.patch").read_bytes() == b""
 
 
-def test_untracked_files_over_the_cap_are_refused_with_their_names(repository, git, tmp_path):
-    (repository / "big.csv").write_bytes(bytes(300_000))
-    (repository / "small.py").write_text("x\n")
+@pytest.mark.parametrize(("name", "tracked"), [("big.csv", False), ("package/data.bin", True)])
+def test_changes_over_the_cap_are_refused_with_the_big_files(repository, git, tmp_path, name, tracked):
+    (repository / name).write_bytes(random.Random(0).randbytes(300_000))
+    if not tracked:
+        (repository / "small.py").write_text("x\n")
     record = snapshot(repository, tmp_path, max_patch_mb=0.1)
-    assert record["status"] == "patch_too_large"
-    assert record["patch"] is None
+    assert (record["status"], record["patch"]) == ("patch_too_large", None)
+    assert record["big_files"][0] == {"path": name, "bytes": 300_000}
     assert not (tmp_path / "source" / "source.patch").exists()
-    assert record["big_files"][0] == {"path": "big.csv", "bytes": 300_000}
-    assert "big.csv" in record["note"]
+    assert name in record["note"]
     assert "run.max_patch_mb" in record["note"]
-
-
-def test_a_patch_over_the_cap_is_refused_with_the_big_files(repository, git, tmp_path):
-    (repository / "package" / "data.bin").write_bytes(random.Random(0).randbytes(300_000))
-    record = snapshot(repository, tmp_path, max_patch_mb=0.1)
-    assert record["status"] == "patch_too_large"
-    assert record["big_files"] == [{"path": "package/data.bin", "bytes": 300_000}]
-    assert not (tmp_path / "source" / "source.patch").exists()
     assert snapshot(repository, tmp_path, max_patch_mb=1.0)["status"] == "ok"
 
 
 def test_a_repository_without_commits_is_held_against_nothing(tmp_path, git):
     folder = tmp_path / "fresh"
-    folder.mkdir()
-    git(folder, "init", "-q")
+    git(tmp_path, "init", "-q", str(folder))
     (folder / "a.py").write_text("a = 1\n")
     (folder / "b.bin").write_bytes(bytes(range(256)))
     git(folder, "add", "a.py")
@@ -235,8 +192,7 @@ def test_a_repository_without_commits_is_held_against_nothing(tmp_path, git):
     assert record["commit"] is None
     assert record["tree"] == tree_by_plain_git(folder, git, tmp_path)
     again = tmp_path / "again"
-    again.mkdir()
-    git(again, "init", "-q")
+    git(tmp_path, "init", "-q", str(again))
     git(again, "apply", "--index", str(tmp_path / "source" / "source.patch"))
     assert git(again, "write-tree") == record["tree"]
 
@@ -252,12 +208,6 @@ def test_a_package_in_an_environment_inside_a_repository_is_installed(repository
     assert first["commit"] is None
     (package / "code.py").write_text("x = 2\n")
     assert snapshot(package, tmp_path)["content_sha256"] != first["content_sha256"]
-
-
-def test_an_installed_package_without_any_repository_is_installed(tmp_path, git):
-    package = tmp_path / "site-packages" / "package"
-    package.mkdir(parents=True)
-    assert snapshot(package, tmp_path)["status"] == "installed"
 
 
 def test_without_git_the_run_goes_on(repository, tmp_path, git, monkeypatch):
@@ -299,18 +249,17 @@ def test_a_changed_file_that_cannot_be_read_is_named(repository, git, tmp_path, 
 
 def test_roots_of_one_repository_count_once_and_others_get_their_own_patch(repository, git, tmp_path):
     user = tmp_path / "user"
-    user.mkdir()
-    git(user, "init", "-q", "-b", "mine")
+    git(tmp_path, "init", "-q", "-b", "mine", str(user))
     (user / "robot.yaml").write_text("a: 1\n")
     (repository / "configs").mkdir()
     (repository / "configs" / "x.yaml").write_text("x: 1\n")
     record = snapshot([repository / "package", repository / "configs", user], tmp_path)
     assert record["folders"] == ["package", "configs"]
     (other,) = record["others"]
-    assert other["root"] == str(user)
-    assert other["branch"] == "mine"
-    assert other["patch"] == "source_2.patch"
+    assert (other["root"], other["branch"], other["patch"]) == (str(user), "mine", "source_2.patch")
     assert b"robot.yaml" in (tmp_path / "source" / "source_2.patch").read_bytes()
+    restore_source(tmp_path, tmp_path / "again", which=1)
+    assert (tmp_path / "again" / "robot.yaml").read_text() == "a: 1\n"
 
 
 def test_the_recorded_tree_can_be_made_again(repository, git, tmp_path):
@@ -326,34 +275,9 @@ def test_the_recorded_tree_can_be_made_again(repository, git, tmp_path):
     assert digests(repository) == before
 
 
-def test_a_second_repository_and_an_unborn_one_can_be_made_again(repository, git, tmp_path):
-    user = tmp_path / "user"
-    user.mkdir()
-    git(user, "init", "-q")
-    (user / "robot.yaml").write_text("a: 1\n")
-    snapshot([repository, user], tmp_path)
-    restore_source(tmp_path, tmp_path / "again", which=1)
-    assert (tmp_path / "again" / "robot.yaml").read_text() == "a: 1\n"
-
-
-def test_a_source_that_cannot_be_made_again_leaves_nothing(repository, git, tmp_path):
-    (repository / "package" / "code.py").write_text("x = 3\n")
-    record = snapshot(repository, tmp_path)
-    unrelated = tmp_path / "unrelated"
-    unrelated.mkdir()
-    git(unrelated, "init", "-q")
-    with pytest.raises(RunDirectoryError, match=f"contains commit {record['commit']}"):
-        restore_source(tmp_path, tmp_path / "out" / "again", unrelated)
-    path = tmp_path / "source" / "source.patch"
-    path.write_bytes(path.read_bytes().replace(b"x = 3", b"x = 4"))
-    with pytest.raises(RunDirectoryError, match="expected the recorded"):
-        restore_source(tmp_path, tmp_path / "out" / "again")
-    assert not list(tmp_path.glob("out/*"))
-
-
 def test_a_source_that_was_not_captured_gives_the_reason(tmp_path, git):
     (tmp_path / "site-packages" / "package").mkdir(parents=True)
-    snapshot(tmp_path / "site-packages" / "package", tmp_path)
+    assert snapshot(tmp_path / "site-packages" / "package", tmp_path)["status"] == "installed"
     with pytest.raises(RunDirectoryError, match=r"was not captured.*is installed"):
         restore_source(tmp_path, tmp_path / "again")
 
@@ -376,7 +300,7 @@ def uncaptured(request, repository, git, tmp_path, monkeypatch):
     plain.mkdir()
     (plain / "helpers.py").write_text("x = 1\n")
     if request.param == "foreign owner":
-        monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")  # git's own way to test its refusal
+        monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")  # Git's own tests use this variable.
         return repository / "package", "belongs to another user"
     if request.param == "ignored folder":
         (repository / "ignored").mkdir()

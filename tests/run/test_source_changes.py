@@ -1,5 +1,3 @@
-"""Which files differ between two recorded sources: named, whatever is committed and whatever is not."""
-
 from __future__ import annotations
 
 import os
@@ -12,14 +10,13 @@ from wheelleg_exp.run.source_snapshot import snapshot_source
 
 @pytest.fixture
 def record(tmp_path):
-    """Record a source, each time in a new folder."""
+    """Record the state of a source folder in a new run directory."""
     count = iter(range(100))
     return lambda root, **keywords: snapshot_source([root], tmp_path / f"source_{next(count)}", **keywords)
 
 
 @pytest.fixture
 def folder(tmp_path, git):
-    """A repository without a commit."""
     path = tmp_path / "plain"
     (path / "pet").mkdir(parents=True)
     git(path, "init", "-q")

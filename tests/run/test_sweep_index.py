@@ -1,5 +1,3 @@
-"""The index of a sweep: whole at every moment, in a folder of its own, and read back."""
-
 from __future__ import annotations
 
 import json
@@ -22,14 +20,11 @@ def make(root, jobs=(("seed=1", "a=2"), ("seed=2", "a=2"))) -> SweepIndex:
     return SweepIndex.create(root, command=["wheelleg", "train"], launcher={"name": "basic"}, jobs=pairs, now=NOW)
 
 
-def test_a_new_sweep_has_a_folder_of_its_own_below_sweeps(tmp_path):
+def test_a_new_sweep_has_its_own_folder_below_sweeps_and_all_jobs_wait(tmp_path):
     first, second = make(tmp_path), make(tmp_path)
     assert first.folder == tmp_path / "sweeps" / folder_text(NOW)
     assert second.folder.name == first.folder.name + "-2"
-
-
-def test_before_the_first_job_all_wait(tmp_path):
-    data = json.loads(make(tmp_path).path.read_text())
+    data = json.loads(first.path.read_text())
     assert (data["format"], data["status"], data["ended"]) == (1, "running", None)
     assert data["command"] == ["wheelleg", "train"]
     assert [(job["number"], job["status"], job["overrides"], job["swept"]) for job in data["jobs"]] == [
@@ -49,15 +44,10 @@ def test_what_is_recorded_is_read_back(tmp_path, make_run):
     assert again.jobs[0]["run"] == f"../../stand/{run.id}"
     assert again.run_of(again.jobs[0]) == run.path
     assert again.run_of(again.jobs[1]) is None
-
-
-def test_runs_are_found_after_the_whole_root_has_moved(tmp_path, make_run):
-    index = make(tmp_path / "runs")
-    index.job_has_run(1, make_run("stand", 1).path)
     (tmp_path / "runs").rename(tmp_path / "moved")
     again = SweepIndex.load(tmp_path / "moved" / "sweeps" / index.folder.name)
-    run = again.run_of(again.jobs[0])
-    assert RunDirectory.open(run, tmp_path / "moved").path == run
+    found = again.run_of(again.jobs[0])
+    assert RunDirectory.open(found, tmp_path / "moved").path == found
 
 
 def test_a_job_that_nobody_saw_end_is_interrupted(tmp_path):
@@ -71,7 +61,7 @@ def test_a_job_that_nobody_saw_end_is_interrupted(tmp_path):
 def test_a_sweep_is_no_run(tmp_path, make_run):
     run = make_run("stand", 1)
     index = make(tmp_path / "runs")
-    write_json(index.folder / "manifest.json", {})  # not even when it looks like one
+    write_json(index.folder / "manifest.json", {})  # A sweep with a manifest is still not a run.
     assert [listed.path for listed in list_runs(tmp_path / "runs")] == [run.path]
     assert RunDirectory.open("latest", tmp_path / "runs").path == run.path
 
@@ -86,11 +76,8 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
     ],
 )
 def test_an_index_that_is_none_is_refused(tmp_path, text, told):
+    with pytest.raises(RunDirectoryError, match="cannot read"):
+        SweepIndex.load(tmp_path)
     (tmp_path / "sweep.json").write_text(text)
     with pytest.raises(RunDirectoryError, match=told):
-        SweepIndex.load(tmp_path)
-
-
-def test_no_index_is_told(tmp_path):
-    with pytest.raises(RunDirectoryError, match="cannot read"):
         SweepIndex.load(tmp_path)

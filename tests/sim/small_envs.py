@@ -1,17 +1,27 @@
-"""Configs of small environments, to vary: a rover, a cube, and an arm on a fixed base."""
-
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.env import ManagerBasedRLEnv
+
 ASSETS = Path(__file__).parents[1] / "assets"
 ACTUATORS = "wheelleg_exp.sim.actuators."
 PLANE = "wheelleg_exp.sim.terrain.Plane"
 
-_CONTACT = {
+
+def init_state(height: float, joint_pos: Mapping[str, float]) -> dict[str, Any]:
+    return {"pos": [0.0, 0.0, height], "rot": [1.0, 0.0, 0.0, 0.0], "joint_pos": joint_pos, "joint_vel": {".*": 0.0}}
+
+
+def _drive(
+    joint: str, kp: float, kd: float, effort: float, speed: float, model: str = "ImplicitActuator"
+) -> dict[str, Any]:
+    gains = {"stiffness": kp, "damping": kd, "effort_limit": effort, "velocity_limit": speed}
+    return {"_target_": ACTUATORS + model, "joint_names_expr": [joint], **gains}
+
+
+CONTACT = {
     "_target_": "wheelleg_exp.sim.sensors.ContactSensor",
     "body_names": [".*"],
     "history_length": 3,
@@ -41,40 +51,19 @@ _ROVER: dict[str, Any] = {
     "scene": {
         "env_spacing": 3.0,
         "terrain": {"_target_": PLANE, "static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0},
-        "sensors": {"contact": _CONTACT},
+        "sensors": {"contact": CONTACT},
     },
     "robot": {
         "profile": "test",
         "asset": "rover.xml",
         "base": "floating",
-        "init_state": {
-            "pos": [0.0, 0.0, 0.3],
-            "rot": [1.0, 0.0, 0.0, 0.0],
-            "joint_pos": {".*_hip": 0.2, ".*_axle": 0.0},
-            "joint_vel": {".*": 0.0},
-        },
+        "init_state": init_state(0.3, {".*_hip": 0.2, ".*_axle": 0.0}),
         "joint_order": None,
         "soft_joint_pos_limit_factor": 1.0,
         "friction_source": "static",
         "actuators": {
-            "hips": {
-                "_target_": ACTUATORS + "ImplicitActuator",
-                "joint_names_expr": [".*_hip"],
-                "stiffness": 20.0,
-                "damping": 1.0,
-                "effort_limit": 4.0,
-                "velocity_limit": 30.0,
-                "armature": 0.01,
-            },
-            "axles": {
-                "_target_": ACTUATORS + "ImplicitActuator",
-                "joint_names_expr": [".*_axle"],
-                "stiffness": 0.0,
-                "damping": 0.5,
-                "effort_limit": 2.0,
-                "velocity_limit": 20.0,
-                "armature": 0.01,
-            },
+            "hips": {**_drive(".*_hip", 20.0, 1.0, 4.0, 30.0), "armature": 0.01},
+            "axles": {**_drive(".*_axle", 0.0, 0.5, 2.0, 20.0), "armature": 0.01},
         },
     },
     "commands": {},
@@ -85,41 +74,21 @@ _ROVER: dict[str, Any] = {
             "scale": 0.5,
             "use_default_offset": True,
         },
-        "axles": {
-            "_target_": "wheelleg_exp.mdp.actions.JointVelocityAction",
-            "joint_names": [".*_axle"],
-            "scale": 5.0,
-        },
+        "axles": {"_target_": "wheelleg_exp.mdp.actions.JointVelocityAction", "joint_names": [".*_axle"], "scale": 5.0},
     },
     "observations": {"policy": {"terms": {"joint_pos": {"_target_": "wheelleg_exp.mdp.observations.joint_pos"}}}},
-    "events": {
-        "to_default": {"_target_": "wheelleg_exp.mdp.events.reset_scene_to_default", "mode": "reset"},
-    },
+    "events": {"to_default": {"_target_": "wheelleg_exp.mdp.events.reset_scene_to_default", "mode": "reset"}},
     "rewards": {},
     "terminations": {"time_out": {"_target_": "wheelleg_exp.mdp.terminations.time_out", "time_out": True}},
     "curriculum": {},
 }
 
-# A cube whose only joint has a drive without strength.
+# A cube whose only joint has a drive with zero gains.
 _BLOCK: dict[str, Any] = {
     "robot": {
         "asset": "block.xml",
-        "init_state": {
-            "pos": [0.0, 0.0, 0.1],
-            "rot": [1.0, 0.0, 0.0, 0.0],
-            "joint_pos": {"spin": 0.0},
-            "joint_vel": {"spin": 0.0},
-        },
-        "actuators": {
-            "spin": {
-                "_target_": ACTUATORS + "IdealPDActuator",
-                "joint_names_expr": ["spin"],
-                "stiffness": 0.0,
-                "damping": 0.0,
-                "effort_limit": 1.0,
-                "velocity_limit": 1.0,
-            }
-        },
+        "init_state": init_state(0.1, {"spin": 0.0}),
+        "actuators": {"spin": _drive("spin", 0.0, 0.0, 1.0, 1.0, "IdealPDActuator")},
     },
     "actions": {"spin": {"_target_": "wheelleg_exp.mdp.actions.JointVelocityAction", "joint_names": ["spin"]}},
 }
@@ -130,22 +99,8 @@ _ARM: dict[str, Any] = {
         **_ROVER["robot"],
         "asset": "arm.xml",
         "base": "fixed",
-        "init_state": {
-            "pos": [0.0, 0.0, 1.0],
-            "rot": [1.0, 0.0, 0.0, 0.0],
-            "joint_pos": {"hinge": 0.1, "slider": 0.15},
-            "joint_vel": {".*": 0.0},
-        },
-        "actuators": {
-            "all": {
-                "_target_": ACTUATORS + "ImplicitActuator",
-                "joint_names_expr": [".*"],
-                "stiffness": 5.0,
-                "damping": 1.0,
-                "effort_limit": 10.0,
-                "velocity_limit": 10.0,
-            }
-        },
+        "init_state": init_state(1.0, {"hinge": 0.1, "slider": 0.15}),
+        "actuators": {"all": _drive(".*", 5.0, 1.0, 10.0, 10.0)},
     },
     "actions": {"all": {"_target_": "wheelleg_exp.mdp.actions.JointPositionAction", "joint_names": [".*"]}},
     "events": {},
@@ -155,7 +110,6 @@ _BASES: dict[str, dict[str, Any]] = {"rover": {}, "block": _BLOCK, "arm": _ARM}
 
 
 def env_config(base: str = "rover", /, **changes: Any) -> dict[str, Any]:
-    """Return an env config: sections replace the base's, except sim, scene and robot, whose keys are merged."""
     config = copy.deepcopy({**_ROVER, **_BASES[base]})
     for name, value in changes.items():
         if name in ("sim", "scene", "robot") and isinstance(value, Mapping):
@@ -163,3 +117,18 @@ def env_config(base: str = "rover", /, **changes: Any) -> dict[str, Any]:
         else:
             config[name] = value
     return copy.deepcopy(config)
+
+
+def env_of(file: Path, config: dict[str, Any] | None = None) -> ManagerBasedRLEnv:
+    return ManagerBasedRLEnv(env_config() if config is None else config, file, 0)
+
+
+def variant(folder: Path, old: str, new: str, file: str = "rover.xml") -> Path:
+    (folder / file).write_text((ASSETS / file).read_text().replace(old, new))
+    return folder / file
+
+
+def physics_step(env: ManagerBasedRLEnv) -> None:
+    env.scene.write_data_to_sim()
+    env.scene.sim.step()
+    env.scene.update()

@@ -1,7 +1,3 @@
-"""The robot's state and parameters under Isaac Lab's names, held against MuJoCo's own functions."""
-
-from __future__ import annotations
-
 import math
 
 import mujoco
@@ -18,7 +14,6 @@ N = 4
 
 @pytest.fixture
 def env(make_env):
-    """A rover of which every environment moves otherwise."""
     env = make_env()
     robot, gen = env.scene.robot, torch.Generator().manual_seed(3)
     quat = torch.nn.functional.normalize(torch.randn(N, 4, generator=gen), dim=1)
@@ -31,7 +26,6 @@ def env(make_env):
 
 
 def mj_data(env, i):
-    """Return MuJoCo's data of one environment's state, computed by a plain mj_forward."""
     model, data = env.scene.model, mujoco.MjData(env.scene.model)
     data.qpos[:], data.qvel[:] = env.scene.sim.view("qpos")[i], env.scene.sim.view("qvel")[i]
     mujoco.mj_forward(model, data)
@@ -39,7 +33,6 @@ def mj_data(env, i):
 
 
 def velocity(model, data, kind, body):
-    """Return linear and angular velocity in world axes by mj_objectVelocity."""
     found = np.zeros(6)
     mujoco.mj_objectVelocity(model, data, kind, body, found, 0)
     return [*found[3:], *found[:3]]
@@ -87,7 +80,6 @@ def test_the_roots_members_are_those_of_the_first_body(env):
 
 
 def test_accelerations_are_of_the_last_physics_step(make_env):
-    """Free fall: -g, whatever else; and 0 at rest on the ground, unlike an accelerometer."""
     env = make_env()
     env.reset()
     robot, actions = env.scene.robot, torch.zeros(N, 4)
@@ -99,7 +91,7 @@ def test_accelerations_are_of_the_last_physics_step(make_env):
     robot.write_root_pose_to_sim(pose)
     robot.write_root_velocity_to_sim(torch.tensor([[1.0, 0, 0, 0, 0, 0]]).repeat(N, 1))
     env.scene.refresh()
-    assert robot.data.body_acc_w.abs().max() == 0.0  # a written velocity is no acceleration
+    assert robot.data.body_acc_w.abs().max() == 0.0  # A written velocity does not count as acceleration.
     env.step(actions)
     mass = robot.data.default_mass.unsqueeze(2)
     whole = (robot.data.body_lin_acc_w * mass).sum(dim=1) / mass.sum(dim=1)
@@ -107,7 +99,6 @@ def test_accelerations_are_of_the_last_physics_step(make_env):
 
 
 def test_first_asked_for_accelerations_are_those_of_one_who_asked_before(make_env):
-    """Whoever asks first changes nobody's numbers, nor the simulation."""
     early, late = make_env(), make_env()
     for env in (early, late):
         env.reset()
@@ -124,7 +115,6 @@ def test_first_asked_for_accelerations_are_those_of_one_who_asked_before(make_en
 
 
 def test_an_engine_may_give_copies_of_the_motion_state(make_env, monkeypatch):
-    """As the face's own does: only ``view`` is written."""
     env, other = make_env(), make_env()
     for one in (env, other):
         one.reset()
@@ -201,9 +191,6 @@ def test_what_is_absent_says_so(make_env, owner, name, why):
         getattr(holder, name)
 
 
-# --- writing ---
-
-
 def test_written_states_are_read_again(make_env):
     env = make_env()
     robot, gen = env.scene.robot, torch.Generator().manual_seed(1)
@@ -249,7 +236,6 @@ def test_finding(make_env):
 
 
 def test_a_force_in_world_axes_at_a_point_turns_about_the_centre_of_mass(make_env):
-    """By hand: the link is turned by 90 degrees about z, world x is then the link's -y."""
     robot = make_env().scene.robot
     half = math.sqrt(0.5)
     robot.write_root_pose_to_sim(torch.tensor([[0.0, 0, 2, half, 0, 0, half]]).repeat(N, 1))
@@ -258,7 +244,7 @@ def test_a_force_in_world_axes_at_a_point_turns_about_the_centre_of_mass(make_en
     force, torque = torch.tensor([[[2.0, 0, 0]]]).repeat(N, 1, 1), torch.zeros(N, 1, 3)
     robot.set_external_force_and_torque(force, torque, positions=point, body_ids=[0], is_global=True)
     found = robot.permanent_wrench[0, 0].T.reshape(-1)
-    # lever 0.5 z, force -2 y in link axes: torque (0.5 z) x (-2 y) = 1 x
+    # In link axes, the lever 0.5 z and the force -2 y give the torque (0.5 z) x (-2 y) = 1 x.
     assert found.tolist() == pytest.approx([0, -2, 0, 1, 0, 0], abs=1e-5)
     robot.set_external_force_and_torque(torch.zeros(0, 3), torch.zeros(0, 3))
     assert not robot.permanent_wrench.any()

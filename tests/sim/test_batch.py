@@ -1,7 +1,3 @@
-"""N simulations: freshness, writes between steps, instability, restoring."""
-
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -36,7 +32,6 @@ def sim(model) -> BatchEngine:
 
 
 def _reference(sim: BatchEngine, i: int) -> mujoco.MjData:
-    """Return a plain MjData with the state of one simulation, after kinematics and velocities."""
     data = mujoco.MjData(sim.model)
     mujoco.mj_setState(sim.model, data, sim.state[i].numpy(), mujoco.mjtState.mjSTATE_INTEGRATION)
     mujoco.mj_fwdPosition(sim.model, data)
@@ -89,40 +84,23 @@ def test_forward_refreshes_only_the_rows_asked_for(sim):
     assert xpos[:, 1, 0].tolist() == [0.0, 5.0, 0.0]
 
 
-def test_extra_forward_calls_change_no_trajectory(model):
-    plain, busy = BatchEngine(model, 1, 1), BatchEngine(model, 1, 1)
-    for _ in range(100):
-        plain.step()
-        busy.step()
-        busy.forward()
-        busy.derived("xipos")
-    assert torch.equal(plain.state, busy.state)
-
-
-def test_a_reset_zeroes_controls_and_applied_forces_of_the_rows_asked_for(sim):
+def test_a_reset_zeroes_controls_and_forces_of_its_rows_but_not_positions_and_velocities(sim):
     sim.view("ctrl")[:] = 1.0
     sim.view("xfrc_applied")[:] = 1.0
+    sim.view("qvel")[:, 0] = 1.0
     sim.step()
+    motion = sim.motion.clone()
     sim.reset(torch.tensor([0, 2]))
+    assert torch.equal(sim.motion, motion)  # A reset of the engine changes no position or velocity.
     assert sim.view("ctrl")[:, 0].tolist() == [0.0, 1.0, 0.0]
     assert sim.view("xfrc_applied").abs().sum(dim=(1, 2)).tolist() == [0.0, 18.0, 0.0]
     assert sim.view("qacc_warmstart").abs().sum(dim=1).gt(0).tolist() == [False, True, False]
     assert sim.view("time").tolist() == [0.0, sim.model.opt.timestep, 0.0]
 
 
-def test_a_reset_leaves_positions_and_velocities_to_the_events(sim):
-    sim.view("qvel")[:, 0] = 1.0
-    for _ in range(5):
-        sim.step()
-    motion = sim.view("qpos").clone(), sim.view("qvel").clone()
-    sim.reset(torch.tensor([0, 2]))
-    assert torch.equal(sim.view("qpos"), motion[0])
-    assert torch.equal(sim.view("qvel"), motion[1])
-
-
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e20])
 def test_a_broken_simulation_is_reported_until_its_reset(sim, bad, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
+    monkeypatch.chdir(tmp_path)  # MuJoCo would write its log file to the current folder.
     assert not sim.unstable().any()
     sim.view("qvel")[1, 0] = bad
     sim.step()
@@ -141,7 +119,6 @@ def test_a_broken_control_is_reported(sim, tmp_path, monkeypatch):
 
 
 def test_an_error_of_the_engine_names_the_simulations_and_the_others_go_on():
-    """One box lies in the ground, and its contacts need more memory than there is."""
     small = mujoco.MjModel.from_xml_string(XML.replace("<worldbody>", '<size memory="8K"/><worldbody>'))
     sim = BatchEngine(small, 3, nthread=1)
     sim.view("qpos")[1, 2] = 0.05
@@ -157,7 +134,7 @@ def test_per_simulation_mass_changes_only_its_row(model):
     sim.set_const()
     sim.view("xfrc_applied")[:, 1, 0] = 6.0
     sim.step()
-    # With the hinge's axis across, a force along x also turns the arm; compare with models edited one by one.
+    # A force along x turns an arm whose hinge axis is along y. Compare with models edited separately.
     for row, value in enumerate((1.0, 3.0)):
         own = mujoco.MjModel.from_xml_string(XML)
         own.body_mass[1] = value
@@ -177,15 +154,11 @@ def test_set_const_leaves_the_state_alone(sim):
     assert torch.equal(sim.state, before)
 
 
-def _randomised(model: mujoco.MjModel, threads: int) -> BatchEngine:
-    sim = BatchEngine(model, 4, threads)
-    sim.derived("xpos")
-    return sim
-
-
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_restored_simulation_continues_to_the_bit(model, threads):
-    first = _randomised(model, 1)
+    first, second = BatchEngine(model, 4, 1), BatchEngine(model, 4, threads)
+    for engine in (first, second):
+        engine.derived("xpos")
     gen = torch.Generator().manual_seed(0)
     first.expand("body_mass")[:, 1] *= 1 + torch.rand(4, generator=gen, dtype=torch.float64)
     first.expand("body_ipos")[:, 1, 0] += 0.02
@@ -194,23 +167,14 @@ def test_a_restored_simulation_continues_to_the_bit(model, threads):
     for _ in range(150):
         first.step()
     saved = first.state_dict()
-    second = _randomised(model, threads)
+    state = first.state.clone()
     second.load_state_dict(saved)
     assert torch.equal(second.derived("xpos"), first.derived("xpos"))
     for _ in range(150):
         first.step()
         second.step()
     assert torch.equal(first.state, second.state)
-
-
-def test_a_saved_state_does_not_move_with_the_simulation(sim):
-    saved = sim.state_dict()
-    before = saved["state"].clone()
-    sim.step()
-    assert torch.equal(saved["state"], before)
-
-
-# --- rays ---
+    assert torch.equal(saved["state"], state)
 
 
 def _down(*points):
@@ -219,7 +183,7 @@ def _down(*points):
 
 
 def test_a_ray_goes_as_far_as_the_geometry_says(sim):
-    sim.view("qpos")[:, 2] = torch.tensor([0.3, 0.5, 5.0], dtype=torch.float64)  # the box's middle
+    sim.view("qpos")[:, 2] = torch.tensor([0.3, 0.5, 5.0], dtype=torch.float64)  # height of the box's centre, m
     origins, down = _down((0.0, 0.05, 2.0), (3.0, 0.0, 2.0))
     distances = sim.ray(origins, down)
     torch.testing.assert_close(distances[:, 1], torch.full((3,), 2.0, dtype=torch.float64))
@@ -235,13 +199,15 @@ def test_a_ray_that_meets_nothing_says_so_and_groups_choose_what_stops_it(sim):
     assert (sim.ray(origins, down, geom_groups=[0]) > 0).all()
 
 
-def test_rays_leave_the_trajectory_alone(model):
+def test_rays_and_extra_forward_calls_leave_the_trajectory_alone(model):
     plain, looked = BatchEngine(model, 1, 1), BatchEngine(model, 1, 1)
     for engine in (plain, looked):
         engine.derived("xpos")
     for _ in range(20):
         plain.step()
         looked.step()
+        looked.forward()
+        looked.derived("xipos")
         looked.ray(*(part[:1] for part in _down((0.0, 0.0, 2.0))))
     assert torch.equal(plain.state, looked.state)
 

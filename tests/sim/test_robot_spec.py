@@ -1,7 +1,3 @@
-"""Turning the root link's frame moves nothing: the same robot in the world, whatever its frame."""
-
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -26,7 +22,7 @@ ROBOT = """<mujoco><worldbody><body name="root" pos="0 0 1"><freejoint/>{inertia
 def placed(inertial: str, *, turned: bool) -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec = mujoco.MjSpec.from_string(ROBOT.format(inertial=inertial))
     if turned:
-        turn_root_frame(spec, "root", 3.0 * FRAME)  # of any length
+        turn_root_frame(spec, "root", 3.0 * FRAME)  # a quaternion of length 3
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[3:7] = FRAME / np.linalg.norm(FRAME) if turned else [1, 0, 0, 0]

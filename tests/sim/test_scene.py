@@ -1,7 +1,3 @@
-"""The scene: origins, names, limits, friction, freshness."""
-
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -10,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import PLANE, env_config
+from sim.small_envs import ASSETS, env_config, env_of, init_state, variant
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.scene import model_digest
 from wheelleg_exp.sim.terrain import grid_origins
@@ -22,10 +18,6 @@ def test_origins_are_isaac_labs_grid(count):
     cols = math.ceil(count / rows)
     expected = [(-(k // cols - (rows - 1) / 2) * 2.5, (k % cols - (cols - 1) / 2) * 2.5, 0.0) for k in range(count)]
     assert grid_origins(count, 2.5).tolist() == [list(origin) for origin in expected]
-
-
-def test_four_environments_stand_around_the_worlds_origin():
-    assert grid_origins(4, 2.0).tolist() == [[1, -1, 0], [1, 1, 0], [-1, -1, 0], [-1, 1, 0]]
 
 
 def test_joints_and_bodies_come_breadth_first_whatever_the_engine_says(make_env):
@@ -42,7 +34,7 @@ def test_joint_quantities_follow_the_robots_order(make_env):
     )
     assert robot.data.joint_pos[0].tolist() == pytest.approx([0.1, 0.2, 3.0, 4.0])
     assert robot.data.joint_vel[0].tolist() == [1, 2, 3, 4]
-    assert robot._qpos[0, 7:].tolist() == pytest.approx([0.1, 3.0, 0.2, 4.0])  # the engine's order: depth first
+    assert robot._qpos[0, 7:].tolist() == pytest.approx([0.1, 3.0, 0.2, 4.0])  # MuJoCo orders joints depth first.
 
 
 def test_an_order_of_the_users_own_is_kept(make_env):
@@ -73,34 +65,21 @@ def test_limits_of_unlimited_joints_are_infinite(make_env):
 
 def test_soft_limits_shrink_about_the_middle(make_env):
     data = make_env(robot={"soft_joint_pos_limit_factor": 0.8}).scene.robot.data
-    # middle .25, half width 1.25 * .8 = 1
+    # The middle of the soft limits is 0.25, and half of their width is 1.25 * 0.8 = 1.
     assert data.soft_joint_pos_limits[0, 0].tolist() == pytest.approx([-0.75, 1.25])
     assert data.soft_joint_pos_limits[1, 2].tolist() == [-math.inf, math.inf]
     assert data.joint_pos_limits[2, 0].tolist() == [-1.0, 1.5]
 
 
-def test_velocity_limits_are_known_before_the_first_step(make_env):
-    assert make_env().scene.robot.data.soft_joint_vel_limits.tolist() == 4 * [[30, 30, 20, 20]]
-
-
-def _init(**joint_pos):
-    return {"pos": [0, 0, 0.3], "rot": [1, 0, 0, 0], "joint_pos": joint_pos, "joint_vel": {".*": 0.0}}
-
-
 def test_a_default_position_outside_the_limits_is_an_error(make_env):
     with pytest.raises(ConfigError, match=r"left_hip.*outside its limits"):
-        make_env(robot={"init_state": _init(left_hip=1.6)})
+        make_env(robot={"init_state": init_state(0.3, {"left_hip": 1.6})})
 
 
 @pytest.mark.parametrize("value", [-0.3, 0.7])
-def test_a_default_position_at_the_limit_is_accepted(make_env, tmp_path, value):
-    from sim.small_envs import ASSETS, env_config
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
-    text = (ASSETS / "rover.xml").read_text().replace('range="-1 1.5"', 'range="-.3 .7"')
-    (tmp_path / "rover.xml").write_text(text)
-    config = env_config(robot={"init_state": _init(**{".*_hip": value})})
-    env = ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+def test_a_default_position_at_the_limit_is_accepted(tmp_path, value):
+    config = env_config(robot={"init_state": init_state(0.3, {".*_hip": value})})
+    env = env_of(variant(tmp_path, 'range="-1 1.5"', 'range="-.3 .7"'), config)
     assert float(env.scene.robot.data.default_joint_pos[0, 0]) == pytest.approx(value)
 
 
@@ -108,14 +87,6 @@ def test_a_file_in_degrees_gives_radians_for_hinges_and_metres_for_sliders(make_
     limits = make_env("arm").scene.robot.data.joint_pos_limits
     assert limits[0, 0].tolist() == pytest.approx([-math.pi / 2, math.pi / 4])
     assert limits[0, 1].tolist() == pytest.approx([-0.1, 0.2])
-
-
-def test_a_fixed_base_has_its_root_where_the_model_says(make_env):
-    env = make_env("arm")
-    data = env.scene.robot.data
-    assert data.root_pos_w.tolist() == [[0, 0, 1]] * 4
-    assert data.root_lin_vel_w.abs().max() == 0
-    assert data.projected_gravity_b.tolist() == [[0, 0, -1]] * 4
 
 
 @pytest.mark.parametrize("event", ["reset_root_state_uniform", "push_by_adding_velocity", "reset_scene_to_default"])
@@ -131,30 +102,22 @@ def test_root_events_on_a_fixed_base_do_not_write_into_joints(make_env, event):
         env.reset()
     except ConfigError:
         return
-    assert event == "reset_scene_to_default"  # it has joints to reset even where there is no free root
+    assert event == "reset_scene_to_default"  # A robot with a fixed base has joints to reset.
     assert env.scene.robot.data.joint_pos[0].tolist() == pytest.approx([0.1, 0.15])
     assert env.scene.robot.data.joint_vel.abs().max() == 0
 
 
-def test_two_robots_in_one_file_are_an_error(tmp_path):
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
-    body = '<body><freejoint/><geom size=".1"/></body>'
-    (tmp_path / "two.xml").write_text(f"<mujoco><worldbody>{body}{body}</worldbody></mujoco>")
-    with pytest.raises(AssetError, match="2 robots"):
-        ManagerBasedRLEnv(env_config(), tmp_path / "two.xml", 0)
+TWO_ROBOTS = 2 * '<body><freejoint/><geom size=".1"/></body>' + "</worldbody></mujoco>"
 
 
-def test_a_file_that_is_no_mjcf_is_an_error(tmp_path):
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
-    (tmp_path / "bad.xml").write_text("<mujoco><worldbody>")
-    with pytest.raises(AssetError, match="cannot read"):
-        ManagerBasedRLEnv(env_config(), tmp_path / "bad.xml", 0)
+@pytest.mark.parametrize(("content", "message"), [(TWO_ROBOTS, "2 robots"), ("", "cannot read")])
+def test_a_file_without_exactly_one_robot_is_an_error(tmp_path, content, message):
+    (tmp_path / "bad.xml").write_text("<mujoco><worldbody>" + content)
+    with pytest.raises(AssetError, match=message):
+        env_of(tmp_path / "bad.xml")
 
 
 def test_whole_numbers_are_numbers(make_env):
-    """YAML's 30 is as good as 30.0."""
     actuators = make_env().cfg["robot"]["actuators"]
     for group in actuators.values():
         group.update({k: round(v) for k, v in group.items() if isinstance(v, float) and v >= 1})
@@ -171,12 +134,10 @@ def test_a_joint_driven_twice_is_an_error(make_env):
 
 
 def test_derived_quantities_are_fresh_after_env_step(make_env):
-    """Positions and velocities of all bodies equal those of a reference at the new state."""
     env = make_env()
     env.reset()
     env.scene.robot.write_root_velocity_to_sim(
-        torch.randn(4, 6, generator=torch.Generator().manual_seed(0)),
-        torch.arange(4),
+        torch.randn(4, 6, generator=torch.Generator().manual_seed(0)), torch.arange(4)
     )
     env.scene.refresh()
     for _ in range(5):
@@ -192,7 +153,7 @@ def test_derived_quantities_are_fresh_after_env_step(make_env):
         quat = data.body_quat_w[i].numpy()
         np.testing.assert_allclose(quat, reference.xquat[ids], atol=1e-6)
         for row, body in enumerate(ids):
-            velocity = np.zeros(6)  # of the body's CoM, world axes
+            velocity = np.zeros(6)  # velocity of the body's centre of mass in world axes
             mujoco.mj_objectVelocity(model, reference, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
             np.testing.assert_allclose(data.body_ang_vel_w[i, row], velocity[:3], atol=1e-4)
             np.testing.assert_allclose(data.body_lin_vel_w[i, row], velocity[3:], atol=1e-5)
@@ -211,42 +172,14 @@ def test_a_joint_without_an_actuator_moves_freely(make_env):
 
 
 def test_the_log_tells_the_share_of_robots_that_end_beyond_a_velocity_limit(make_env):
-    """PhysX clamps a joint's speed; MuJoCo does not."""
     env = make_env()
     env.reset()
     speed = torch.zeros(4, 4)
-    speed[0, 2], speed[3, 0], speed[1, 3] = 20.5, -30.5, 19.5  # rad/s; the limits are 20 of axles and 30 of hips
+    # The speed limits are 20 rad/s (axles) and 30 rad/s (hips).
+    speed[0, 2], speed[3, 0], speed[1, 3] = 20.5, -30.5, 19.5
     env.scene.robot.write_joint_velocity_to_sim(speed)
     assert float(env.reset()[1]["log"]["Diagnostics/joint_over_speed"]) == 0.5
     assert float(env.reset()[1]["log"]["Diagnostics/joint_over_speed"]) == 0.0
-
-
-# ---- friction ----
-
-
-def _slides(make_env, push: float, **ground) -> bool:
-    env = make_env(
-        "block",
-        scene={
-            "terrain": {"_target_": PLANE, "static_friction": 0.5, "dynamic_friction": 0.3, "restitution": 0} | ground
-        },
-    )
-    env.reset()
-    for _ in range(30):
-        env.step(torch.zeros(4, 1))
-    wrench = torch.zeros(4, 1, 6)
-    wrench[:, 0, 0] = push
-    env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
-    for _ in range(30):
-        env.step(torch.zeros(4, 1))
-    return bool((env.scene.robot.data.root_lin_vel_w[:, 0] > 0.1).all())
-
-
-def test_a_pushed_body_slips_at_the_average_coefficient(make_env):
-    """Cube .8, ground .5: it holds up to .65 of its weight, not .8 (MuJoCo's own rule) or .5."""
-    weight = 2.001 * 9.81
-    assert not _slides(make_env, 0.6 * weight)
-    assert _slides(make_env, 0.7 * weight)
 
 
 def test_the_average_is_with_the_coefficient_that_the_robot_names(make_env):
@@ -256,33 +189,23 @@ def test_the_average_is_with_the_coefficient_that_the_robot_names(make_env):
 
 
 def _contacts_at_rest(make_env, wanted: bool | None) -> set[frozenset[str]]:
-    """Pairs of geoms that touch when one of the rover's arms is so fat that it reaches the other, on the ground."""
     spec = make_env(robot={"self_collisions": wanted}).scene.spec
     spec.geom("left_arm").size[0] = 0.25
     model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[2] = 0.02
-    mujoco.mj_forward(model, data)
+    data = _placed(model, 0.02)
     return {frozenset(model.geom(int(g)).name for g in pair) for pair in data.contact.geom}
 
 
 def test_two_parts_of_the_robot_meet_with_the_greater_of_their_effective_coefficients(tmp_path):
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
     part = "<body name='{n}'><joint name='{n}' axis='0 1 0'/><geom size='.1' friction='{mu}'/></body>"
     (tmp_path / "two.xml").write_text(
         "<mujoco><worldbody><body name='base'><freejoint/><geom size='.01' mass='1'/>"
         f"{part.format(n='a', mu=0.7)}{part.format(n='b', mu=0.3)}</body></worldbody></mujoco>"
     )
     config = env_config(scene={"sensors": {}}, actions={})
-    config["robot"] |= {
-        "actuators": {},
-        "init_state": {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {}, "joint_vel": {}},
-    }
-    model = ManagerBasedRLEnv(config, tmp_path / "two.xml", 0).scene.model
-    data = mujoco.MjData(model)
-    data.qpos[2] = 1.0
-    mujoco.mj_forward(model, data)
+    config["robot"] |= {"actuators": {}, "init_state": init_state(1.0, {}) | {"joint_vel": {}}}
+    model = env_of(tmp_path / "two.xml", config).scene.model
+    data = _placed(model, 1.0)
     (contact,) = (c for c in data.contact if 0 not in model.geom_bodyid[c.geom])
     assert contact.friction[0] == pytest.approx((0.7 + 0.5) / 2)
     assert sorted(model.geom_friction[contact.geom, 0]) == pytest.approx([0.4, 0.6])
@@ -296,7 +219,6 @@ def test_the_config_may_switch_the_robots_own_collisions_off_and_not_those_with_
 
 
 def test_gravity_turned_is_seen_by_the_robot(make_env):
-    """Projected gravity is the direction of gravity, not of the world's -z."""
     env = make_env(sim={"gravity": [3.0, 0.0, -4.0]})
     env.reset()
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([[0.6, 0.0, -0.8]]).expand(4, 3))
@@ -309,16 +231,16 @@ def test_two_builds_have_the_same_identity_and_another_timestep_has_not(make_env
 
 
 def test_the_group_that_rays_ask_for_the_ground_holds_nothing_else(make_env):
-    """Geoms of a file that names no group lie in MuJoCo's group 0 until the scene takes it for the ground."""
     model = make_env().scene.model
     assert {model.geom(g).name for g in range(model.ngeom) if model.geom_group[g] == 0} == {"ground"}
-    assert set(model.geom_group) == {0, 1}  # both are shown by MuJoCo's viewer
+    assert set(model.geom_group) == {0, 1}  # MuJoCo's viewer shows geom groups 0 and 1.
     down = mujoco.mj_ray(model, _placed(model), [0, 0, 1.0], [0, 0, -1.0], np.eye(1, 6, dtype=np.uint8)[0], 1, -1, None)
-    assert down == pytest.approx(1.0)  # through the robot
+    assert down == pytest.approx(1.0)  # The ray passes through the robot.
 
 
-def _placed(model):
+def _placed(model, height=None):
     data = mujoco.MjData(model)
+    data.qpos[2] = data.qpos[2] if height is None else height
     mujoco.mj_forward(model, data)
     return data
 
@@ -346,13 +268,10 @@ def test_an_unknown_key_of_a_section_is_an_error(make_env, section):
 
 
 def test_a_missing_key_of_a_section_is_an_error():
-    from sim.small_envs import ASSETS, env_config
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
     config = env_config()
     del config["sim"]["impratio"]
     with pytest.raises(ConfigError, match="impratio"):
-        ManagerBasedRLEnv(config, ASSETS / "rover.xml", 0)
+        env_of(ASSETS / "rover.xml", config)
 
 
 def test_a_fixed_base_stands_where_the_config_says(make_env):
@@ -361,3 +280,5 @@ def test_a_fixed_base_stands_where_the_config_says(make_env):
     data = env.scene.robot.data
     assert data.root_pos_w[0].tolist() == pytest.approx([0.3, -0.2, 0.7])
     assert data.root_quat_w[0].abs().tolist() == pytest.approx([0.0, 0.0, 0.0, 1.0])
+    assert data.root_lin_vel_w.abs().max() == 0
+    assert data.projected_gravity_b[0].tolist() == pytest.approx([0, 0, -1])

@@ -1,7 +1,3 @@
-"""Sensors, grounds, actuators and patterns of a user's own: whatever is wrong in them is told by key, file and line."""
-
-from __future__ import annotations
-
 import inspect
 
 import mujoco
@@ -19,18 +15,20 @@ GROUP = {"joint_names_expr": [".*"], "stiffness": 1.0, "damping": 0.1, "effort_l
 GROUND = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
 
 
+def fails(self, *_):
+    raise RuntimeError("no signal")
+
+
 class NoMeasure(SensorBase):
     pass
 
 
 class RaisesInMeasure(SensorBase):
-    def measure(self, due, elapsed):
-        raise RuntimeError("no signal")
+    measure = fails
 
 
 class RaisesInConnect(SensorBase):
-    def connect(self, sim, stream):
-        raise RuntimeError("no plug")
+    connect = fails
 
 
 class NoSuper(SensorBase):
@@ -44,8 +42,7 @@ class NoSuperInConnect(SensorBase):
 
 
 class RaisesWhenRead(LazySensor):
-    def sense(self, ids):
-        raise RuntimeError("no light")
+    sense = fails
 
 
 class TwoSizes(PatternBase):
@@ -64,8 +61,7 @@ class StartsAlone(PatternBase):
 
 
 class RaisesInRays(PatternBase):
-    def rays(self, device):
-        raise RuntimeError("no rays")
+    rays = fails
 
 
 class NoGround(TerrainBase):
@@ -78,10 +74,6 @@ class Floor(TerrainBase):
 
     def add_to(self, spec):
         spec.worldbody.add_geom(name=self.name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1])
-
-
-class Nameless(Floor):
-    name = ""
 
 
 class FlatOrigins(Floor):
@@ -99,8 +91,7 @@ class OneHeight(Floor):
 
 
 class RaisesInAddTo(TerrainBase):
-    def add_to(self, spec):
-        raise RuntimeError("no stones")
+    add_to = fails
 
 
 class OneJoint(IdealPDActuator):
@@ -108,123 +99,68 @@ class OneJoint(IdealPDActuator):
         return super().control(targets, data)[:, :1]
 
 
-class OneEnvironment(IdealPDActuator):
-    def control(self, targets, data):
-        return super().control(targets, data)[0]
-
-
 class RaisesInControl(IdealPDActuator):
-    def control(self, targets, data):
-        raise RuntimeError("no current")
+    control = fails
 
 
 class RaisesInReset(IdealPDActuator):
-    def reset(self, env_ids):
-        raise RuntimeError("no reset")
+    reset = fails
 
 
-def line_of(name, method):
-    """Return file and line of a method's definition, or of the class where it has none."""
+def line_of(name, method, below=0):
     own = globals()[name]
-    return f"test_user_parts.py:{inspect.getsourcelines(vars(own).get(method, own))[1]}"
+    return f"test_user_parts.py:{inspect.getsourcelines(vars(own).get(method, own))[1] + below}"
 
 
 def stepped(make_env, **changes):
-    """Build an environment, and take one step."""
     env = make_env(**changes)
     env.reset()
     env.step(torch.zeros(4, 4))
 
 
-def told(raised, key, name):
-    """Hold an error against its key and its code's name, and return it as one line."""
+SENSOR, TERRAIN, DRIVE = "env.scene.sensors.mine", "env.scene.terrain", "env.robot.actuators.hips"
+RAYS = f"{SENSOR}.pattern"
+ROWS = [
+    (SENSOR, "NoMeasure", SimulationFailure, "needs 'measure(due, elapsed)'", ("", 0)),
+    (SENSOR, "RaisesInMeasure", SimulationFailure, "RuntimeError: no signal", ("measure", 1)),
+    (SENSOR, "RaisesInConnect", ConfigError, "RuntimeError: no signal", ("connect", 1)),
+    (SENSOR, "NoSuper", ConfigError, "expected super().add_to(spec, name, robot) in it", ("add_to", 0)),
+    (SENSOR, "NoSuperInConnect", ConfigError, "expected super().connect(sim, stream) in it", ("connect", 0)),
+    (RAYS, "TwoSizes", ConfigError, "returns shapes (4, 3) and (5, 3)", ("rays", 0)),
+    (RAYS, "NoLength", ConfigError, "a direction of length 0", ("rays", 0)),
+    (RAYS, "StartsAlone", ConfigError, "returns a tensor of shape (4, 3)", ("rays", 0)),
+    (RAYS, "RaisesInRays", ConfigError, "RuntimeError: no signal", ("rays", 1)),
+    (TERRAIN, "NoGround", ConfigError, "adds no geom", ("add_to", 0)),
+    (TERRAIN, "Floor", ConfigError, "adds a geom named 'floor'", ("add_to", 0)),
+    (TERRAIN, "FlatOrigins", ConfigError, "returns a tensor of shape (4, 2)", ("origins", 0)),
+    (TERRAIN, "OneHeight", ConfigError, "returns a tensor of shape (7,)", ("height_at", 0)),
+    (TERRAIN, "RaisesInAddTo", ConfigError, "RuntimeError: no signal", ("add_to", 1)),
+    (DRIVE, "OneJoint", ConfigError, "returns a tensor of shape (4, 1)", ("control", 0)),
+    (DRIVE, "RaisesInControl", SimulationFailure, "RuntimeError: no signal", ("control", 1)),
+    (DRIVE, "RaisesInReset", SimulationFailure, "RuntimeError: no signal", ("reset", 1)),
+]
+
+
+@pytest.mark.parametrize(("key", "name", "kind", "said", "line"), ROWS)
+def test_a_wrong_part_is_named_with_its_key_file_and_line(make_env, key, name, kind, said, line):
+    node = {"_target_": HERE + name}
+    caster = {"_target_": "wheelleg_exp.sim.sensors.RayCaster", "body_name": "base", "pattern": node}
+    changes = {
+        SENSOR: {"scene": {"sensors": {"mine": node}}},
+        RAYS: {"scene": {"sensors": {"mine": caster}}},
+        TERRAIN: {"scene": {"terrain": node | GROUND}},
+        DRIVE: {"robot": {"actuators": {"hips": node | GROUP}}},
+    }
+    with pytest.raises(kind) as raised:
+        stepped(make_env, **changes[key])
     text = str(raised.value)
     assert text.startswith(f"{key}: '{HERE}{name}")
     assert "\n" not in text
-    return text
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "said", "line"),
-    [
-        ("NoMeasure", SimulationFailure, "needs 'measure(due, elapsed)'", 0),
-        ("RaisesInMeasure", SimulationFailure, "RuntimeError: no signal", ("measure", 1)),
-        ("RaisesInConnect", ConfigError, "RuntimeError: no plug", ("connect", 1)),
-        ("NoSuper", ConfigError, "expected super().add_to(spec, name, robot) in it", ("add_to", 0)),
-        ("NoSuperInConnect", ConfigError, "expected super().connect(sim, stream) in it", ("connect", 0)),
-    ],
-)
-def test_a_sensor(make_env, name, kind, said, line):
-    with pytest.raises(kind) as raised:
-        stepped(make_env, scene={"sensors": {"mine": {"_target_": HERE + name}}})
-    text = told(raised, "env.scene.sensors.mine", name)
     assert said in text
-    method, below = line or ("", 0)
-    file, number = line_of(name, method).split(":")
-    assert f"{file}:{int(number) + below})" in text
+    assert line_of(name, *line) in text
 
 
 def test_a_lazy_sensor_is_to_blame_for_what_a_term_reads(make_env):
     env = make_env(scene={"sensors": {"mine": {"_target_": HERE + "RaisesWhenRead"}}})
-    with pytest.raises(SimulationFailure) as raised:
+    with pytest.raises(SimulationFailure, match=f"{SENSOR}: '{HERE}RaisesWhenRead.*RuntimeError: no signal"):
         env.scene["mine"].data  # noqa: B018
-    assert "RuntimeError: no light" in told(raised, "env.scene.sensors.mine", "RaisesWhenRead")
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("TwoSizes", "returns shapes (4, 3) and (5, 3)"),
-        ("NoLength", "a direction of length 0"),
-        ("StartsAlone", "returns a tensor of shape (4, 3)"),
-        ("RaisesInRays", "RuntimeError: no rays"),
-    ],
-)
-def test_a_pattern_of_rays(make_env, name, said):
-    caster = {
-        "_target_": "wheelleg_exp.sim.sensors.RayCaster",
-        "body_name": "base",
-        "pattern": {"_target_": HERE + name},
-    }
-    with pytest.raises(ConfigError) as raised:
-        make_env(scene={"sensors": {"mine": caster}})
-    text = told(raised, "env.scene.sensors.mine.pattern", name)
-    assert said in text
-    assert "test_user_parts.py:" in text
-
-
-@pytest.mark.parametrize(
-    ("name", "method", "said"),
-    [
-        ("NoGround", "add_to", "adds no geom"),
-        ("Floor", "add_to", "adds a geom named 'floor'"),
-        ("Nameless", None, "adds a geom named ''"),
-        ("FlatOrigins", "origins", "returns a tensor of shape (4, 2)"),
-        ("OneHeight", "height_at", "returns a tensor of shape (7,)"),
-        ("RaisesInAddTo", None, "RuntimeError: no stones"),
-    ],
-)
-def test_a_ground(make_env, name, method, said):
-    with pytest.raises(ConfigError) as raised:
-        make_env(scene={"terrain": {"_target_": HERE + name, **GROUND}})
-    text = told(raised, "env.scene.terrain", name)
-    assert said in text
-    assert "test_user_parts.py:" in text
-    assert method is None or line_of(name, method) in text
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "said"),
-    [
-        ("OneJoint", ConfigError, "returns a tensor of shape (4, 1)"),
-        ("OneEnvironment", ConfigError, "returns a tensor of shape (4,)"),
-        ("RaisesInControl", SimulationFailure, "RuntimeError: no current"),
-        ("RaisesInReset", SimulationFailure, "RuntimeError: no reset"),
-    ],
-)
-def test_an_actuator(make_env, name, kind, said):
-    with pytest.raises(kind) as raised:
-        stepped(make_env, robot={"actuators": {"hips": {"_target_": HERE + name, **GROUP}}})
-    text = told(raised, "env.robot.actuators.hips", name)
-    assert said in text
-    assert "test_user_parts.py:" in text

@@ -1,4 +1,4 @@
-"""What shares memory is found by address, and refused by name."""
+"""Test that tensors with shared memory are found by address and reported by name."""
 
 from __future__ import annotations
 

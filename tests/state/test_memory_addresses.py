@@ -1,4 +1,4 @@
-"""Whether tensors share memory is asked of their addresses alone: on a GPU nothing can be read."""
+"""Test that shared memory is found from addresses alone, because the host cannot read GPU memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ def test_the_answer_is_that_of_arrays(a, b):
 
 
 def test_no_address_is_read():
-    """An address that is no process's, as a GPU's is none of the host's."""
     far = _array(BASE)
     interface = {**far.__array_interface__, "data": (1 << 44, True)}
     nowhere = np.asarray(type("Far", (), {"__array_interface__": interface})())

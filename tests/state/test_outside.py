@@ -1,4 +1,4 @@
-"""What a term changes outside of itself is noticed, and named."""
+"""Test that changes of a term outside its own attributes raise an error that names the change."""
 
 from __future__ import annotations
 
@@ -143,10 +143,8 @@ def test_what_init_stores_is_saved_there_and_may_be_a_default_argument():
 
 
 class Part:
-    """An object of the package below an owner."""
-
     __module__ = Outside.__module__
-    used = False  # a default of the class, which an object overrides later
+    used = False  # An instance overrides this class attribute later.
 
     def __init__(self) -> None:
         self._count = 0
@@ -160,7 +158,7 @@ class Owner:
 def test_an_owner_may_not_get_attributes_nor_have_its_numbers_changed():
     owner = Owner()
     outside = Outside({}, {"env.robot": owner}, {})
-    owner._count, owner.table = 5, [1]  # its own affair
+    owner._count, owner.table = 5, [1]
     outside.require_unchanged()
     owner.limit = 2.0
     with pytest.raises(ConfigError, match="'limit'") as caught:

@@ -1,4 +1,4 @@
-"""Objects of a user's own go on from their saved state as they would have gone on."""
+"""Test that user-defined objects continue from their saved state as without an interruption."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def new(kind, key="env.rewards.own"):
 
 
 def saved(value):
-    """Return the state as a checkpoint gives it back."""
+    """Return the state of an object after it was saved to a checkpoint and loaded."""
     file = io.BytesIO()
     torch.save(value.state_dict(), file)
     file.seek(0)
@@ -46,7 +46,7 @@ def restored(value, lived=0):
     return other
 
 
-# --- equal to the bit ---
+# --- bit-exact comparison ---
 
 
 class Holds(Stateful):
@@ -114,12 +114,10 @@ def test_a_settings_own_state_goes_round_and_is_not_put_on_another_setting():
     assert (other.total, another.total) == (3.0, 1.0)
 
 
-# --- what may be kept ---
+# --- state that can be saved ---
 
 
 class Containers(Stateful):
-    """Containers of every kind, some of them remade."""
-
     def __init__(self) -> None:
         self.last: deque[Any] = deque(maxlen=2)
         self.seen, self.order = {0}, {"a": torch.zeros(1), "b": np.zeros(2)}
@@ -138,8 +136,6 @@ class Containers(Stateful):
 
 
 class Expanded(Stateful):
-    """Tensors of which many elements are one, made anew and made later."""
-
     def __init__(self) -> None:
         self.wide, self.later = torch.zeros(1).expand(3), None
 
@@ -150,8 +146,6 @@ class Expanded(Stateful):
 
 
 class Swapped(Stateful):
-    """Swaps its buffers and writes into one of them."""
-
     def __init__(self) -> None:
         self.front, self.back = torch.zeros(2), torch.ones(2)
         self.lists = {"front": [0], "back": [1]}
@@ -165,8 +159,6 @@ class Swapped(Stateful):
 
 
 class Generators(Stateful):
-    """Draws from generators of its own, one of them in a dictionary."""
-
     def __init__(self) -> None:
         self.torch = torch.Generator().manual_seed(1)
         self.others = {"python": random.Random(2), "numpy": np.random.default_rng(3)}
@@ -177,8 +169,6 @@ class Generators(Stateful):
 
 
 class Saves:
-    """Has a ``state_dict`` of its own."""
-
     def __init__(self) -> None:
         self.total, self.seen = 0.0, iter([])
 
@@ -190,8 +180,6 @@ class Saves:
 
 
 class Helped(Stateful):
-    """Leaves its memory to a network, an object that saves itself, and another object of attributes."""
-
     def __init__(self) -> None:
         self.norm, self.memory = torch.nn.BatchNorm1d(1, affine=False), torch.nn.LSTM(1, 1)
         self.own, self.parts = Saves(), [Swapped()]
@@ -230,7 +218,7 @@ def test_a_tensor_is_written_in_place_so_that_who_looks_at_it_sees_the_restored_
     assert looking.tolist() == [7, 7]
 
 
-# --- what may not ---
+# --- state that cannot be saved ---
 
 
 @dataclass
@@ -280,7 +268,7 @@ def test_a_dataclass_may_be_kept_and_not_changed():
 
 
 class Tagged(list):
-    """A list that could have attributes of its own."""
+    """A subclass of list, whose instances can have attributes."""
 
 
 class Sized:

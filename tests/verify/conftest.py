@@ -17,8 +17,6 @@ def _built(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 
 @pytest.fixture
 def copy_run(_built: RunDirectory, tmp_path: Path) -> Callable[[str], RunDirectory]:
-    """Copy a finished run, made without training, under another name."""
-
     def copied(name: str) -> RunDirectory:
         path = tmp_path / "runs" / "stand" / name
         shutil.copytree(_built.path, path)

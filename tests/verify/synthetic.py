@@ -1,4 +1,4 @@
-"""Small run directories that hold all that a training leaves, made without training."""
+"""Small run directories with all files of a training, made without training."""
 
 from __future__ import annotations
 
@@ -42,7 +42,6 @@ CONFIG = {
 
 
 def state(iteration: int) -> dict[str, Any]:
-    """Return a checkpoint's tree."""
     draw = torch.Generator().manual_seed(iteration)
     network = {"weight": torch.randn(3, 2, generator=draw), "bias": torch.tensor([0.5, -0.0, float("nan")])}
     return {
@@ -66,7 +65,6 @@ def state(iteration: int) -> dict[str, Any]:
 
 
 def line(iteration: int) -> dict[str, Any]:
-    """Return a line of ``iterations.jsonl``."""
     scalars = {
         "Train/mean_reward": 10.0 + iteration,
         "Train/mean_episode_length": 100.0 + iteration,
@@ -79,7 +77,6 @@ def line(iteration: int) -> dict[str, Any]:
 
 
 def build(root: Path) -> RunDirectory:
-    """Make a finished run."""
     run = RunDirectory.create(root, "stand", 3, "small")
     manifest = Manifest.begin(run.path, task="stand", seed=3, command=["wheelleg", "train"], threads={"torch": 1})
     write_params(run.path, {"env": ENV, "agent": AGENT})
@@ -118,7 +115,6 @@ def _write_asset(folder: Path) -> None:
 
 
 def write_policy(folder: Path, weights: bytes = b"weights", code: bytes = b"code", places: bytes = b"places") -> None:
-    """Write an exported policy: an archive as TorchScript's, and its description."""
     folder.mkdir(exist_ok=True)
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
@@ -131,7 +127,6 @@ def write_policy(folder: Path, weights: bytes = b"weights", code: bytes = b"code
 
 
 def write_recording(path: Path, height: float = 0.07, fps: float = 100.0) -> None:
-    """Write a recording of three steps."""
     stream = rr.RecordingStream("test", recording_id=str(path), send_properties=False)
     stream.save(path)
     columns = {"base/height": [height, 0.08, 0.09], "base/pitch": [0.1, 0.2, 0.3], "training/Perf/total_fps": [fps] * 3}
@@ -143,19 +138,17 @@ def write_recording(path: Path, height: float = 0.07, fps: float = 100.0) -> Non
 
 
 def record(run: RunDirectory) -> None:
-    """Record the files as they are now: what is wrong with them can then be found only by what they say."""
+    """Record the present files in the manifest, so that only the contents of files can reveal a change."""
     edit(run, lambda data: data.update(files=inventory(run.path)))
 
 
 def edit(run: RunDirectory, change: Callable[[dict[str, Any]], Any]) -> None:
-    """Change the manifest and seal it again."""
     data = run.manifest().data
     change(data)
     write_text(run.path / "manifest.json", text_with_digest(data))
 
 
 def edit_state(run: RunDirectory, iteration: int, change: Callable[[dict[str, Any]], Any]) -> None:
-    """Change a checkpoint's tree."""
     path = run.checkpoint(iteration)
     content = checkpoint.load(path, finite=False)
     change(content)
@@ -163,21 +156,18 @@ def edit_state(run: RunDirectory, iteration: int, change: Callable[[dict[str, An
 
 
 def edit_line(run: RunDirectory, iteration: int, change: Callable[[dict[str, Any]], Any]) -> None:
-    """Change a line of the log."""
     values = [json.loads(text) for text in run.iterations.read_text().splitlines()]
     change(values[iteration])
     run.iterations.write_text("".join(json.dumps(value) + "\n" for value in values))
 
 
 def edit_params(run: RunDirectory, change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> None:
-    """Change the parameters, ``change(env, agent)``."""
     env, agent = (yaml.safe_load((run.params / f"{part}.yaml").read_text()) for part in ("env", "agent"))
     change(env, agent)
     write_params(run.path, {"env": env, "agent": agent})
 
 
 def edit_source(run: RunDirectory, **facts: Any) -> None:
-    """Change the record of the source, and what the manifest says of it."""
     path = run.source / "git.json"
     record = {**json.loads(path.read_text()), **facts}
     path.write_text(json.dumps(record))
@@ -185,7 +175,6 @@ def edit_source(run: RunDirectory, **facts: Any) -> None:
 
 
 def shorten(run: RunDirectory, iterations: int) -> None:
-    """Let a run end earlier."""
     kept = run.iterations.read_text().splitlines()[:iterations]
     run.iterations.write_text("".join(text + "\n" for text in kept))
     for iteration in CHECKPOINTS:
@@ -194,7 +183,7 @@ def shorten(run: RunDirectory, iterations: int) -> None:
 
 
 def crash(run: RunDirectory) -> None:
-    """Let the run look as after ``kill -9``: it says running, its process is gone, and only the snapshot is listed."""
+    """Make a run look as after ``kill -9``: status ``running``, no process, and only the snapshot is recorded."""
 
     def change(data: dict[str, Any]) -> None:
         fixed = (".hydra/", "params/", "source/", "asset/", "environment.txt")
@@ -207,7 +196,6 @@ def crash(run: RunDirectory) -> None:
 
 
 def flip(path: Path, at: int | None = None) -> None:
-    """Flip one bit in the middle of a file."""
     data = bytearray(path.read_bytes())
     data[len(data) // 2 if at is None else at] ^= 1
     path.write_bytes(data)

@@ -1,5 +1,3 @@
-"""What is missing or damaged is never identical, and never sound: every kind of file, every kind of damage."""
-
 from __future__ import annotations
 
 import io
@@ -14,35 +12,22 @@ from wheelleg_exp.cli.main import main
 from wheelleg_exp.run.file_inventory import inventory
 
 
-def _remove(path):
-    path.unlink()
-
-
-def _cut(path):
-    path.write_bytes(path.read_bytes()[:-3])
-
-
-def _empty(path):
-    path.write_bytes(b"")
-
-
 def _become_a_folder(path):
     path.unlink()
     path.mkdir()
 
 
 DAMAGES = {
-    "missing": _remove,
-    "cut": _cut,
+    "missing": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-3]),
     "flipped": synthetic.flip,
-    "empty": _empty,
+    "empty": lambda path: path.write_bytes(b""),
     "a folder": _become_a_folder,
 }
 
 
 @pytest.fixture
 def pair(copy_run):
-    """Two equal runs that somebody has played."""
     runs = copy_run("a"), copy_run("b")
     for run in runs:
         (run.hydra / "overrides.yaml").write_text("[]\n")
@@ -54,7 +39,6 @@ def pair(copy_run):
 
 
 def damaged(damage, *runs):
-    """Damage each file of runs in turn, and mend it again behind the test; yield its name."""
     for name in inventory(runs[0].path):
         whole = [(run.path / name, (run.path / name).read_bytes()) for run in runs]
         for path, _ in whole:
@@ -67,7 +51,6 @@ def damaged(damage, *runs):
 
 
 def wheelleg(*words):
-    """Exit status, output and errors; lines that were wrapped are whole again."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         status = main([str(word) for word in words])

@@ -1,5 +1,3 @@
-"""The log of iterations, read for a comparison and for a resume alike."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""A run held against its own manifest: what is noticed, and what is only told."""
-
 from __future__ import annotations
 
 import contextlib
@@ -18,6 +16,7 @@ from wheelleg_exp.recording.rrd_file import RrdFile
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run import file_inventory
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.verify import verify_run
 
 
@@ -27,7 +26,6 @@ def run(copy_run):
 
 
 def failures(run):
-    """What is wrong, by check; the verdict must say so."""
     found = verify_run(run)
     wrong = {check.name: check.failures for check in found.checks if check.failures}
     assert found.is_sound == (not wrong)
@@ -42,59 +40,31 @@ def notes(run):
 
 
 def only(run, check, *words):
-    """The one failure, which is of this check and says these words."""
     wrong = failures(run)
     assert list(wrong) == [check], wrong
     (failure,) = wrong[check]
     assert [word for word in words if word not in failure] == []
 
 
-# --- a whole run ---
-
-
 def test_a_whole_run_is_sound_and_every_check_is_made(run):
     found = verify_run(run)
-    assert {check.name: check.state for check in found.checks} == {
-        "manifest": "note",  # the copy has another name
-        "files": "ok",
-        "params": "ok",
-        "source": "ok",
-        "asset": "ok",
-        "iterations": "ok",
-        "checkpoints": "ok",
-        "failure": "ok",
-        "recording": "ok",
-        "exported": "ok",
-    }
+    names = ["files", "params", "source", "asset", "iterations", "checkpoints", "failure", "recording", "exported"]
+    # The copy of the run has another name.
+    assert {check.name: check.state for check in found.checks} == {"manifest": "note", **dict.fromkeys(names, "ok")}
     assert "3 load; 3 agree" in "\n".join(found.lines())
     assert json.loads(json.dumps(found.as_dict()))["verdict"] == "sound"
-
-
-# --- the files against the manifest ---
-
-
-def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(run):
-    names = list(file_inventory.inventory(run.path))
-    assert len(names) == 17
-    for name in names:
-        whole = (run.path / name).read_bytes()
-        synthetic.flip(run.path / name)
-        wrong = failures(run)
-        assert any(failure.startswith(f"{name} was changed: same size") for failure in wrong["files"]), name
-        (run.path / name).write_bytes(whole)
-    assert failures(run) == {}
 
 
 def test_a_flipped_bit_anywhere_in_the_manifest_is_found(run):
     path = run.path / "manifest.json"
     whole = path.read_bytes()
-    number = whole.index(b"14.0") + 3  # of a float, whose digits may differ and the value be the same
+    number = whole.index(b"14.0") + 3  # Additional digits of this float do not change its value.
     path.write_bytes(whole[:number] + b"0000000000000000000" + whole[number:])
     only(run, "manifest", "manifest.json was changed")
     for at in {*range(0, len(whole), 97), number, len(whole) - 1}:
         path.write_bytes(whole)
         synthetic.flip(path, at)
-        with contextlib.suppress(RunDirectoryError):  # no manifest any more
+        with contextlib.suppress(RunDirectoryError):  # The changed file is not a valid manifest.
             assert failures(run), at
     path.write_bytes(whole)
     assert failures(run) == {}
@@ -109,7 +79,6 @@ def test_what_a_later_command_adds_does_not_hide_a_change(run):
 
 
 def of_format_1(run, **digest):
-    """Let the manifest be as an earlier program wrote it."""
     data = {k: v for k, v in run.manifest().data.items() if k != "sha256"} | {"format": 1}
     if digest:
         content = json.dumps(data, sort_keys=True)
@@ -118,37 +87,19 @@ def of_format_1(run, **digest):
 
 
 def test_a_manifest_of_format_1_holds_by_its_values_and_says_so(run):
-    of_format_1(run, digest=True)
-    assert failures(run) == {}
-    assert any("its digest is of rounded values" in note for note in notes(run))
+    of_format_1(run)
+    assert any("no digest of itself" in note for note in notes(run))
     of_format_1(run, flipped="0" * 64)
     only(run, "manifest", "manifest.json was changed")
-
-
-def test_a_manifest_of_format_1_without_a_digest_of_itself_is_told(run):
-    of_format_1(run)
-    assert failures(run) == {}
-    assert any("no digest of itself" in note for note in notes(run))
-
-
-def test_a_manifest_of_format_1_becomes_one_of_today_when_it_is_written(run):
     of_format_1(run, digest=True)
+    assert any("its digest is of rounded values" in note for note in notes(run))
     run.manifest().add("export", [], {"a": 1})
-    assert run.manifest().data["format"] == 2
-    assert failures(run) == {}
-
-
-def test_a_manifest_of_today_that_lost_its_digest_is_changed(run):
     data = run.manifest().data
+    assert data["format"] == 2
+    assert failures(run) == {}
     del data["sha256"]
     (run.path / "manifest.json").write_text(json.dumps(data))
     only(run, "manifest", "manifest.json was changed")
-
-
-@pytest.mark.parametrize("name", ["events.out.tfevents.1", "params/agent.yaml", "exported/policy.json"])
-def test_a_missing_file_is_named(run, name):
-    (run.path / name).unlink()
-    assert f"{name} is missing" in failures(run)["files"]
 
 
 def test_a_file_of_the_users_own_is_told_and_wrong_is_nothing(run):
@@ -186,9 +137,6 @@ def test_a_file_that_cannot_be_read_is_named_and_the_others_are_still_checked(ru
     assert [f.split()[0] for f in failures(run)["files"]] == ["events.out.tfevents.1", "environment.txt"]
 
 
-# --- the files against each other: all of these are recorded as they are ---
-
-
 @pytest.mark.parametrize(
     ("change", "check", "words"),
     [
@@ -210,7 +158,7 @@ def test_a_file_that_cannot_be_read_is_named_and_the_others_are_still_checked(ru
 )  # fmt: skip
 def test_a_contradiction_is_found_by_one_check(run, change, check, words):
     change(run)
-    if check != "files":  # all other checks find it although the manifest lists the files as they are now
+    if check != "files":  # The other checks find the change although the manifest records the changed file.
         synthetic.record(run)
     wrong = failures(run)
     assert list(wrong) == [check]
@@ -235,10 +183,14 @@ def test_a_checkpoint_that_is_not_what_the_log_saw_is_wrong_whatever_was_changed
     only(run, "checkpoints", "model_2.pt", f"digests of {part}")
 
 
-def test_a_checkpoint_under_another_iterations_name_is_wrong(run):
+def test_a_checkpoint_of_another_iteration_or_beyond_the_log_is_wrong(run):
     shutil.copyfile(run.path / "model_0.pt", run.path / "model_2.pt")
+    content = checkpoint.load(run.path / "model_4.pt", finite=False)
+    (run.path / "model_7.pt").write_bytes(checkpoint.serialize({**content, "iter": 7}))
     synthetic.record(run)
-    assert any("model_2.pt is of iteration 0" in f for f in failures(run)["checkpoints"])
+    wrong = failures(run)["checkpoints"]
+    assert any("model_2.pt is of iteration 0" in failure for failure in wrong)
+    assert any("model_7.pt" in failure and "not in the log" in failure for failure in wrong)
 
 
 class _Planted:
@@ -252,13 +204,6 @@ def test_a_checkpoint_that_holds_code_is_refused_and_the_code_never_runs(run, tm
     synthetic.record(run)
     only(run, "checkpoints", "model_2.pt", "cannot be read as a checkpoint")
     assert not (tmp_path / "ran").exists()
-
-
-def test_a_checkpoint_beyond_the_log_is_wrong(run):
-    content = checkpoint.load(run.path / "model_4.pt", finite=False)
-    (run.path / "model_7.pt").write_bytes(checkpoint.serialize({**content, "iter": 7}))
-    synthetic.record(run)
-    assert any("model_7.pt" in f and "not in the log" in f for f in failures(run)["checkpoints"])
 
 
 def test_digests_of_an_earlier_definition_are_told_and_not_held_against_the_run(run):
@@ -292,37 +237,21 @@ def test_a_run_that_ends_earlier_than_its_results_say_is_wrong(run):
     assert set(failures(run)) == {"iterations", "checkpoints"}
 
 
-def unfinished(run):
-    """A recording whose writer could not put it together in the end: everything but the index."""
+def test_a_recording_without_an_index_is_damage_unless_the_run_left_it_so(run):
     file = RrdFile(run.recording)
-    kept = file.header + b"".join(file.body())
-    run.recording.write_bytes(kept)
-    return kept
-
-
-def test_a_recording_without_an_index_that_is_as_the_run_left_it_is_no_damage(run):
-    unfinished(run)
+    content = file.header + b"".join(file.body())
+    run.recording.write_bytes(content)
     assert "files" in failures(run)
     synthetic.record(run)
     (note,) = [note for note in notes(run) if "index" in note]
     assert "wheelleg inspect RUN --repair" in note
     synthetic.edit(run, lambda data: data.update(recording_unfinished="no room"))
     assert any("(no room)" in note for note in notes(run))
-
-
-def test_a_recording_without_an_index_that_the_manifest_does_not_know_is_wrong(run):
-    unfinished(run)
     synthetic.edit(run, lambda data: data["files"].pop("recording.rrd"))
     assert set(failures(run)) == {"files", "recording"}
-
-
-def test_a_recording_without_an_index_that_ends_in_the_middle_of_a_message_is_wrong(run):
-    run.recording.write_bytes(unfinished(run)[:-10])
+    run.recording.write_bytes(content[:-10])  # The recording ends in the middle of a message.
     synthetic.record(run)
     assert list(failures(run)) == ["recording"]
-
-
-# --- runs that have not ended ---
 
 
 def test_a_crashed_run_is_sound_as_far_as_it_came(run):
@@ -337,25 +266,17 @@ def test_a_crashed_run_is_sound_as_far_as_it_came(run):
 
 def test_what_decided_a_crashed_run_is_still_held_against_its_manifest(run):
     synthetic.crash(run)
+    (run.params / "more.yaml").write_text("x: 1\n")
+    only(run, "files", "params/more.yaml")
     synthetic.flip(run.params / "env.yaml")
     assert any("params/env.yaml was changed" in f for f in failures(run)["files"])
 
 
-def test_a_file_beside_the_snapshot_of_a_crashed_run_is_wrong(run):
-    synthetic.crash(run)
-    (run.params / "more.yaml").write_text("x: 1\n")
-    only(run, "files", "params/more.yaml")
-
-
 def test_a_running_run_is_sound(run):
     synthetic.crash(run)
-    data = run.manifest().data
-    from wheelleg_exp.run.run_lock import this_process
-
-    synthetic.edit(run, lambda d: d.update(process=this_process()))
+    synthetic.edit(run, lambda data: data.update(process=this_process()))
     assert failures(run) == {}
     assert verify_run(run).status == "running"
-    assert data["status"] == "running"
 
 
 def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
@@ -367,18 +288,13 @@ def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
     assert failures(run) == {}
 
 
-def test_a_resume_is_told_with_what_it_changed(run):
-    facts = {"iteration": 3, "overrides": ["agent.algorithm.gamma=0.9"], "exact": False}
-    synthetic.edit(run, lambda data: data["resumes"].append({"when": "2026-11-20T10:00:00.000000Z", **facts}))
-    assert any("from iteration 3" in n and "not exactly: agent.algorithm.gamma=0.9" in n for n in notes(run))
-
-
-def test_of_many_resumes_the_inexact_ones_are_told_first(run):
+def test_of_many_resumes_the_inexact_ones_are_told_first_with_what_they_changed(run):
     for iteration in range(20):
         entry = {"when": "2026-11-20T10:00:00Z", "iteration": iteration, "exact": iteration != 17}
+        entry["overrides"] = ["agent.algorithm.gamma=0.9"]
         synthetic.edit(run, lambda data, entry=entry: data["resumes"].append(entry))
     told = [line for line in verify_run(run).lines() if "resumed on" in line]
-    assert "from iteration 17, not exactly" in told[0]
+    assert "from iteration 17, not exactly: agent.algorithm.gamma=0.9" in told[0]
     assert "from iteration 0, exactly" in told[1]
 
 
@@ -388,7 +304,7 @@ def test_a_checkpoint_from_before_a_resume_is_held_against_its_old_record(run):
     synthetic.crash(run)
     synthetic.edit(run, lambda data: data["resumes"].append(entry))
     assert any("resumed" in note and "exactly" in note for note in notes(run))
-    (run.path / "model_4.pt").write_bytes(b"")  # written again by the resume
+    (run.path / "model_4.pt").write_bytes(b"")  # The resume rewrote this checkpoint.
     (run.path / "model_4.pt").unlink()
     assert failures(run) == {}
     synthetic.flip(run.path / "model_2.pt")
@@ -420,9 +336,6 @@ def test_a_setting_that_came_from_the_environment_is_held_against_what_was_recor
     synthetic.edit_params(run, lambda env, agent: agent.update(max_iterations=6))
     synthetic.record(run)
     only(run, "params", "agent.max_iterations")
-
-
-# --- what is no run ---
 
 
 def test_what_is_no_run_is_an_error_for_people(run, tmp_path):

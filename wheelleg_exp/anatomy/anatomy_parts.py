@@ -1,6 +1,6 @@
 """The parts of a robot as plain data in SI units, and the body tree of its compiled model.
 
-Vectors of the parts are in the frame of the base body; those of the tree are in the world frame.
+Vectors of the parts are in the frame of the base body. Vectors of the body tree are in the world frame.
 """
 
 from __future__ import annotations
@@ -19,16 +19,13 @@ Side = Literal["left", "right", "middle"]
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel that can carry the robot.
+    """A wheel that can carry the robot's weight.
 
     Attributes:
         joint: the hinge that the wheel turns on.
-        body: the link that the hinge moves.
-        bodies: that link and those fixed to it.
-        axis: of the hinge, a unit vector.
-        centre: of the collider, on the axis, m.
-        radius: largest extent of the colliders across the axis, m.
-        width: of the colliders along the axis, m.
+        body: the link that the hinge moves; ``bodies`` also has the links that are fixed to it.
+        centre: centre of the collider, on the hinge's ``axis`` (a unit vector), m.
+        radius: largest extent of the colliders across the axis, m; ``width`` is their extent along the axis.
         roundness: smallest extent across the axis over the largest; 1 for a body of revolution.
         contact: the point that touches level ground, m.
         side: relative to the robot's middle, seen along its forward axis.
@@ -61,14 +58,10 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Leg:
-    """The chain from the base to one wheel.
+    """The chain of ``joints`` from the base to one wheel, without the wheel's joint; ``passive`` joints have no motor.
 
-    Attributes:
-        wheel: the wheel's joint.
-        joints: the chain from the base on, without the wheel's joint.
-        passive: those of ``joints`` without a motor.
-        beside: joints of the same limb on no wheel's chain: usually the other half of a closed loop.
-        loops: names of the equality constraints that close loops in the limb.
+    ``beside`` are joints of the same limb on no wheel's chain, usually the other half of a closed loop. ``loops`` names
+    the equality constraints that close loops in the limb.
     """
 
     wheel: str
@@ -80,14 +73,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class MirroredPair:
-    """Two joints that are mirror images, or one joint that is its own.
+    """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
-    Attributes:
-        left: the joint on the left, or in the middle.
-        right: its image.
-        sign: the image of ``left`` at q is ``right`` at sign · q.
-        offset: distance of the right joint's axis from the image of the left one's, m.
-        tilt: angle between them, rad.
+    The mirror image of ``left`` at position q is ``right`` at position ``sign`` · q. ``offset`` is the distance of the
+    right joint's axis from the image of the left joint's axis, m, and ``tilt`` is the angle between them, rad.
     """
 
     left: str
@@ -162,13 +151,7 @@ _OBJECT = mujoco.mjtObj
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot in its model, at one pose.
-
-    Attributes:
-        model: the compiled robot, with or without its scene.
-        data: its pose, with positions and axes computed.
-        base: the root body.
-    """
+    """A robot in its compiled model at one pose, with positions and axes computed; ``base`` is the root body."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -181,7 +164,7 @@ class Tree:
 
     @cached_property
     def joints(self) -> list[int]:
-        """Hinges, slides, and balls of the robot, in the model's order."""
+        """The robot's hinge, slide, and ball joints, in the model's order."""
         model, bodies = self.model, set(self.bodies)
         return [
             joint
@@ -198,13 +181,13 @@ class Tree:
     def below(self, body: int) -> list[int]:
         """Return a body and all bodies below it."""
         found = {body}
-        for other in range(body + 1, self.model.nbody):  # parents come before their children
+        for other in range(body + 1, self.model.nbody):  # In MuJoCo, parents have smaller indices than children.
             if int(self.model.body_parentid[other]) in found:
                 found.add(other)
         return sorted(found)
 
     def fixed_to(self, body: int) -> list[int]:
-        """Return a body and the bodies below that are welded to it."""
+        """Return a body and all descendants that are welded to this body."""
         weld = self.model.body_weldid
         return [other for other in self.below(body) if weld[other] == weld[body]]
 
@@ -214,7 +197,7 @@ class Tree:
         return list(range(start, start + int(self.model.body_jntnum[body])))
 
     def chain(self, body: int) -> list[int]:
-        """Return the joints from the base to a body, the body's last, without the joints of the base."""
+        """Return the joints from the base to a body, in this order, without the joints of the base."""
         found: list[int] = []
         while body not in (self.base, 0):
             found = self.joints_of(body) + found
@@ -226,16 +209,16 @@ class Tree:
         return bool(self.model.jnt_type[joint] == _JOINT.mjJNT_HINGE)
 
     def turns(self, joint: int) -> float:
-        """Return the range of a hinge in rad; inf without limits."""
+        """Return the width of a hinge's range, rad; inf if the hinge has no limits."""
         low, high = self.model.jnt_range[joint]
         return float(high - low) if self.model.jnt_limited[joint] else float("inf")
 
     def joint_name(self, joint: int) -> str:
-        """Return a joint's name, or its number without a name."""
+        """Return a joint's name, or its number if the joint has no name."""
         return mujoco.mj_id2name(self.model, _OBJECT.mjOBJ_JOINT, joint) or f"#{joint}"
 
     def body_name(self, body: int) -> str:
-        """Return a body's name, or its number without a name."""
+        """Return a body's name, or its number if the body has no name."""
         return mujoco.mj_id2name(self.model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
 
     @cached_property
@@ -245,7 +228,7 @@ class Tree:
         return rotation
 
     def point(self, world: Array) -> Array:
-        """Return a world point in the base's frame, m."""
+        """Return a point of the world in the base's frame, m."""
         found: Array = self.to_base @ (world - self.data.xpos[self.base])
         return found
 
@@ -258,11 +241,7 @@ class Tree:
 
 
 def find_base(model: mujoco.MjModel) -> int:
-    """Return the robot's root: the body on the world with the most joints below it.
-
-    Raises:
-        ValueError: the model has no bodies.
-    """
+    """Return the robot's root: the body on the world with the most joints below it; ValueError without bodies."""
     roots = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
     if not roots:
         raise ValueError("the model has no bodies")

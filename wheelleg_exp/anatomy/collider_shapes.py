@@ -1,4 +1,4 @@
-"""How far colliders reach in a direction, and which bodies overlap by MuJoCo's own collision detection."""
+"""Extents of colliders along directions, and overlaps of bodies by MuJoCo's collision detection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _GEOM = mujoco.mjtGeom
 
 
 def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the colliding shapes of bodies, without infinite ones such as planes."""
+    """Return the colliding shapes of bodies, without infinite shapes such as planes."""
     wanted = set(bodies)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return [
@@ -36,7 +36,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[in
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
     """Return the largest extent of shapes from a point, for each direction, m, (n,); -inf without shapes.
 
-    This is the support function. ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in the world frame.
+    ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in the world frame.
     """
     farthest = np.full(len(directions), -math.inf)
     for geom in geoms:
@@ -61,19 +61,15 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # from its vertices, see _extent
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent uses the vertices instead.
 }
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two bodies whose colliders overlap.
+    """Two bodies whose colliders overlap by ``depth``, the shortest motion that separates them, m; the parent is first.
 
-    Attributes:
-        bodies: their names, the parent first.
-        depth: the shortest motion that separates them, m.
-        neighbours: whether a joint connects them.
-        acts: whether contacts between them are enabled in the model.
+    ``neighbours`` is whether a joint connects the bodies, and ``acts`` is whether the model enables their contacts.
     """
 
     bodies: tuple[str, str]
@@ -83,9 +79,9 @@ class Overlap:
 
 
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
-    """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, the deepest first.
+    """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
 
-    Bodies that are welded together, or that the model excludes by name, are left out.
+    Pairs of bodies that are welded together, or that the model excludes by name, are not returned.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
@@ -94,8 +90,11 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     for (one, other), depth in pairs:
         if model.body_weldid[one] == model.body_weldid[other]:
             continue
+        ends = model.body_weldid[[one, other]]
+        parents = model.body_weldid[model.body_parentid[ends]]
+        neighbours = bool(parents[0] == ends[1] or parents[1] == ends[0])
         names_of = model.body(one).name, model.body(other).name
-        found.append(Overlap(names_of, depth, _neighbours(model, one, other), (one, other) in acting))
+        found.append(Overlap(names_of, depth, neighbours, (one, other) in acting))
     return found
 
 
@@ -104,7 +103,7 @@ def _all_touching(model: mujoco.MjModel, bodies: set[int]) -> mujoco.MjModel:
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo also filters by these compiled bits of bodies, which the changed geoms no longer match.
+    # MuJoCo also filters contacts by the bodies' compiled collision bits, which must match the changed geoms.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     return free
@@ -127,9 +126,3 @@ def overlap_depths(model: mujoco.MjModel, data: mujoco.MjData, bodies: Collectio
         if one in bodies and other in bodies and contact.dist < 0:
             found[one, other] = max(found.get((one, other), 0.0), -float(contact.dist))
     return found
-
-
-def _neighbours(model: mujoco.MjModel, one: int, other: int) -> bool:
-    weld, parent = model.body_weldid, model.body_parentid
-    ends = weld[one], weld[other]
-    return bool(weld[parent[ends[0]]] == ends[1] or weld[parent[ends[1]]] == ends[0])

@@ -23,21 +23,15 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # share of a joint's range between a corrected default position and the exceeded limit
-_OFF = 0.02  # share of a joint's range between a position of the file and the limits
+_INSIDE = 0.25  # A corrected default position is this share of the joint's range inside the limit.
+_OFF = 0.02  # A position from the file must be at least this share of the joint's range inside the limits.
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The actuator of one joint.
+    """The actuator of one joint: kp, N·m/rad, kd, N·m·s/rad, largest torque, N·m, and largest speed, rad/s.
 
-    Attributes:
-        group: the actuator group.
-        stiffness: kp, N·m/rad; NaN for a learned drive.
-        damping: kd, N·m·s/rad; NaN for a learned drive.
-        effort: largest torque, N·m.
-        velocity: largest speed, rad/s.
-        explicit: whether the torque is computed from the state before each physics step.
+    The gains of a learned drive are NaN. An ``explicit`` drive computes its torque before each physics step.
     """
 
     group: str
@@ -50,14 +44,10 @@ class Drive:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint at the default pose.
+    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits.
 
     Attributes:
-        default: default position, rad.
-        default_velocity: default velocity, rad/s.
-        low: lower limit, rad, or -inf.
-        high: upper limit, rad, or inf.
-        armature: kg·m².
+        armature: reflected rotor inertia, kg·m².
         inertia: of the joint's load about its axis, kg·m², without armature.
         effective: inertia that a torque accelerates while all other joints are free, with armature.
         hold: torque that carries the weight at rest, N·m.
@@ -76,7 +66,7 @@ class Joint:
 
     @property
     def limited(self) -> bool:
-        """Whether the joint's angle is bounded."""
+        """Whether the joint has limits."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
 
@@ -84,12 +74,9 @@ class Joint:
 class Balance:
     """A robot on one axle as an inverted pendulum.
 
-    Attributes:
-        mass: without the wheels, kg.
-        height: of its centre of mass over the axle, m.
-        inertia: without the wheels, about the axle, kg·m².
-        pole: rate of the fall with wheels locked to the body and rolling, rad/s.
-        pendulum: sqrt(m g h / I): rate of the fall over a fixed axle, rad/s.
+    The mass, kg, and the inertia about the axle, kg·m², exclude the wheels. ``height`` is the height of the centre of
+    mass over the axle, m. The robot's rate of fall, rad/s, is ``pole`` if the wheels are locked to the body and roll,
+    and ``pendulum``, sqrt(m g h / I), if the axle is fixed.
     """
 
     mass: float
@@ -101,14 +88,10 @@ class Balance:
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """Facts of the whole robot.
+    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order.
 
     Attributes:
-        mass: kg.
-        gravity: m/s².
-        joints: by name, in the robot's order.
-        wheels: names of the wheels' joints.
-        wheel_radius: m; 0 without wheels.
+        wheels: names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m.
         track: distance between the outermost wheels, m.
         standing_height: of the root over the ground when the lowest point of the default pose touches the ground, m.
         clearance: of the lowest point over the ground at the start of episodes, m; negative inside the ground.
@@ -238,19 +221,16 @@ def _drives(robot: Robot) -> dict[str, Drive]:
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)  # float32
+            # Seven digits remove the rounding errors of float32.
+            kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     return drives
 
 
 def _balance(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    bodies: Sequence[int],
-    anatomy: Anatomy,
-    gravity: float,
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], anatomy: Anatomy, gravity: float
 ) -> Balance | None:
-    """Return the robot as a pendulum over its axle; None without wheels or with several axles."""
+    """Return the robot as a pendulum over its axle; None if the robot has no wheels or several axles."""
     if not anatomy.one_axle:
         return None
     radius = max(wheel.radius for wheel in anatomy.standing)
@@ -267,7 +247,7 @@ def _balance(
         for body in wheel_bodies
     )
     drop = mass * gravity * height
-    # While it falls, the body rolls on its wheels, so the wheels' mass and inertia add to that about the ground.
+    # The falling body rolls on its wheels, so the inertia about the ground includes the wheels.
     about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
     return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
 
@@ -283,15 +263,10 @@ def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point:
 
 @dataclass(frozen=True)
 class CompiledRobot:
-    """A robot in its scene.
+    """A robot in its compiled scene; ``data`` is at the start of episodes, with all derived quantities computed.
 
-    Attributes:
-        model: the compiled scene.
-        data: the robot at the start of episodes, with all derived quantities computed.
-        bodies: its links.
-        drawn: its anatomy in the pose that the file draws, with all joints at zero.
-        anatomy: its anatomy at the start of episodes.
-        report: of its conversion; None for an MJCF.
+    ``drawn`` is the anatomy in the pose that the file draws, with all joints at zero, and ``anatomy`` the anatomy at
+    the start of episodes. ``report`` is the conversion report; None for an MJCF file.
     """
 
     model: mujoco.MjModel
@@ -302,18 +277,18 @@ class CompiledRobot:
     report: Report | None
 
     def position(self, joint: str) -> float:
-        """Return a joint's position at the start, rad (m)."""
+        """Return a joint's position at the start of episodes, rad (m)."""
         return float(self.data.qpos[self.model.joint(joint).qposadr[0]])
 
     def zero(self, joint: str) -> float:
-        """Return a joint's position in the file's drawing, rad (m)."""
+        """Return a joint's position in the pose of the robot's file, rad (m)."""
         return float(self.model.qpos0[self.model.joint(joint).qposadr[0]])
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
     """Return a copy of a model with the limits that its URDF writes at continuous joints.
 
-    These limits have no effect in the model itself. The last joint of a chain gets none: it can be a wheel.
+    These limits have no effect in the original model. The last joint of a chain gets none: it can be a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -326,7 +301,7 @@ def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.
 def compiled_robot(
     model: mujoco.MjModel, robot: Robot, report: Report | None = None, driven: Collection[str] | None = None
 ) -> tuple[CompiledRobot, RobotFacts]:
-    """Return a robot of a compiled scene, and its facts.
+    """Return the robot of a compiled scene and the robot's measured facts.
 
     ``driven`` are the joints that the robot's file drives, for a robot without actuators; None if the file has no
     drives.
@@ -343,28 +318,25 @@ def compiled_robot(
 
 
 def name_expression(name: str) -> str:
-    """Return the expression that matches only this name."""
+    """Return the regular expression that matches only ``name``."""
     return name if re.fullmatch(r"[\w /:-]*", name) else re.escape(name)
 
 
 def default_position(dof: Dof) -> float:
-    """Return a position inside the limits: the saved one, else the drive's target, else the drawn one."""
+    """Return a position inside the limits: the saved position, else the drive's target, else the drawn position."""
     target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
     value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
     if dof.range is None:
         return value
     low, high = dof.range
     margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
-    return _short(min(max(value, low + margin), high - margin), low, high)
-
-
-def _short(value: float, low: float, high: float) -> float:
-    rounded = float(f"{value:.4g}")
-    return rounded if low <= rounded <= high else value
+    inside = min(max(value, low + margin), high - margin)
+    rounded = float(f"{inside:.4g}")
+    return rounded if low <= rounded <= high else inside
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return an ``env.robot`` section without actuators, over the origin; default positions in rad (m), by joint."""
+    """Return an ``env.robot`` section without actuators; default positions, rad (m), are by joint."""
     state = {
         "pos": [0.0, 0.0, 0.0],
         "rot": list(rotation),
@@ -386,7 +358,7 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
     """Return which colliders are missing because of missing or damaged files, and which wheels they belong to.
 
-    The message is the same for every command. It is empty if no collider is known to be missing.
+    The text is empty if no collider is known to be missing.
     """
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]

@@ -1,4 +1,4 @@
-"""Find wheels by shape and motion, the legs that lead to them, and mirrored joints; never by a name."""
+"""Find wheels, legs and mirrored joints by shape and motion, not by names."""
 
 from __future__ import annotations
 
@@ -12,33 +12,27 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # rad: a larger range, beyond one and a half turns, counts as unlimited
-LEVEL = 0.5  # largest vertical component of a level axle
-_ROUND = 0.9  # smallest roundness; a hull of seven corners has this value
-_ROUGH = 0.6  # smallest roundness if the masses are distributed as a wheel's; a square box has this value
-_LOW = 0.4  # share of the robot's height: the lowest point of a wheel is below
-_BESIDE = 0.05  # share of the radius: a larger offset of the shape from the axis is an error
+TURNS = 3 * math.pi  # rad; a joint with a larger range counts as unlimited
+LEVEL = 0.5  # The vertical component of a horizontal axle's direction is smaller than this.
+_ROUND = 0.9  # A wheel has at least this roundness, which is that of a hull with seven corners.
+_ROUGH = 0.6  # This roundness (of a square box) is enough for a wheel if the masses are distributed as in a wheel.
+_LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
+_BESIDE = 0.05  # An offset of the shape from the axis above this share of the radius is an error.
 _SMALLEST = 1e-3  # m, radius
-_EQUAL = 0.1  # relative difference of two moments of inertia that count as equal
-_CENTRED = 0.1  # share of the radius: largest distance from the axle to the centre of mass
-_HALF_TURN = math.pi  # rad: a round part with a larger range is reported as almost a wheel
+_EQUAL = 0.1  # Two moments of inertia with a smaller relative difference count as equal.
+_CENTRED = 0.1  # A wheel's centre of mass is at most this share of its radius away from the axle.
+_HALF_TURN = math.pi  # rad; a round part with a larger range is reported as almost a wheel
 _AROUND = 48
 
 
 @dataclass(frozen=True)
 class Found:
-    """A wheel's hinge and shape; world frame, m.
+    """A wheel's hinge and shape in the world frame, m.
 
-    Attributes:
-        joint: its number.
-        bodies: the bodies that it moves.
-        axis: unit vector.
-        centre: of the colliders, on the axis.
-        radius: largest extent across the axis.
-        width: extent along the axis.
-        roundness: smallest extent across the axis over the largest.
-        beside: distance from the hinge's axis to the axis that the colliders are round about; 0 without such an axis.
-        why: the reason with its figures.
+    The hinge ``joint`` moves ``bodies``. The ``centre`` of the colliders is on the hinge's axis. The ``radius`` is the
+    largest extent across the axis, and the ``roundness`` is the smallest extent over the largest extent. ``beside`` is
+    the distance between the hinge's axis and the axis about which the colliders are round; 0 if the colliders are not
+    round.
     """
 
     joint: int
@@ -53,9 +47,11 @@ class Found:
 
 
 def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the hinges of wheels; and the joints that lack one property of a wheel, with this property."""
+    """Return the wheels' hinges, and the joints that lack only one property of a wheel, with the missing property."""
     found, near = [], {}
-    bottom, top = _height(tree)
+    everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
+    down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
+    highest = -down + _LOW * (top + down)  # maximum height of a wheel's lowest point
     for joint in tree.joints:
         if not _may_roll(tree, joint):
             continue
@@ -73,7 +69,7 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
                 near[joint] = _where_its_shape_is(shape)
             continue
         low = float(shape.centre @ tree.up) - shape.radius
-        if low > bottom + _LOW * (top - bottom):
+        if low > highest:
             continue
         if tree.turns(joint) > TURNS:
             found.append(shape)
@@ -84,16 +80,10 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
 
 
 def _may_roll(tree: Tree, joint: int) -> bool:
-    """Return whether a joint is a level hinge, the only one of its body and the last of its chain."""
+    """Return whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain."""
     body = int(tree.model.jnt_bodyid[joint])
     last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
     return tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL
-
-
-def _height(tree: Tree) -> tuple[float, float]:
-    solid = colliders(tree.model, tree.bodies)
-    down, up = reach(tree.model, tree.data, solid, np.zeros(3), np.array([-tree.up, tree.up]))
-    return (-float(down), float(up)) if solid else (0.0, 0.0)
 
 
 def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
@@ -103,7 +93,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the shape like a turned part: its extent in all directions across the axis, and along the axis.
+    # Measure the shape's extent in all directions across the axis, and along the axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
@@ -162,7 +152,7 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two unit vectors across the axis
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows are two unit vectors across the axis.
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
@@ -230,19 +220,18 @@ def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int
     return limbs
 
 
-_APART = 0.15  # share of the robot's size: largest distance from a mirror image
+_APART = 0.15  # A mirrored joint is at most this share of the robot's size away from the mirror image.
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # share of the robot's size: a joint this near to the mirror plane is in the middle
+_MIDDLE = 0.01  # A joint nearer to the mirror plane than this share of the robot's size is in the middle.
 
 
 def find_mirrored(
     tree: Tree, left: Array, middle: Array, size: float, wheels: dict[int, Array]
 ) -> tuple[list[MirroredPair], list[str]]:
-    """Return the mirrored pairs, and the joints without an image.
+    """Return the pairs of mirrored joints, and the joints without a mirror image.
 
-    The mirror plane has the unit normal ``left`` and contains ``middle``, m, both (3,) in the world. ``size`` is that
-    of the robot, m. ``wheels`` gives the centres of wheels, m, by joint: these are more precise than the joints'
-    anchors.
+    The mirror plane has the unit normal ``left`` and contains ``middle``, m, both (3,) in the world. ``size`` is the
+    robot's size, m. ``wheels`` gives the centres of wheels, m, by joint, which are more precise than joint anchors.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -272,10 +261,8 @@ def find_mirrored(
 
 
 def _turn(tree: Tree, flip: Array, joint: int, other: int) -> tuple[float, int]:
-    """Return the angle between a joint's mirrored axis and another's, rad, and the sign of its motion.
-
-    A mirror reverses rotations: the image of a turn by q about a is a turn by q about -M a.
-    """
+    """Return the angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion."""
+    # A mirror M reverses rotations: the image of a rotation by q about a is a rotation by q about -M a.
     image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
     cosine = float(image @ tree.data.xaxis[other])
     return math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

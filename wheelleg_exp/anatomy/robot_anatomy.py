@@ -14,33 +14,31 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # smallest share of parallel axles that defines a direction
-_ROLLS = 0.5  # smallest cosine between a wheel's rolling direction and the forward axis
-_IN_THE_MIDDLE = 0.05  # share of the widest track: largest distance of a middle wheel from the middle
-_LEVEL_WITH = 0.03  # share of the robot's size: largest height of a standing wheel above the lowest contact
-_AHEAD = 0.3  # smallest x (else y) component of a direction that decides its sign
-_TRAILS = 0.1  # share of a wheel's radius: smallest distance of a caster's contact from its steering axis
+_PARALLEL = 0.9  # At least this share of the axles must be parallel to define a direction.
+# A wheel rolls forwards if the cosine between its rolling direction and the forward axis exceeds this value.
+_ROLLS = 0.5
+_IN_THE_MIDDLE = 0.05  # A wheel nearer to the middle than this share of the track width is a middle wheel.
+_LEVEL_WITH = 0.03  # A standing wheel is at most this share of the robot's size above the lowest wheel.
+_AHEAD = 0.3  # The first component of a direction with at least this size decides the sign of the direction.
+_TRAILS = 0.1  # A caster's contact is this share of its radius or more away from its steering axis.
 
 
 def anatomy_of(
     model: mujoco.MjModel, qpos: Array | Sequence[float] | None = None, driven: Collection[str] | None = None
 ) -> Anatomy:
-    """Find the parts of a robot.
+    """Find the parts of a robot at the pose ``qpos``, (nq,), by default the model's own; ValueError without bodies.
 
-    A wheel turns on a hinge without limits, or with more than one and a half turns between them. The hinge is level and
-    the last of its chain. Its colliders are round about its axis (or nearly round, if the masses are distributed as a
-    wheel's), and low enough to stand on.
-
-    Args:
-        model: the compiled robot, with or without its scene.
-        qpos: the pose, (nq,); by default the model's own.
-        driven: joints with a motor; by default those with actuators in the model, or all joints if it has none. Without
-            either, a caster is recognised by its geometry alone.
-
-    Raises:
-        ValueError: the model has no bodies.
+    A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
+    horizontal and the last joint of its chain. A wheel's colliders are round about the hinge's axis (or nearly round,
+    if the masses are distributed as a wheel's), and low enough to stand on. ``driven`` are the joints with a motor: by
+    default those with actuators in the model, or all joints if the model has none. If the robot has no actuators and
+    ``driven`` is None, casters are recognised only by geometry.
     """
-    tree = _tree_at(model, qpos)
+    data = mujoco.MjData(model)
+    if qpos is not None:
+        data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    tree = Tree(model, data, find_base(model))
     moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
     motors = moved if driven is not None or model.nu else set()
     found, near = find_wheels(tree)
@@ -72,7 +70,7 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """Directions and contacts of all wheels, in the world frame; lists in the order of the wheels."""
+    """Directions and contact points of all wheels, in the world frame, in the order of the wheels."""
 
     size: float
     forward: Array | None
@@ -83,18 +81,12 @@ class _Axles:
     casters: list[bool]
 
 
-def _tree_at(model: mujoco.MjModel, qpos: Array | Sequence[float] | None) -> Tree:
-    data = mujoco.MjData(model)
-    if qpos is not None:
-        data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    return Tree(model, data, find_base(model))
-
-
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    casters = _casters(tree, found, [None if joint in motors else joint for joint in steering])
+    # A caster trails its passive steering hinge. If all wheels trail one, none of the wheels counts as a caster.
+    trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
+    casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
@@ -134,18 +126,12 @@ def _down(axis: Array, up: Array) -> Array:
 
 
 def _steering_joint(tree: Tree, wheel: int) -> int | None:
-    """Return a wheel's parent joint if it is an upright hinge without limits, else None."""
+    """Return the joint above a wheel if that joint is a vertical hinge without limits, else None."""
     for joint in tree.chain(int(tree.model.jnt_bodyid[wheel]))[-2:-1]:
         upright = abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2
         if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
             return joint
     return None
-
-
-def _casters(tree: Tree, wheels: Sequence[Found], hinges: Sequence[int | None]) -> list[bool]:
-    """Return which wheels trail their passive steering hinge; none if all wheels do."""
-    casters = [hinge is not None and _trails(tree, wheel, hinge) for wheel, hinge in zip(wheels, hinges, strict=True)]
-    return [caster and not all(casters) for caster in casters]
 
 
 def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
@@ -159,7 +145,7 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
-    # The largest eigenvector of the summed outer products is the common axis, whatever the axes' signs.
+    # The first eigenvector of the summed outer products is the common axis for any signs of the axes.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None
@@ -203,10 +189,9 @@ def _size(tree: Tree) -> float:
 def _mirrored(
     tree: Tree, wheels: Sequence[Found], left: Array | None, size: float
 ) -> tuple[Array, list[MirroredPair], list[str]]:
-    """Match joints across the base's middle or the middle between the wheels; the better match wins.
+    """Match joints across the middle of the base or of the wheels, and return the better match.
 
-    Returns:
-        A point of the mirror plane in the world, m, (3,), the pairs, and the joints without an image.
+    Return a point of the mirror plane in the world, m, (3,), the mirrored pairs, and the unmatched joints.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
     # The base's origin is often not in the middle of the robot, so the middle between the wheels is a second candidate.

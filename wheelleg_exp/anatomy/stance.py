@@ -18,29 +18,29 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # random starts of the search, in addition to the given pose
+_STARTS = 10  # The search starts from this many random poses and from the given pose.
 _STEPS = 40  # iterations from each start
-_MARGIN = 0.08  # share of a joint's range: smallest distance from its limits
-_STRETCHED, _CROUCHED = 0.93, 0.35  # share of the largest height: legs beyond these are moved to _STANDS
-_STANDS = (0.8, 0.55)  # share of the largest height: target of stretched and of crouched legs
-_CLEARANCE = 0.5  # share of a wheel's radius: smallest height of all other parts over the ground
-_REACH = math.pi  # rad: search range of an unlimited joint, to both sides
-_BALANCED = 5e-3  # share of the robot's size: largest offset of a balanced mass from the axle
-_TOUCHES = 2e-3  # share of the robot's size: largest height of a touching wheel above the lowest one
+_MARGIN = 0.08  # Each joint's distance from its limits is at least this share of its range.
+# Legs higher or lower than these shares of the largest height get the heights _STANDS.
+_STRETCHED, _CROUCHED = 0.93, 0.35
+_STANDS = (0.8, 0.55)  # Stretched and crouched legs get these shares of the largest height.
+_CLEARANCE = 0.5  # Parts other than wheels must be this share of a wheel's radius over the ground.
+_REACH = math.pi  # rad; the search covers an unlimited joint this far in both directions
+_BALANCED = 5e-3  # A balanced mass is at most this share of the robot's size off the axle.
+_TOUCHES = 2e-3  # A touching wheel is at most this share of the robot's size above the lowest wheel.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose.
+    """A standing pose of a robot.
 
     Attributes:
-        positions: of the legs' joints, rad (m), by name.
-        height: of the hips over the wheels' centres, m.
-        offset: of the centre of mass before the middle of the wheels' contacts, m; negative behind.
+        positions: positions of the legs' joints by name, rad (m).
+        height: height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found.
+        offset: distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind.
         lean: pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot
             on several axles.
-        tallest: the largest height that was found, m.
         balanced: whether ``offset`` is almost zero.
         grounded: whether every wheel of the problem touches level ground.
     """
@@ -55,11 +55,11 @@ class Stance:
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
-    """Find the standing pose next to a given one; None without rolling wheels or without joints in the legs.
+    """Find the standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
 
     The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
-    problem from several starts. The first problem requires that all wheels touch the ground. If that fails, a second
-    problem requires this only of the wheels that stand at the given pose.
+    problem from several starts. The first problem requires that all wheels touch the ground. If no pose satisfies the
+    first problem, a second problem requires ground contact only of the wheels that stand at the given pose.
     """
     if anatomy.forward is None:
         return None
@@ -79,7 +79,7 @@ def _solved(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Arr
 
 
 class _Problem:
-    """The least-squares problem: the cost of a pose, as function of the positions of the legs' joints."""
+    """The least-squares problem: the cost of a pose as a function of the positions of the legs' joints."""
 
     def __init__(self, model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> None:
         self.model, self.anatomy = model, anatomy
@@ -102,11 +102,12 @@ class _Problem:
         rotation = self.data.xmat[self.base].reshape(3, 3)
         self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
         self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
+        # The wheels' centres are in the wheels' own frames, m.
         self.centres = [
             self.data.xmat[body].reshape(3, 3).T
             @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
             for body, wheel in zip(self.wheels, anatomy.standing, strict=True)
-        ]  # in the wheels' own frames, m
+        ]
         self.size = max(anatomy.size, 1e-6)
         self.radii = np.array([wheel.radius for wheel in anatomy.standing])
         self.radius = self.radii.min(initial=math.inf)
@@ -115,7 +116,7 @@ class _Problem:
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
         self.pairs = self._pairs()
-        self.rest = overlap_depths(model, self.data, self.bodies)  # overlaps of the preferred pose are allowed
+        self.rest = overlap_depths(model, self.data, self.bodies)  # Overlaps of the preferred pose are allowed.
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -126,13 +127,13 @@ class _Problem:
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def _pairs(self) -> list[tuple[int, int, float]]:
-        """Return mirrored pairs of moving joints, as indices and sign."""
+        """Return the mirrored pairs of moving joints, as two indices and a sign."""
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         return [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
 
     def at(self, positions: Array) -> mujoco.MjData:
-        """Return the robot in a pose, with contacts."""
+        """Return MuJoCo's data of the robot in a pose, with contacts."""
         self.data.qpos[self.places] = positions
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.data
@@ -148,7 +149,7 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Use the height of the preferred pose, unless its legs are stretched or fully folded."""
+        """Return the preferred pose's height, or a replacement if its legs are stretched or fully folded."""
         self.at(self.preferred)
         now = self._height()
         heights = []
@@ -163,35 +164,36 @@ class _Problem:
         self.wanted = factor * self.tallest
 
     def random_poses(self, count: int) -> list[Array]:
-        """Return poses within the limits, symmetric in left and right."""
+        """Return poses of the legs within the limits, symmetric in left and right."""
         poses = np.random.default_rng(0).uniform(self.low, self.high, (count, len(self.joints)))
         for left, right, sign in self.pairs:
             poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
         return list(poses)
 
     def overlap(self) -> float:
-        """Return the deepest overlap beyond those of the preferred pose, m."""
+        """Return the largest excess over the preferred pose's overlap depths, m."""
         depths = overlap_depths(self.model, self.data, self.bodies)
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
     def offset(self) -> float:
-        """Return the distance of the centre of mass before the middle of the wheels, m."""
+        """Return the distance of the centre of mass in front of the middle of the wheels, m."""
         places = self._centres() @ self.forward
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
     def residual(self, positions: Array) -> Array:
-        """Return the weighted errors of a pose, without units."""
+        """Return the weighted errors of a pose of the legs, without units."""
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
-        low = -lowest_point(self.model, data, self.raised)  # the world's z is up in a scene
+        low = -lowest_point(self.model, data, self.raised)  # In a scene, the z axis of the world is up.
         low = ground + low if math.isfinite(low) else -math.inf
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
         # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
+        # Balance has a smaller weight on several axles, because they can carry a mass that is between them.
         errors = [
-            (200.0 if self.one_axle else 20.0) * self.offset() / self.size,  # several axles carry a mass between them
+            (200.0 if self.one_axle else 20.0) * self.offset() / self.size,
             100.0 * self._askew(centres) / self.size,
             *(500.0 * self._clearances(centres) / self.size),
             *(10.0 * (data.xaxis[self.rolling] @ np.array([self.up, self.forward]).T)).ravel(),
@@ -205,19 +207,18 @@ class _Problem:
         return np.array(errors)
 
     def _clearances(self, centres: Array) -> Array:
-        """Return the heights of the wheels' lowest points over their mean, m, (wheels,)."""
+        """Return the heights of the wheels' lowest points minus the mean height, m, (wheels,)."""
         lows: Array = centres @ self.up - self.radii
         return lows - lows.mean()
 
     def _askew(self, centres: Array) -> float:
-        """Return the distance of the left wheels before the right ones, m."""
+        """Return how far the left wheels are in front of the right wheels, m."""
         sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
         if any(len(places) == 0 for places in sides.values()):
             return 0.0
         return float((sides["left"].mean(axis=0) - sides["right"].mean(axis=0)) @ self.forward)
 
     def cost(self, positions: Array) -> float:
-        """Return the sum of squared errors."""
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
@@ -232,7 +233,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a pose with exactly symmetric joints, if this increases the cost only slightly."""
+        """Return a pose with exactly symmetric legs, if the symmetry increases the cost only slightly."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -242,7 +243,6 @@ class _Problem:
         return alike if fits and self.cost(alike) < self.cost(positions) + 0.05 else np.round(positions, 5)
 
     def stance(self, positions: Array) -> Stance:
-        """Return the stance of a pose."""
         self.at(positions)
         offset = self.offset()
         above = float((self.data.subtree_com[self.base] - self._centres().mean(axis=0)) @ self.up)
@@ -259,13 +259,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Weight:
-    """The centre of mass without the wheels, relative to the middle of the axle.
-
-    Attributes:
-        ahead: along the forward axis, m.
-        above: upwards, m.
-        place: world, m, (3,).
-    """
+    """The centre of mass without the wheels: ``ahead`` of and ``above`` the middle of the axle, m, and in the world."""
 
     ahead: float
     above: float
@@ -293,7 +287,7 @@ def weight_over_axle(robot: CompiledRobot) -> Weight:
 
 
 def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
-    """Return leg positions that put the centre of mass over the axle with a level base; None if none exist."""
+    """Return leg positions that put the centre of mass over the axle with a level base; None if impossible."""
     model = with_written_limits(robot.model, robot.report)
     stance = solve_stance(model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.asset.conversion_cache import CachedConversion, convert_cached, source_digest
     from wheelleg_exp.asset.convert_robot import Conversion, convert
 
-_LAZY = {  # the first use loads the USD and MuJoCo libraries, which takes a second
+_LAZY = {  # Importing a conversion function loads the USD and MuJoCo libraries, which takes a second.
     "Conversion": "convert_robot",
     "convert": "convert_robot",
     "CachedConversion": "conversion_cache",

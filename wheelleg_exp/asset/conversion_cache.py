@@ -1,7 +1,7 @@
-"""Store conversions in a folder, keyed by the content of every file that they were made from.
+"""Cache converted robots in a folder, keyed by the content of every source file of the robot.
 
-Files that a config names in addition to the robot (networks of learned actuators, the terrain's own file) are
-copied next to the cached MJCF.
+Files that a config names in addition to the robot (actuator networks, the terrain file) are copied next to the cached
+MJCF.
 """
 
 from __future__ import annotations
@@ -32,13 +32,10 @@ from wheelleg_exp.terms.config_values import require_fit
 
 
 def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
-    """Return the files that an ``env`` section names in addition to the robot, by their paths next to the MJCF.
+    """Return the files that an ``env`` section names in addition to the robot file.
 
-    These are networks of learned actuators, and the terrain's own file. ``roots`` are user-defined asset folders.
-
-    Raises:
-        ConfigError: a name is not a path below a folder.
-        AssetError: a file is missing.
+    The section can name actuator networks and a terrain file. The keys are the paths of the copies in the MJCF's
+    folder. ``roots`` are user-defined asset folders.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -58,15 +55,15 @@ def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str,
 
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
-_ATTEMPTS = 3  # to publish an entry while other processes publish the same one
+_ATTEMPTS = 3  # attempts per cache entry
 
 
 @dataclass(frozen=True)
 class CachedConversion:
     """An MJCF in the cache.
 
-    ``sources`` maps each source file, relative to the source's folder, to its sha256. ``fresh`` is true if the file was
-    converted by this call.
+    ``sources`` maps each source file's path, relative to the robot file's folder, to the file's sha256. ``fresh`` is
+    false if the MJCF was already in the cache.
     """
 
     output: Path
@@ -77,12 +74,11 @@ class CachedConversion:
 
     @property
     def meshes(self) -> tuple[Path, ...]:
-        """Mesh files of the MJCF."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
     def beside(self) -> tuple[Path, ...]:
-        """Networks of actuators and the terrain's file, next to the MJCF."""
+        """Actuator networks and the terrain file in the MJCF's folder."""
         folders = (self.output.parent / name for name in (NETWORKS, GROUND))
         return tuple(sorted(path for folder in folders for path in folder.glob("**/*") if path.is_file()))
 
@@ -90,12 +86,9 @@ class CachedConversion:
 def source_digest(
     source: Path, variants: Mapping[str, str] | None = None, beside: Mapping[str, Path] | None = None
 ) -> dict[str, str]:
-    """Return the sha256 of every source file of the robot, by its path relative to the source's folder.
+    """Return the sha256 of every source file of the robot, by path relative to the robot file's folder.
 
-    Sources are the layers of a USD stage, or a URDF and its meshes; and the files of ``find_beside``.
-
-    Raises:
-        AssetError: the source cannot be read.
+    Source files are the layers of a USD stage, or a URDF and its meshes, and the files that ``find_beside`` returns.
     """
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):
@@ -111,15 +104,11 @@ def convert_cached(
     cache_dir: Path,
     beside: Mapping[str, Path] | None = None,
 ) -> CachedConversion:
-    """Return the conversion of ``source``, from the cache if none of its inputs has changed.
+    """Convert the robot file ``source``, or return the cached conversion if no source file has changed.
 
-    The key is a hash of every layer or mesh in use, the options, this converter's code, and the versions of its
-    libraries. A damaged entry is replaced. Several processes may call this function at once. The files ``beside``, by
-    path, are copied next to the MJCF.
-
-    Raises:
-        AssetError: the source cannot be read or contains no robot.
-        WheellegError: the cache cannot be written.
+    The cache key is a hash of every USD layer or mesh in use, the options, the converter's code, and the versions of
+    its libraries. A damaged cache entry is replaced. Several processes can call ``convert_cached`` at once. ``beside``
+    maps paths in the MJCF's folder to the files to copy there.
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)
@@ -145,7 +134,7 @@ def _key(source: Path, sources: Mapping[str, str], base: BaseMode, variants: Map
 
 @functools.cache
 def _converter_digest() -> str:
-    """Return the sha256 of this package's code, so that changed code never reads results of older code."""
+    """Return the sha256 of the converter's code, so that changed code never reads a cache entry of older code."""
     digest = hashlib.sha256()
     folder = Path(__file__).parent
     for path in sorted(folder.rglob("*.py")):
@@ -155,10 +144,10 @@ def _converter_digest() -> str:
 
 def _read(entry: Path) -> Report | None:
     try:
-        if not (entry / CONTENTS).is_file():  # false for a pipe, too
+        if not (entry / CONTENTS).is_file():
             return None
         contents = json_value((entry / CONTENTS).read_text(encoding="utf-8"))
-        if MODEL not in contents or _hashes(entry) != contents:
+        if _hashes(entry) != contents:
             return None
         return Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
     except (OSError, TypeError, ValueError):
@@ -189,10 +178,10 @@ def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:
-    """Move a finished entry into place. If another process has published a complete entry first, keep that entry."""
+    """Rename the finished draft to the cache entry's path, unless another process has published the entry first."""
     for attempt in range(_ATTEMPTS):
         try:
-            # Renaming a folder is atomic, and it fails if another process has published the entry first.
+            # Renaming the draft is atomic, and fails if another process has published the cache entry first.
             draft.rename(entry)
             return
         except OSError:
@@ -201,4 +190,4 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
             if attempt == _ATTEMPTS - 1:
                 raise
             with suppress(FileNotFoundError):
-                entry.rename(scratch / f"damaged_{attempt}")  # removed with the scratch folder
+                entry.rename(scratch / f"damaged_{attempt}")

@@ -44,9 +44,9 @@ Kind = Literal[
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
-SIZES = (0.01, 20.0)  # m, longest edge of a robot
-DENSITIES = (0.01, 5000.0)  # kg/m³ of a cube whose edge is the robot's longest; most real robots have 10 to 100
-PLACEHOLDER = 1e3  # N m, N, rad/s or m/s: exporters write limits this large for "unlimited"
+SIZES = (0.01, 20.0)  # m
+DENSITIES = (0.01, 5000.0)  # kg/m³
+PLACEHOLDER = 1e3  # SI units
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,14 @@ class Finding:
 
 
 def is_placeholder(value: float) -> bool:
-    """Return whether a limit of effort or speed is zero or huge, as no motor has it."""
+    """Return whether an effort or velocity limit is a placeholder: zero, or too large for any motor."""
     return value == 0 or abs(value) >= PLACEHOLDER
 
 
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
-    """Return why no robot has this mass (kg) and longest edge (m); an empty text if the pair is plausible.
+    """Return why a robot's mass (kg) and longest edge (m) are implausible, or an empty string.
 
-    ``lightest`` is the smallest density in kg/m³ of a cube with that edge.
+    ``lightest`` is the smallest plausible density, in kg/m³, of a cube with the edge ``size``.
     """
     density = mass / size**3 if size > 0 else math.nan
     if not lightest <= density <= DENSITIES[1]:
@@ -77,17 +77,17 @@ def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> st
 
 @dataclass(frozen=True)
 class Verdict:
-    """Quality of a conversion: ``good``, ``check`` (read the warnings), or ``doubtful``, and further ``reasons``."""
+    """Quality of a conversion; the level ``check`` means that the user should read the warnings."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
 
 
-MUCH = 0.1  # share of assumed mass that makes a robot doubtful
+MUCH = 0.1  # share of the mass
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
-    """Return the verdict from findings, the assumed share of the mass, and the number of warnings."""
+    """Return the verdict on a conversion; ``assumed_share`` is the fraction of the robot's mass that is assumed."""
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
@@ -110,7 +110,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """A part of the source file and the MJCF part that it became."""
+    """A part of the robot file, and the MJCF part that the converter made from it."""
 
     path: str
     name: str
@@ -119,7 +119,7 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Assumption:
-    """A value that a rule gave, because the file does not give it or gives it ambiguously."""
+    """A value that a rule of the converter chose, because the robot file lacks the value or is ambiguous."""
 
     path: str
     rule: str
@@ -137,7 +137,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class DofOrder:
-    """Names of the degrees of freedom in the order of each simulator."""
+    """Names of the robot's degrees of freedom, in PhysX's and in MuJoCo's order."""
 
     physx: tuple[str, ...]
     mujoco: tuple[str, ...]
@@ -147,9 +147,10 @@ class DofOrder:
 class Report:
     """The report of one conversion.
 
-    ``layers`` maps each file of the source to the sha256 of its bytes. ``velocity_limits`` are in rad/s (m/s) by degree
-    of freedom: MuJoCo has no place for them, but a controller needs them. ``values`` are the model's numbers by name
-    (``values_of``), and ``authored`` the file's own numbers of its joints, by path, in the file's units.
+    ``layers`` maps each source file of the robot to the file's sha256. ``velocity_limits`` gives each degree of
+    freedom's velocity limit in rad/s (m/s), which a controller needs and MJCF cannot express. ``values`` are the
+    numbers of the converted robot, from ``values_of``. ``authored`` are the joint numbers of the robot file, by path,
+    in the file's units.
     """
 
     source: str
@@ -176,35 +177,30 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict from findings and warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:
-        """Return a JSON document, byte-identical for the same conversion."""
+        """Return the report as JSON. Equal conversions give byte-identical JSON."""
         return json.dumps({"verdict": asdict(self.verdict), **asdict(self)}, indent=2, ensure_ascii=False) + "\n"
 
     @staticmethod
     def from_json(text: str) -> Report:
-        """Parse a report.
-
-        Raises:
-            ValueError: the text is not a report of this version.
-        """
+        """Parse a report."""
         try:
             return _parse(json_value(text))
         except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"not a conversion report: {error}") from error
+            raise ValueError(f"a field of the report is missing or invalid: {error}") from error
 
 
 def _parse(data: Mapping[str, Any]) -> Report:
     if data["version"] != VERSION:
-        raise ValueError(f"a report of version {data['version']}, expected {VERSION}")
-    fields = {name: value for name, value in data.items() if name != "verdict"}  # derived from the other fields
+        raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
+    fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
     fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
     fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
     fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
     fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
     fields["warnings"] = tuple(data["warnings"])
     fields["unresolved"] = tuple(data["unresolved"])
-    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))  # missing in older reports
+    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
     return Report(**fields)

@@ -1,4 +1,4 @@
-"""Convert a USD or URDF file to an MJCF. The output appears completely or not at all."""
+"""Convert a USD or URDF file to an MJCF. A conversion that fails leaves the output path unchanged."""
 
 from __future__ import annotations
 
@@ -12,14 +12,7 @@ import mujoco
 
 from wheelleg_exp.asset.conversion_report import UNITS, Assumption, Report, size_problem
 from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_near
-from wheelleg_exp.asset.mjcf.compile_mjcf import (
-    ModelRefused,
-    load,
-    mujoco_warnings,
-    verify,
-    with_force_gains,
-    without_refused,
-)
+from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, with_force_gains
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.report_writer import measure_sizes
 from wheelleg_exp.asset.rigid_geometry import Frame
@@ -33,12 +26,12 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.files import temporary_folder
 from wheelleg_exp.machine import machine_memory, shown_bytes
 
-MESHES = "_meshes"  # suffix of an MJCF's mesh folder
+MESHES = "_meshes"
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """The written MJCF, its robot description, and the report."""
+    """Result of a conversion: the MJCF's path, the robot description, and the report."""
 
     output: Path
     description: RobotDescription
@@ -48,46 +41,28 @@ class Conversion:
 def convert(
     source: Path, output: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None
 ) -> Conversion:
-    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` next to it.
+    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` next to the MJCF.
 
-    Args:
-        source: a .usd, .usda, .usdc, .usdz, or .urdf file.
-        output: the MJCF to write; an existing one is replaced.
-        base: ``auto`` as authored, and floating if a URDF does not say; ``floating`` drops the fixed joint to the
-            world; ``fixed`` removes the free joint.
-        variants: selections by variant set, in place of the authored ones; USD only.
-
-    Raises:
-        AssetError: the source cannot be read or contains no robot, or the output cannot be written.
+    The base is ``auto`` (as authored, and floating for a URDF), ``floating`` (without a fixed joint to the world), or
+    ``fixed`` (without a free joint). ``variants`` maps USD variant sets to selections. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
     _require_output(source, output)
     with mujoco_warnings() as logged, bounded_memory(source):
         robot, report = read(source, base, variants or {})
-        _require_apart(source, report, output)
-        try:
-            robot, model = _write(robot, report, output)
-        except ModelRefused:
-            # Only a refused attribute of MuJoCo's own schemas can be left out; other refusals are raised again.
-            robot, report = without_refused(robot, report)
-            robot, model = _write(robot, report, output)
+        for name in report.layers:
+            if (source.resolve().parent / name).resolve().is_relative_to(mesh_folder(output).resolve()):
+                raise AssetError(f"'{name}' would be replaced by the meshes", key="-o", expected="another name")
+        robot = with_force_gains(robot)
+        model = write(robot, report, output)
         sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
     warnings = (*report.warnings, *(f"{text}; {UNITS}" for _, text in sizes if text), *dict.fromkeys(logged))
     findings = (*report.findings, *(item for item, text in sizes if text))
     return Conversion(output, robot, replace(report, values=values_of(robot), warnings=warnings, findings=findings))
 
 
-def _write(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, mujoco.MjModel]:
-    robot = with_force_gains(robot)
-    return robot, write(robot, report, output)
-
-
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
-    """Read a robot with the reader of its format.
-
-    Raises:
-        AssetError: the file is missing, cannot be read, or contains no robot.
-    """
+    """Read a USD or URDF file into a robot description and a conversion report."""
     robot, report = read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
     robot, report = _rooted_at_mass(robot, report)
     for body in robot.bodies:
@@ -100,11 +75,6 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 
 
 def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) -> Report:
-    """Add a warning if the meshes take much memory from here on.
-
-    Raises:
-        AssetError: the machine has less memory than the meshes need.
-    """
     points, available = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
     need = points * POINT_BYTES
     message = f"meshes with {points:,} points and triangles take about {shown_bytes(need)} of memory"
@@ -117,13 +87,13 @@ def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
     """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
 
-    Height, velocity, and tilt of a robot are those of its root. No link moves: the massless links are welded to the
-    new root at their old places.
+    Tasks measure a robot's height, velocity, and tilt at its root. No link moves: the massless links are welded to the
+    new root at their old poses.
     """
     root = next(robot.children(None), None)
     if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
         return robot, report
-    paths = [[root]]  # from the root through welds; the list grows during the search
+    paths = [[root]]
     for path in paths:
         if path[-1].inertial.mass:
             break
@@ -133,7 +103,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
-        # Each link of the path becomes the child of the link that was its child, so its pose is inverted.
+        # Each massless link becomes the child of its former child, so the pose between both links is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
@@ -143,18 +113,14 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
     unchanged = (body for body in robot.bodies if body not in path)
     robot = replace(robot, bodies=(*reversed(turned), *unchanged))
     stack, ordered = list(robot.children(None))[::-1], list[Body]()
-    while stack:  # depth first, as in the compiled model
+    while stack:  # depth first, like MuJoCo
         ordered.append(stack.pop())
         stack += list(robot.children(ordered[-1].name))[::-1]
     return replace(robot, bodies=tuple(ordered)), report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
-    """Return whether a file is a URDF (true) or a USD (false), by its suffix.
-
-    Raises:
-        AssetError: the suffix is neither, or variants are selected for a URDF.
-    """
+    """Return whether a file is a URDF (true) or a USD (false), by its suffix."""
     suffix, where = source.suffix.lower(), str(source)
     if suffix in URDF:
         if variants:
@@ -170,11 +136,7 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
 
 
 def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjModel:
-    """Write the MJCF and its meshes after loading them in MuJoCo and comparing. Return the loaded model.
-
-    Raises:
-        AssetError: MuJoCo refuses the model, or the output cannot be written.
-    """
+    """Compile a robot's MJCF, compare the MuJoCo model with the description, and write the MJCF and its meshes."""
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(output) as folder:
@@ -189,12 +151,11 @@ def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjMod
 
 
 def mesh_folder(output: Path) -> Path:
-    """Return the mesh folder of an MJCF."""
+    """Return the path of the folder for an MJCF's mesh files."""
     return output.with_name(output.stem + MESHES)
 
 
 def _require_output(source: Path, output: Path) -> None:
-    """Raise an error if the output is not a file name for an MJCF, or would replace something else."""
     try:
         str(output).encode()
         with suppress(FileNotFoundError):
@@ -220,13 +181,6 @@ def _problem_of(source: Path, output: Path) -> str | None:
     return None
 
 
-def _require_apart(source: Path, report: Report, output: Path) -> None:
-    home, folder = source.resolve().parent, mesh_folder(output).resolve()
-    for name in report.layers:
-        if (home / name).resolve().is_relative_to(folder):
-            raise AssetError(f"'{name}' would be replaced by the meshes", key="-o", expected="another name")
-
-
 def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
     meshes = mesh_folder(draft)
     draft.write_text(Writer(robot, meshes.name, report.assumptions).text(), encoding="utf-8")
@@ -237,7 +191,7 @@ def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
 
 
 def _publish(draft: Path, output: Path, old: Path) -> None:
-    """Replace an older MJCF and its meshes. If interrupted, restore the older ones."""
+    """Move the draft MJCF and its meshes to the output path. After an error, restore the old MJCF and its meshes."""
     new, target = mesh_folder(draft), mesh_folder(output)
     _require_own_meshes(output)
     try:
@@ -247,7 +201,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # The MJCF is moved last. If it has not moved, the old meshes must return, because the old MJCF names them.
+        # The MJCF is moved last. If the draft still exists, so does the old MJCF, which needs its old meshes.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)
@@ -256,7 +210,6 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
 
 
 def _require_own_meshes(output: Path) -> None:
-    """Raise an error if the mesh folder contains files that the older MJCF does not name."""
     folder = mesh_folder(output)
     text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
     foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []

@@ -1,6 +1,8 @@
-"""Limits on what a robot's files may contain, name, and allocate. A larger file is not a robot.
+"""Limits on the size, the references, and the memory of robot files.
 
-`bounded_memory` also limits the memory of a whole conversion, because a damaged file can claim any size.
+A file that exceeds a limit is assumed not to be a robot.
+
+`bounded_memory` also limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
 """
 
 from __future__ import annotations
@@ -18,37 +20,30 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.machine import require_room, used_memory
 
 LARGEST_FILE = 2**30  # bytes
-LARGEST_TEXT = 2**28  # bytes of a URDF or mesh, which is read at once and grows twentyfold in memory
-FARTHEST = 1e9  # m; MuJoCo refuses states beyond 1e10
+LARGEST_TEXT = 2**28  # bytes, URDF or mesh
+FARTHEST = 1e9  # m
 MOST_PRIMS = 300_000
 MOST_ELEMENTS = 200_000  # XML elements
 MOST_BODIES = 5_000
 MOST_SHAPES = 20_000
-POINT_BYTES = 2_100  # peak memory per point and triangle of a mesh (measured: 1.5 to 2.06 kB, mostly in MuJoCo)
-MOST_POINTS = 3_500_000  # points and triangles of all meshes, counted once per instance: 7.4 GB
+POINT_BYTES = 2_100  # bytes, measured
+MOST_POINTS = 3_500_000  # they need 7.4 GB
 
 
 def require_size(
     count: int, most: int, what: str, *, key: str | None = None, where: str | None = None, expected: str = "one robot"
 ) -> None:
-    """Raise an error if a robot is too large.
-
-    Raises:
-        AssetError: ``count`` is above ``most``.
-    """
+    """Raise an AssetError if ``count``, such as a robot's number of bodies, exceeds ``most``."""
     if count > most:
-        raise AssetError(f"there are more than {most:,} {what}", key=key, where=where, expected=expected)
+        raise AssetError(f"the robot has more than {most:,} {what}", key=key, where=where, expected=expected)
 
 
 def require_near(lengths: ArrayLike, *, key: str, where: str | None = None) -> None:
-    """Raise an error for lengths (m) that no robot has.
-
-    Raises:
-        AssetError: a length is beyond ``FARTHEST``, or NaN.
-    """
+    """Raise an AssetError if a position or size in ``lengths`` exceeds 1e9 m."""
     largest = float(np.abs(np.asarray(lengths, dtype=float)).max(initial=0.0))
     if not largest <= FARTHEST:
-        raise AssetError(f"it reaches {largest:.3g} m", key=key, where=where, expected=f"less than {FARTHEST:g} m")
+        message = f"the position or size reaches {largest:.3g} m"
+        raise AssetError(message, key=key, where=where, expected=f"less than {FARTHEST:g} m")
 
 
 TEXTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tga", ".tif", ".tiff", ".bmp", ".dds", ".webp", ".tx")
@@ -56,20 +51,17 @@ LOOKS = (*TEXTURES, ".mdl", ".mtlx")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".fbx")
 
 
-POINTER = b"version https://git-lfs"  # first bytes of a file that Git LFS has not fetched
+POINTER = b"version https://git-lfs"
 FETCH = "a Git LFS pointer, not the file itself: 'git lfs pull' fetches the file"
 
 
 def require_plain_file(
     path: Path, expected: str, largest: int = LARGEST_FILE, *, key: str | None = None, where: str | None = None
 ) -> None:
-    """Raise an error for a path that is not a readable file: reading a pipe or a device could wait forever.
+    """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` describes the file in the message, ``key`` is the prim or element that names it, and ``where`` is the
-    file that contains this prim or element.
-
-    Raises:
-        AssetError: the path is missing, a folder, a pipe, a device, or larger than ``largest`` bytes.
+    ``expected`` describes the file in the error message, ``key`` is the prim or element that names it, and ``where`` is
+    the file that contains this prim or element.
     """
     problem = _problem_of(path, largest)
     if problem:
@@ -91,22 +83,18 @@ def _problem_of(path: Path, largest: int) -> str:
     return f"'{path}' is larger than {largest >> 20} MB" if found.st_size > largest else ""
 
 
-MOST = 2**33  # bytes beyond the process's current memory
+MOST = 2**33  # bytes
 
 _lock = threading.Lock()
-_open: list[tuple[int, int]] = []  # the process's own limit, once for each running conversion
+_open: list[tuple[int, int]] = []  # limits before each conversion
 
 
 @contextmanager
 def bounded_memory(source: Path) -> Iterator[None]:
-    """Limit allocations to 8 GiB beyond the process's current memory; on Linux only.
+    """On Linux, limit the process's memory to 8 GiB beyond its current memory.
 
-    A damaged crate of a few bytes can claim two thousand million numbers, and the USD library allocates them before it
-    checks. The limit applies to the whole process, so other threads share it.
-
-    Raises:
-        AssetError: the memory was not enough.
-        WheellegError: the limits of the process leave too little memory to start.
+    A damaged USD crate file of a few bytes can declare an array of two thousand million numbers, and the USD library
+    allocates the array before it checks the file. The memory limit applies to all threads of the process.
     """
     require_room()
     _enter()

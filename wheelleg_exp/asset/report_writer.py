@@ -19,9 +19,9 @@ FALLS = "no shape of the robot collides: it falls through any ground"
 
 
 def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
-    """Warn about a robot without colliders, and record each last body of a limb that has none.
+    """Warn about a robot without colliders, and record each limb whose last body has no collider.
 
-    The last body is a group of welded bodies that carries no other moving body: a foot, a wheel, a hand.
+    The last body of a limb is a group of welded bodies without moving children, such as a foot, a wheel, or a hand.
     """
     if not robot.colliders:
         ledger.find("no_colliders", robot.name, "")
@@ -34,7 +34,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def _ends(robot: RobotDescription) -> list[list[Body]]:
-    """Return the groups of welded bodies at the end of a limb, the moving body first."""
+    """Return the group of welded bodies at the end of each limb; the body with the joint comes first in the group."""
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -48,9 +48,9 @@ def _ends(robot: RobotDescription) -> list[list[Body]]:
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
-    """Yield mass and size of each root with joints and colliders, in the form of ``implausible_size``.
+    """Yield the mass and size of each root body with joints and colliders, as findings ``implausible_size``.
 
-    The size is the longest edge of the box around colliders and joints, along the axes of the root, at ``qpos0``.
+    The size is the longest edge of the bounding box of colliders and joints, along the root body's axes, at ``qpos0``.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -64,7 +64,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
         if not len(geoms) or not len(joints):
             continue
-        # The half extents of a rotated box along an axis are the absolute rotation times its own half extents.
+        # A rotated box has the half extents abs(rotation) @ (its own half extents) along the root body's axes.
         axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
         boxes = model.geom_aabb[geoms]
         centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes
@@ -75,7 +75,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
 
 
 def summarise(stage: Stage, robot: RobotDescription) -> Report:
-    """Return the report of a USD stage and its robot."""
+    """Return the conversion report of a robot that was read from a USD stage."""
     units = stage.units
     return report_of(
         robot,
@@ -100,7 +100,7 @@ def report_of(
     unresolved: tuple[str, ...],
     layers: dict[str, str],
 ) -> Report:
-    """Return the report of a robot from a file of any format."""
+    """Return the conversion report of a robot that was read from a USD or URDF file."""
     note_colliders(robot, ledger)
     findings = _by_name(robot, ledger)
     mapped, assumed, left, warnings = ledger.entries()
@@ -128,7 +128,6 @@ def report_of(
 
 
 def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
-    """Return the findings; those about bodies and joints get the names in the model."""
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
         names.setdefault(path, name)
@@ -139,14 +138,14 @@ def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
 
 
 def base_of(robot: RobotDescription) -> str:
-    """Return how the roots are held: floating, fixed, or attached by a joint."""
+    """Return how the root bodies connect to the world: floating, fixed, or attached by a joint."""
     roots = list(robot.children(None))
     kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return ", ".join(sorted(kinds))
 
 
 def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:
-    """Return counts and masses (kg) that show at a glance whether a conversion is right."""
+    """Return the numbers of a robot's bodies, joints, shapes, and actuators, and its masses in kg."""
     assumed = sum(item.numbers["mass"] for item in findings if item.kind == "no_inertial")
     return {
         "bodies": len(robot.bodies),

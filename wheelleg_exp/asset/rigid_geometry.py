@@ -1,7 +1,7 @@
-"""Rotations, rigid frames, and rounding; volume, centre, and inertia of solid shapes, and of bodies made of them.
+"""Rotations, rigid frames, and rounding; volume, centre, and inertia of solid shapes, and of compound bodies.
 
-Arrays hold column vectors. Solids have closed forms. A mesh is the solid of its convex hull, or the volume that
-MuJoCo's compiler computes. Formulas: any table of moments of inertia; a capsule is a cylinder and two half spheres.
+Arrays hold column vectors. Primitive shapes have closed forms. MuJoCo's compiler computes the volume and inertia of a
+mesh or of its convex hull. Formulas: any table of moments of inertia; a capsule is a cylinder and two half spheres.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ Array = NDArray[np.float64]
 
 
 def single(value: float) -> float:
-    """Return the shortest decimal that is the same number in single precision.
+    """Return the shortest decimal that is equal to ``value`` in single precision.
 
     USD stores most physics in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425 again. The
-    change is below the precision of the source.
+    change is below the precision of the USD file.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
 
-SHORT_DIGITS = 5  # a decimal this short, within single precision, was meant and is not an accident
-NOTHING = 1e-8  # m; smaller lengths are single-precision noise at the size of a link
-NOISE = 1e-14  # relative error of a few operations in double precision
+SHORT_DIGITS = 5  # digits
+NOTHING = 1e-8  # m
+NOISE = 1e-14  # relative error
 
 
 def rounded(value: float, scale: float | None = None) -> float:
-    """Return the short decimal that was meant, if one exists; else the number itself.
+    """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
-    -28.64789 degrees are -0.5000000058 rad, and -0.5 was meant. No number changes by more than the single precision in
-    which USD stores most physics. A number without a short decimal stays unchanged. The precision is relative to
-    ``scale``, such as a vector's length; by default to the number itself.
+    A limit of -28.64789 degrees is -0.5000000058 rad, which becomes -0.5. The rounding error is that of single
+    precision, in which USD stores most physics. The error is relative to ``scale``, such as a vector's length, or by
+    default to ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -56,7 +56,7 @@ def plain_float(value: float) -> float:
 
 
 def vec3(values: Array) -> Vec3:
-    """Return three floats in m, without noise below single precision of the largest one and below 10 nm."""
+    """Return a vector (3,) in m as floats, without single-precision rounding errors and without values below 10 nm."""
     scale = float(np.abs(values).max())
     if scale < NOTHING:
         return 0.0, 0.0, 0.0
@@ -80,7 +80,7 @@ def rotation_matrix(quat: Quat) -> Array:
 def quaternion(matrix: Array) -> Quat:
     """Return the quaternion (w, x, y, z) of a rotation matrix, w not negative (Shepperd's method)."""
     m = matrix
-    # The largest of the four quantities gives the division with the smallest rounding error.
+    # Dividing by the quaternion's largest component gives the smallest rounding error.
     diagonal = [np.trace(m), m[0, 0], m[1, 1], m[2, 2]]
     largest = int(np.argmax(diagonal))
     if largest == 0:
@@ -100,35 +100,31 @@ def quaternion(matrix: Array) -> Quat:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A rigid transform: ``rotation`` (3, 3), then ``translation`` (3,)."""
+    """A rigid transform that rotates by ``rotation`` (3, 3), then moves by ``translation`` (3,) in m."""
 
     rotation: Array
     translation: Array
 
     @staticmethod
     def identity() -> Frame:
-        """Return the identity."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
     def of(pose: Pose) -> Frame:
-        """Return the frame of a pose."""
         return Frame(rotation_matrix(pose.rotation), np.array(pose.position))
 
     def __matmul__(self, other: Frame) -> Frame:
         return Frame(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Frame:
-        """Return the inverse frame."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
     def pose(self) -> Pose:
-        """Return plain numbers, rounded to single precision."""
+        """Return the frame as a pose with numbers rounded to single precision."""
         w, x, y, z = (rounded(v, 1.0) for v in quaternion(self.rotation))
         return Pose(vec3(self.translation), (w, x, y, z))
 
     def matrix(self) -> Array:
-        """Return the 4x4 matrix."""
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = self.rotation, self.translation
         return out
@@ -142,7 +138,7 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    The rotation of a mirrored map stays proper; its stretch is then negative (the map times -1).
+    If the map mirrors, the rotation still has determinant 1, and the stretch is negative.
     """
     # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
@@ -154,16 +150,16 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
 
 
 def rigid_part(matrix: Array) -> Frame:
-    """Return the frame of a 4x4 map, without scale, shear, and mirroring."""
+    """Return the rigid part of a 4x4 transform, without scale, shear, and mirroring."""
     return Frame(split_scale(matrix[:3, :3])[0], matrix[:3, 3].copy())
 
 
 def apply(matrix: Array, points: Array) -> Array:
-    """Map points (n, 3) by a 4x4 matrix."""
+    """Transform points (n, 3) by an affine 4x4 matrix."""
     return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
 
 
-Z_TO_AXIS = {  # rotations from z to the axis of a capsule, cylinder, cone, or plane
+Z_TO_AXIS = {  # rotation matrices
     "X": rotation_matrix((math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)),
     "Y": rotation_matrix((math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0)),
     "Z": np.eye(3),
@@ -171,20 +167,20 @@ Z_TO_AXIS = {  # rotations from z to the axis of a capsule, cylinder, cone, or p
 
 
 WATER = 1000.0  # kg/m³, the default density
-BARE_MASS, BARE_RADIUS = 1.0, 0.1  # PhysX: a body without mass and colliders is a sphere of 1 kg
+BARE_MASS, BARE_RADIUS = 1.0, 0.1  # In PhysX, a body without mass and colliders is a 1 kg sphere.
 MeshVolume = Literal["convex", "exact", "legacy", "shell"]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Volume (m³), centre (3,) in m, and inertia (3, 3) of density 1 about that centre, in m⁵."""
+    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) of density 1 about that centre, in m⁵."""
 
     volume: float
     center: Array
     inertia: Array
 
     def seen_from(self, frame: Frame) -> Solid:
-        """Return the solid in the coordinates in which ``frame`` is given."""
+        """Return the solid in the parent coordinates of ``frame``, which is the solid's own frame."""
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 
@@ -199,21 +195,21 @@ class Part:
 
     @staticmethod
     def of(solid: Solid, mass: float) -> Part:
-        """Return a solid of uniform density with this ``mass``."""
+        """Return the part for a solid of uniform density with the total ``mass`` (kg)."""
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the part as if its centre were at ``center`` (parallel-axis theorem)."""
+        """Return the part with its inertia tensor about ``center``, by the parallel-axis theorem."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
 def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the increase of a tensor (3, 3) when its point moves by ``offset`` (3,) from the centre of mass."""
+    """Return the increase of an inertia tensor (3, 3) about a point at ``offset`` (3,) from the centre of mass."""
     return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
 
 
 def combined_center(parts: Iterable[Part]) -> Array:
-    """Return the centre of mass (3,) of parts; the origin if their mass is zero."""
+    """Return the centre of mass (3,) of a body's parts; the origin if the parts have no mass."""
     parts = list(parts)
     total = sum(part.mass for part in parts)
     if total <= 0:
@@ -222,17 +218,17 @@ def combined_center(parts: Iterable[Part]) -> Array:
 
 
 def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
-    """Return the parts' tensor (3, 3) in kg m², scaled to ``mass`` (kg), about ``center`` (3,)."""
+    """Return the inertia tensor (3, 3) of a body's parts about ``center``, scaled to ``mass`` (kg), in kg m²."""
     total = sum(part.mass for part in parts)
     tensor = sum((part.about(center).tensor for part in parts), np.zeros((3, 3)))
     return np.asarray(tensor * (mass / total))
 
 
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
-    """Return the principal moments of a tensor (3, 3) and the rotation (w, x, y, z) of their axes.
+    """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
-    Jacobi's method rotates the largest off-diagonal element away, by at most 45°, until none is left. PhysX uses the
-    same method, so the order of the moments is PhysX's.
+    Each step of Jacobi's method rotates by at most 45° to make the largest off-diagonal element zero. PhysX uses
+    Jacobi's method too, so PhysX and this function return the moments in the same order.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -260,15 +256,15 @@ def _jacobi(matrix: Array, p: int, q: int) -> Array:
 def balanced(moments: Vec3) -> Vec3:
     """Return physically possible moments: each positive, and none larger than the sum of the other two.
 
-    MuJoCo refuses others. A moment of zero, or below 1e-9 of the largest, becomes a thousandth of the largest; a moment
-    that is too large becomes the sum of the other two.
+    MuJoCo refuses impossible moments. A moment of zero, or below 1e-9 of the largest, becomes a thousandth of the
+    largest; a moment that is too large becomes the sum of the other two moments.
     """
     largest = max(moments)
     values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]
     index = int(np.argmax(values))
     others = sum(values) - values[index]
     if values[index] > others:
-        values[index] = others * (1 - 1e-12)  # the sum itself would fail by rounding
+        values[index] = others * (1 - 1e-12)
     return values[0], values[1], values[2]
 
 
@@ -322,20 +318,14 @@ _FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {
 
 
 def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:
-    """Return the solid of a mesh, by MuJoCo's compiler.
+    """Return the solid of a mesh in m from MuJoCo's compiler; raise ValueError if the mesh has no volume.
 
-    Args:
-        vertices: points (n, 3) in m.
-        faces: triangles (k, 3) of indices; None for those of the convex hull.
-        volume: MuJoCo's mesh inertia modes: the ``convex`` hull, ``exact`` or ``legacy`` integrals over the triangles,
-            or the surface as a ``shell`` (the volume is then an area in m²).
-
-    Raises:
-        ValueError: the mesh has no volume.
+    ``faces`` (k, 3) are triangles of indices; None means the triangles of the convex hull. ``volume`` is a
+    mesh inertia mode of MuJoCo; with ``shell``, the volume of the solid is an area in m².
     """
     import mujoco
 
-    size = float(np.ptp(vertices, axis=0).max()) or 1.0  # the compiler has an absolute smallest volume
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     mesh = spec.add_mesh(name="mesh", uservert=(vertices / size).ravel())

@@ -1,7 +1,7 @@
 """A robot as plain data: bodies, joints, shapes, and drives in SI units and radians, z up; and unique names for them.
 
-Quaternions are (w, x, y, z). This module does not know USD: a reader makes the description and the MJCF writer
-prints it. ``extra`` holds attributes that only MuJoCo knows, by their MJCF names, printed without change.
+Quaternions are (w, x, y, z). This module does not know USD: a reader makes the description and the MJCF writer prints
+it. ``extra`` has attributes of MuJoCo without a field here, by MJCF name; the writer prints them unchanged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Extra = Mapping[str, str | int | float | bool | tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Pose:
-    """Position (m) and rotation of one frame in another."""
+    """Position (m) and rotation of one frame in another frame."""
 
     position: Vec3 = (0.0, 0.0, 0.0)
     rotation: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -90,8 +90,9 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    ``stiffness`` in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), ``effort`` in N·m (N), None means unlimited;
-    targets in rad (m). If ``acceleration`` is set, the gains multiply the joint's effective inertia.
+    ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and targets in rad (m). ``effort`` is the limit
+    in N·m (N); None means unlimited. If ``acceleration`` is true, the gains are multiplied by the joint's effective
+    inertia.
     """
 
     kind: DriveKind
@@ -107,9 +108,10 @@ class Drive:
 class Dof:
     """One degree of freedom (three for a ball) of a body in its parent, about ``axis`` through ``anchor``.
 
-    Axis and anchor (m) are in the body's frame. ``range`` in rad (m) or None; ``position`` and ``velocity`` are the
-    saved state; ``ref`` is the coordinate at which the body is at its ``pose``. ``force_range`` in N·m (N) limits the
-    sum of all motors. MuJoCo has no velocity limit: ``max_velocity`` in rad/s (m/s) is stored for the controller.
+    Axis and anchor (m) are in the body's frame. ``range`` is in rad (m), and None without limits; ``position`` and
+    ``velocity`` are the saved state; ``ref`` is the coordinate at which the body is at its ``pose``. ``force_range`` in
+    N·m (N) limits the sum of all motors of the joint. MuJoCo has no velocity limit: ``max_velocity`` in rad/s (m/s) is
+    stored for the controller.
     """
 
     name: str
@@ -150,7 +152,7 @@ class Actuator:
 class TendonPoint:
     """A point of a spatial tendon: a site, a geom to wrap around, or a pulley that divides the tendon's length.
 
-    ``name`` is the site's or geom's; ``side`` is a site on the side of the geom where the tendon must pass.
+    ``name`` is the name of the site or geom; ``side`` names a site on the side of the geom where the tendon must pass.
     """
 
     kind: Literal["site", "geom", "pulley"]
@@ -188,7 +190,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Site:
-    """A named frame on a body; ``extra`` holds its look."""
+    """A named frame on a body; ``extra`` has its shape, size, and colour."""
 
     name: str
     path: str
@@ -222,7 +224,7 @@ class Body:
 class Closure:
     """A joint that closes a loop: points on both bodies (None: the world) coincide, or frames are welded.
 
-    A hinge has two pairs of points, on its axis.
+    A hinge that closes a loop has two pairs of points on its axis.
     """
 
     name: str
@@ -235,7 +237,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A saved state: MuJoCo's ``qpos``, ``qvel``, ``ctrl``, and the like, in the order of MuJoCo's model."""
+    """A saved state: arrays such as ``qpos``, ``qvel``, and ``ctrl``, in the order of the MuJoCo model."""
 
     name: str
     path: str
@@ -244,10 +246,10 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Everything that a simulator needs from the file. Parents come before their children.
+    """Everything that a simulator needs to know about a robot. ``bodies`` lists parents before their children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` hold MuJoCo's
-    attributes of those elements.
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` have the
+    attributes of the MJCF elements with these names.
     """
 
     name: str
@@ -286,28 +288,26 @@ class RobotDescription:
 
     @property
     def colliders(self) -> tuple[Geom, ...]:
-        """All colliding shapes of bodies."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
 
     def children(self, parent: str | None) -> Iterator[Body]:
-        """Yield the bodies whose parent is ``parent`` (None: the world)."""
         return (body for body in self.bodies if body.parent == parent)
 
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body
-DEEPEST = 8  # parts of a path in a name; beyond, equal names are numbered
+DEEPEST = 8  # parts of a path
 LONGEST_FILE = 100  # characters; file systems allow 255 bytes
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
     """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
 
-    ``shown`` are names to prefer over the leaf, if the leaf is an encoded form of them.
+    ``shown`` maps a path with an encoded last part to the original name of that part.
     """
     shown = shown or {}
-    parts = {path: _last_parts(path) for path in paths}
+    parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # Add one parent per round, and only to names that still clash, so that all other names stay short.
+    # Each round prepends the name of one more parent to the names that still clash, so unique names stay short.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]
@@ -320,25 +320,21 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     return numbered(names)
 
 
-def _last_parts(path: str) -> list[str]:
-    return path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:]
-
-
 def numbered(names: dict[str, str]) -> dict[str, str]:
-    """Return the names, with ``_2``, ``_3``, ... appended to repeated ones."""
+    """Return the names, with a number such as ``_2`` appended to each repeated name."""
     counter = Numbered(RESERVED)
     return {path: counter.take(name) for path, name in names.items()}
 
 
 class Numbered:
-    """Names in use; a repeated name gets a number."""
+    """A set of names in use; ``take`` appends a number to a repeated name."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = set(taken)
         self._next: dict[str, int] = {}
 
     def take(self, name: str) -> str:
-        """Return ``name``, or ``name_2`` and so on if that name is in use."""
+        """Add and return ``name``, or the first unused of ``name_2``, ``name_3`` and so on."""
         candidate, number = name, self._next.get(name, 2)
         while candidate in self._taken:
             candidate, number = f"{name}_{number}", number + 1
@@ -348,5 +344,5 @@ class Numbered:
 
 
 def file_stem(name: str) -> str:
-    """Return a file name that every file system accepts and treats as one name, regardless of case."""
+    """Return ``name`` as a file name without suffix that every file system accepts."""
     return re.sub(r"[^\w-]", "_", name, flags=re.ASCII)[:LONGEST_FILE].strip("_") or "mesh"

@@ -1,4 +1,4 @@
-"""Numbers of a converted robot as plain JSON, so that a script can compare them with another source."""
+"""Numbers of a converted robot as plain JSON, so that a script can compare them with another robot file."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def _body(body: Body) -> dict[str, Any]:
         "rotation": list(body.pose.rotation),
         "mass": inertial.mass,
         "center_of_mass": list(inertial.center_of_mass),
-        "inertia": [
-            float(tensor[place]) for place in order
-        ],  # xx yy zz xy xz yz about the centre of mass, in body axes
+        "inertia": [float(tensor[place]) for place in order],  # The order is xx, yy, zz, xy, xz, yz.
     }
 
 

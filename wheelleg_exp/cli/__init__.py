@@ -1,4 +1,4 @@
-"""Run the console script ``wheelleg``. There is one module for each command, and only this package prints.
+"""Run the console script ``wheelleg``. Each command is one module, and only this package prints.
 
 | module | contents |
 |---|---|
@@ -6,7 +6,7 @@
 | `arguments`, `completion` | the parser and shared options; completion in the shell |
 | `train`, `train_pipeline`, `train_sweep`, `resume`, `replay`, `agents` | commands that train or run a task |
 | `play`, `evaluate`, `results`, `export` | commands that use a policy |
-| `configs`, `list`, `list_runs`, `new` | commands on configs and projects |
-| `convert`, `inspect`, `inspect_actions`, `verify`, `report` | commands that read robots, recordings and runs |
+| `configs`, `list`, `new` | commands on configs and projects |
+| `convert`, `inspect`, `verify`, `report` | commands that read robots, recordings and runs |
 | `printing` | tables and progress in a terminal |
 """

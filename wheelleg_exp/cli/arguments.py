@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from wheelleg_exp.cli.printing.terminal import hanging, shown
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, WheellegError, nearest_name, printable
 from wheelleg_exp.files import dump_json, json_plain
 
@@ -28,7 +29,7 @@ class UsageError(WheellegError):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises UsageError, with the nearest option."""
+    """An argument parser that raises UsageError with the nearest option."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, **kwargs})
@@ -51,18 +52,20 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
     if not word.startswith("-"):
         return UsageError("one word too many", key=word)
     nearest = nearest_name(word.split("=")[0], options)
+    expected = "one of " + ", ".join(options)
     if "=" in word and nearest is None:
-        return UsageError("unknown option", key=word, expected=f"an override without dashes, {word.lstrip('-')}")
-    return UsageError("unknown option", key=word, expected="one of " + ", ".join(options), nearest=nearest)
+        expected = f"an override without dashes, {word.lstrip('-')}"
+    return UsageError("unknown option", key=word, expected=expected, nearest=nearest)
 
 
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse also lists optional arguments here
+    if missing is not None:  # argparse also lists optional arguments as missing.
         wanted = missing.group(1).split(", ")
-        names = [name for name in wanted if name not in optional] or wanted  # two arguments can have the same name
-        return UsageError("is missing", key=", ".join(names))
+        # Two positional arguments of a command can have the same name.
+        names = [name for name in wanted if name not in optional] or wanted
+        return UsageError("the argument is missing", key=", ".join(names))
     argument = re.match(r"argument (\S+): (.+)", message)
     if argument is None:
         return None
@@ -106,7 +109,7 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
-    """Add ``--config-dir``, which can be repeated."""
+    """Add the option ``--config-dir``, which can be repeated."""
     parser.add_argument(
         "--config-dir",
         dest="config_dirs",
@@ -132,20 +135,21 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def print_json(document: Any) -> None:
     """Print one JSON document."""
     text = dump_json(document)
-    if printable(text) != text:  # escape control characters as JSON does, before the stream escapes them
+    # Escape control characters in the value as JSON does, before the output stream escapes them.
+    if printable(text) != text:
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
 
 
 def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
-    """Return the checkpoint of an iteration or a path, or the last one. Warn if the checkpoint was changed.
-
-    Raises:
-        RunDirectoryError: the run has no such checkpoint, or its manifest is damaged.
-    """
-    from wheelleg_exp.cli.printing.terminal import hanging, shown
-
-    checkpoint = _checkpoint_named(directory, asked)
+    """Return the run's checkpoint of an iteration, at a path, or the last one; warn if the file was changed."""
+    if asked is None:
+        checkpoint = directory.latest_checkpoint()
+    elif asked.isdigit():
+        checkpoint = directory.checkpoint(int(asked))
+    else:
+        inside = directory.path / asked
+        checkpoint = inside if inside.is_file() else Path(asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
     if own and not directory.manifest().matches_record(checkpoint):
         text = f"{checkpoint.name} differs from its run's record; see 'wheelleg verify {shown(directory.path)}'"
@@ -153,38 +157,17 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     return checkpoint
 
 
-def _checkpoint_named(directory: RunDirectory, asked: str | None) -> Path:
-    if asked is None:
-        return directory.latest_checkpoint()
-    if asked.isdigit():
-        return directory.checkpoint(int(asked))
-    inside = directory.path / asked
-    return inside if inside.is_file() else Path(asked)
-
-
 def source_document(source: Source) -> dict[str, Any]:
-    """Return one source of a leaf as JSON."""
-    return {
-        "path": source.path,
-        "value": source.value,
-        "where": source.where,
-        "file": None if source.file is None else str(source.file),
-        "line": source.line,
-        "override": source.override,
-    }
+    """Return the JSON document of one place that set a config value."""
+    file = None if source.file is None else str(source.file)
+    facts = {"path": source.path, "value": source.value, "where": source.where}
+    return {**facts, "file": file, "line": source.line, "override": source.override}
 
 
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
     """Run a command in one of the processes that torchrun has started, and return the exit status.
 
-    Args:
-        first: the function for rank 0.
-        other: the function for every other rank. It prints nothing.
-        args: the parsed command line.
-        stop: the request to stop.
-
-    Raises:
-        WheellegError: on rank 0, or on a rank that finds another rank dead.
+    The function ``first`` runs on rank 0, and the silent function ``other`` runs on the ranks from 1.
     """
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 

@@ -14,8 +14,8 @@ from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# The shell passes the line up to the cursor in the first variable. bash passes the letters at which it splits words in
-# the second one.
+# The shell passes the line up to the cursor in the variable LINE. bash also passes the letters at which it splits words
+# in the variable BREAKS.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 
@@ -59,7 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the shell's script, or the candidates for a line if the script asks."""
+    """Print the completion script of a shell, or the candidates for a command line if the script requests them."""
     if args.shell != _QUERY:
         print(SCRIPTS[args.shell], end="")
         return EXIT_OK
@@ -69,12 +69,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def answer(line: str, breaks: str | None = None) -> list[str]:
-    """Return the candidates for the last word of a line.
+    """Return the completion candidates for the last word of a command line.
 
-    Args:
-        line: the command line up to the cursor.
-        breaks: the letters at which bash splits words; None for other shells. bash expects only the part after the
-            last such letter, and a space after a complete candidate.
+    The argument ``breaks`` contains the letters at which bash splits words; it is None for another shell. bash expects
+    only the part after the last such letter, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:
@@ -88,7 +86,7 @@ def answer(line: str, breaks: str | None = None) -> list[str]:
 
 
 def split(line: str) -> tuple[list[str], str, str]:
-    """Return the words before the last one, the last word (empty after a space), and its opening quote."""
+    """Split a command line into the first words, the last word, and the opening quote of the last word."""
     for quote in ("", "'", '"'):
         try:
             words = shlex.split(line + quote)
@@ -101,7 +99,7 @@ def split(line: str) -> tuple[list[str], str, str]:
 
 
 def candidates(words: list[str], word: str) -> list[str]:
-    """Return the candidates for ``word`` after ``words``, the first of which is the program."""
+    """Return the completion candidates for ``word`` after the words ``wheelleg ...``."""
     from wheelleg_exp.cli.main import COMMANDS
 
     typed = [w for w in words[1:] if w != "--debug"]
@@ -136,7 +134,7 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, 
 
 
 def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
-    """Return the candidates for one argument, chosen by its name in the help."""
+    """Return the completion candidates for one argument, according to the argument's name in the help."""
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])
@@ -153,9 +151,15 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
         complete = complete_key if name == "KEY" else complete_override
         return files + complete(word, before, folders, primary)
     if name in ("RUN", "A", "B"):
+        from wheelleg_exp.config.explaining import catalog
+        from wheelleg_exp.run.run_directory import LATEST, PIPELINE_NAME, PIPELINES, run_folders
+
         root = Path(given.get("root", ["runs"])[-1])
-        first = [] if name == "RUN" else _tasks(folders)
-        return [*first, *_runs(root), *(_pipelines(root) if resumed else []), *_files(word)]
+        found = [] if name == "RUN" else [entry.name for entry in catalog.tasks(folders)]
+        found += [LATEST, *(folder.name for folder in run_folders(root))]
+        if resumed:
+            found += sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
+        return found + _files(word)
     if name == "GROUP":
         from wheelleg_exp.config.explaining import catalog
 
@@ -167,26 +171,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
     return _files(word) if isinstance(action.type, type) and issubclass(action.type, Path) else []
 
 
-def _tasks(folders: list[Path]) -> list[str]:
-    from wheelleg_exp.config.explaining import catalog
-
-    return [entry.name for entry in catalog.tasks(folders)]
-
-
-def _runs(root: Path) -> list[str]:
-    from wheelleg_exp.run.run_directory import LATEST, run_folders
-
-    return [LATEST, *(folder.name for folder in run_folders(root))]
-
-
-def _pipelines(root: Path) -> list[str]:
-    from wheelleg_exp.run.run_directory import PIPELINE_NAME, PIPELINES
-
-    return sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
-
-
 def _files(word: str) -> list[str]:
-    """Return files and folders whose path starts with ``word``."""
     folder, _, start = word.rpartition("/")
     place = Path(f"{folder}/" if folder or word.startswith("/") else ".").expanduser()
     try:

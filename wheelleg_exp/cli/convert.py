@@ -5,18 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.cli.arguments import add_json
 from wheelleg_exp.errors import EXIT_OK, AssetError
 from wheelleg_exp.stop_request import StopRequest
-
-DESCRIPTION = "Convert a USD or URDF robot to MJCF: masses, joints, colliders, drives and visuals."
-
-
-def add_parser(subparsers: Any) -> None:
-    """Add the command to a script's subparsers."""
-    configure(subparsers.add_parser("convert", help="convert a robot file to MJCF", description=DESCRIPTION))
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -44,17 +36,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="select a variant of a USD file instead of the authored one (repeatable)",
     )
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Convert, and print the report.
-
-    Raises:
-        AssetError: the source cannot be read or does not contain a robot, or the output cannot be written.
-    """
-    variants = dict(_variant(text) for text in args.variant)
-    with StopRequest() as stop:  # the USD library swallows an interrupt of its import
+    """Convert, and print the report."""
+    variants = {}
+    for text in args.variant:
+        name, _, value = text.partition("=")
+        if not (name and value):
+            expected = "SET=NAME, such as Physics=PhysX"
+            raise AssetError(f"'{text}' does not select a variant", key="--variant", expected=expected)
+        variants[name] = value
+    with StopRequest() as stop:  # The USD library swallows an interrupt during its import.
         from wheelleg_exp.asset.convert_robot import convert
         from wheelleg_exp.asset.mjcf.preview_scene import write_scene
     stop.check()
@@ -67,11 +60,3 @@ def run(args: argparse.Namespace) -> int:
 
         show(conversion, scene)
     return EXIT_OK
-
-
-def _variant(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not (name and equals and value):
-        expected = "SET=NAME, such as Physics=PhysX"
-        raise AssetError(f"'{text}' does not select a variant", key="--variant", expected=expected)
-    return name, value

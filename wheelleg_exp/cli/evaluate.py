@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.terms.key_syntax import is_override
 
@@ -29,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
         "of the runs' parameters: env.sim.dt=0.002",
     )
-    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     parser.add_argument(
         "--against",
         metavar="RUN",
@@ -54,7 +55,6 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate policies, print the metrics, store them in the runs, and compare several policies."""
     from wheelleg_exp.cli.printing.metric_tables import print_evaluation
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import shown
 
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
@@ -70,23 +70,22 @@ def run(args: argparse.Namespace) -> int:
         if args.reference or REFERENCE in args.against:
             reference = reference_of(args, made[0], overrides, display)
             against = [reference] if REFERENCE in args.against else against
-    if len(made) == 1 and not against and reference is None:
-        content = {"run": str(made[0].run.path), "folder": str(made[0].folder), **made[0].content}
-        if args.json:
-            print_json(content)
-            return EXIT_OK
-        print(f"evaluated {shown(made[0].checkpoint or made[0].folder)} without exploration noise")
-        print_evaluation(made[0].content)
-        print(f"\nevaluation: {shown(made[0].folder)}")
+    if len(made) > 1 or against or reference is not None:
+        return _compare(args, made, against, reference)
+    (one,) = made
+    if args.json:
+        print_json({"run": str(one.run.path), "folder": str(one.folder), **one.content})
         return EXIT_OK
-    return _compare(args, made, against, reference)
+    print(f"evaluated {shown(one.checkpoint or one.folder)} without exploration noise")
+    print_evaluation(one.content)
+    print(f"\nevaluation: {shown(one.folder)}")
+    return EXIT_OK
 
 
 def _compare(
     args: argparse.Namespace, made: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
-    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.evaluate_policy import compare
 
     found = compare(made, against, reference, args.command)
@@ -102,11 +101,7 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the runs of one method, each with its checkpoint.
-
-    Raises:
-        WheellegError: a run or a checkpoint does not exist, or a run is named twice.
-    """
+    """Return the named runs, each with its checkpoint; raise WheellegError if a run is named twice."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]

@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="DIR", help="the folder to create; by default exported/bundle of the run"
     )
@@ -27,7 +28,6 @@ def run(args: argparse.Namespace) -> int:
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
 
-    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.export.export_bundle import export
 
     made = export(directory, checkpoint, args.output, args.command)

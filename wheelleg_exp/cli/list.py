@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
-from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
+from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, screen_width, table_width
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
+from wheelleg_exp.definitions import LAST, LISTED, percent
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
+from wheelleg_exp.run import run_list
+from wheelleg_exp.run.run_list import RunSummary, SweepSummary
+from wheelleg_exp.run.timestamps import utc_text
 
-KINDS = ("tasks", "terms", "groups", "options", "pipelines", "runs", "sweeps")
+_NEVER = datetime.min.replace(tzinfo=UTC)  # A run with an unknown start time is sorted as if it had this start time.
+_LEAST_ID = 16  # The id of a run is never cut to fewer characters.
+_PROBLEMS_SHOWN = 10
+_LEGEND = (
+    f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "
+    "time-out; played, evaluated: surviving episodes of the last play and of the last evaluation"
+)
+
+
+class Listed(NamedTuple):
+    """One list of the command: its table, its ``--json`` documents, and the text that replaces an empty table."""
+
+    columns: list[str]
+    rows: list[list[Any]]
+    documents: list[dict[str, Any]]
+    no_rows: str = ""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(KINDS) + "}", help="what to list")
+    parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(_LISTS) + "}", help="what to list")
     parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
     of_runs = parser.add_argument_group("list runs")
     of_runs.add_argument(
@@ -30,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "agent.algorithm.gamma=0.99",
     )
     of_runs.add_argument("--sort", metavar="KEY", help="sort by a column or a key of the config, the largest first")
-    of_runs.add_argument("--reverse", action="store_true", help="the smallest, or the oldest, first")
+    of_runs.add_argument("--reverse", action="store_true", help="list the smallest value, or the oldest run, first")
     of_runs.add_argument("--sweep", metavar="SWEEP", help="only the runs of a sweep ('latest'), with their differences")
     parser.add_argument("--root", type=Path, metavar="DIR", help="the folder of the runs (default: runs)")
     add_config_dir(parser)
@@ -38,49 +60,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the list as a table or as JSON."""
-    if args.kind not in KINDS:
-        raise UsageError(
-            "cannot list this",
-            key=str(args.kind),
-            expected="one of " + ", ".join(KINDS),
-            nearest=nearest_name(str(args.kind), KINDS),
-        )
+    """Print the requested list as a table or as JSON."""
+    if args.kind not in _LISTS:
+        expected, nearest = "one of " + ", ".join(_LISTS), nearest_name(args.kind, _LISTS)
+        raise UsageError("wheelleg cannot list this", key=args.kind, expected=expected, nearest=nearest)
     if args.kind != "runs" and (args.filter or args.sort or args.reverse or args.sweep):
-        raise UsageError("--filter, --sort, --reverse and --sweep are for runs", key=args.kind, expected="list runs")
-    columns, rows, documents = _listed(args)
+        message = "--filter, --sort, --reverse and --sweep apply only to the list of runs"
+        raise UsageError(message, key=args.kind, expected="list runs")
+    listed = _LISTS[args.kind](args)
+    rows = [list(map(_cell, row)) for row in listed.rows]
     if args.json:
-        print_json(documents)
-    elif args.filter and not rows:
-        from wheelleg_exp.cli.list_runs import no_match
-
-        print(no_match(args.root, args.sweep))
+        print_json(listed.documents)
+    elif listed.no_rows and not rows:
+        print(listed.no_rows)
+    elif args.kind in ("runs", "sweeps"):
+        _print_runs(listed.columns, rows, listed.documents)
+    elif args.kind == "terms":
+        print_blocks(listed.columns, rows, heads=2)
     else:
-        _show(args.kind, columns, [list(map(_cell, row)) for row in rows], documents)
+        print_table(listed.columns, rows, heads=2 if args.kind == "options" else 1)
     return EXIT_OK
-
-
-def _listed(args: argparse.Namespace) -> tuple[list[str], list[list[Any]], list[dict[str, Any]]]:
-    """Return the columns and rows of the table, and the documents of ``--json``."""
-    if args.kind in ("runs", "sweeps"):
-        from wheelleg_exp.cli import list_runs
-
-        if args.kind == "sweeps":
-            return list_runs.sweeps(args.root)
-        return list_runs.runs(args.root, args.filter, args.sort, args.sweep, reverse=args.reverse)
-    columns, rows = _LISTS[args.kind](args)
-    return columns, rows, [dict(zip(columns, row, strict=True)) for row in rows]
-
-
-def _show(kind: str, columns: list[str], rows: list[list[Any]], documents: list[dict[str, Any]]) -> None:
-    if kind in ("runs", "sweeps"):
-        from wheelleg_exp.cli import list_runs
-
-        list_runs.show(columns, rows, documents)
-    elif kind == "terms":
-        print_blocks(columns, rows, heads=2)
-    else:
-        print_table(columns, rows, heads=2 if kind == "options" else 1)
 
 
 def _cell(value: Any) -> Any:
@@ -92,69 +91,58 @@ def _cell(value: Any) -> Any:
     return "-" if value is None else value
 
 
-Table = tuple[list[str], list[list[Any]]]
+def _table(columns: list[str], rows: list[list[Any]]) -> Listed:
+    return Listed(columns, rows, [dict(zip(columns, row, strict=True)) for row in rows])
 
 
-def _tasks(args: argparse.Namespace) -> Table:
+def _entries(columns: list[str], entries: list[Entry]) -> Listed:
+    fields = [{"task": "name", "option": "name"}.get(column, column) for column in columns]
+    return _table(columns, [[getattr(entry, name) for name in fields] for entry in entries])
+
+
+def _tasks(args: argparse.Namespace) -> Listed:
     return _entries(["task", "help", "file"], catalog.tasks(args.config_dirs))
 
 
-def _groups(args: argparse.Namespace) -> Table:
-    return ["group"], [[name] for name in catalog.groups(args.config_dirs)]
+def _groups(args: argparse.Namespace) -> Listed:
+    return _table(["group"], [[name] for name in catalog.groups(args.config_dirs)])
 
 
-def _options(args: argparse.Namespace) -> Table:
+def _options(args: argparse.Namespace) -> Listed:
     names = [args.group] if args.group else catalog.groups(args.config_dirs)
     entries = [entry for name in names for entry in catalog.options(name, args.config_dirs)]
     return _entries(["group", "option", "help", "file"], entries)
 
 
-def _terms(args: argparse.Namespace) -> Table:
-    from wheelleg_exp.config.explaining.catalog import MODULES, library
+def _terms(args: argparse.Namespace) -> Listed:
+    from wheelleg_exp.config.explaining.catalog import MODULES, library, signature_of
+    from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
-    section = _section(args.group) if args.group else None
+    # A group has the name of its section without the plural: 'reward' of 'rewards'. Both names are accepted.
+    names = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}
+    section = names.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
     stock = catalog.terms(group, args.config_dirs) if section is None or group in known else []
-    rows = [_stock_row(entry) for entry in stock]
+    rows: list[list[Any]] = []
+    for entry in stock:
+        try:
+            takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
+        except WheellegError:
+            takes = ""
+        rows.append([entry.group, entry.name, entry.help, entry.target, takes, entry.file])
     used = {entry.target for entry in stock}
-    found = [t for t in library() if t.target not in used and (group is None or section == t.section)]
-    names = [t.target.rsplit(".", 1)[-1] for t in found]
-    rows += [
-        [t.section.removesuffix("s"), name, t.help, t.target, t.signature, None]
-        for name, t in zip(names, found, strict=True)
-    ]
+    for term in library():
+        if term.target not in used and (group is None or section == term.section):
+            name = term.target.rsplit(".", 1)[-1]
+            rows.append([term.section.removesuffix("s"), name, term.help, term.target, term.signature, None])
     order = {name.removesuffix("s"): index for index, name in enumerate(MODULES.values())}
     rows.sort(key=lambda row: order.get(row[0], len(order)))
-    return ["group", "term", "help", "target", "takes", "file"], rows
+    return _table(["group", "term", "help", "target", "takes", "file"], rows)
 
 
-def _section(name: str) -> str | None:
-    """Return the section for the name of a group or a section: ``rewards`` for ``reward`` and ``rewards``."""
-    from wheelleg_exp.terms.term_binding import RESERVED
-
-    return next((section for section in RESERVED if name in (section, section.removesuffix("s"))), None)
-
-
-def _stock_row(entry: Entry) -> list[Any]:
-    from wheelleg_exp.config.explaining.catalog import signature_of
-    from wheelleg_exp.terms.term_binding import resolve_target
-
-    try:
-        takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
-    except WheellegError:
-        takes = ""
-    return [entry.group, entry.name, entry.help, entry.target, takes, entry.file]
-
-
-def _entries(columns: list[str], entries: list[Entry]) -> Table:
-    fields = {"task": "name", "option": "name", "term": "name"}
-    return columns, [[getattr(entry, fields.get(column, column)) for column in columns] for entry in entries]
-
-
-def _pipelines(args: argparse.Namespace) -> Table:
-    """Return the declared pipelines, then the started ones, the newest first."""
-    from wheelleg_exp.cli.list_runs import runs_folder
+def _pipelines(args: argparse.Namespace) -> Listed:
+    """Return the declared pipelines, followed by the started pipelines with the newest first."""
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
     from wheelleg_exp.run.run_index import pipelines_below
     from wheelleg_exp.terms.key_syntax import PIPELINE
@@ -163,13 +151,169 @@ def _pipelines(args: argparse.Namespace) -> Table:
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
-        except WheellegError as error:  # reported in full when the pipeline is used
+        except WheellegError as error:  # ``wheelleg train`` reports the whole error of a broken pipeline config.
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
-    for index in pipelines_below(runs_folder(args.root)):
+    for index in pipelines_below(_runs_folder(args.root)):
         phases = ", ".join(f"{phase['name']} {phase['status']}" for phase in index.phases)
         rows.append([index.data["name"], index.data["status"], phases, index.data["why"], index.folder])
-    return ["pipeline", "status", "phases", "help", "file"], rows
+    return _table(["pipeline", "status", "phases", "help", "file"], rows)
 
 
-_LISTS = {"tasks": _tasks, "groups": _groups, "options": _options, "pipelines": _pipelines, "terms": _terms}
+def _runs(args: argparse.Namespace) -> Listed:
+    """Return the table of runs. A sweep's table has the swept keys instead of ``task`` and ``resume``."""
+    folder = _runs_folder(args.root)
+    every = run_list.list_runs(folder)
+    if args.sweep is not None:
+        every = _of_sweep(every, args.sweep, folder)
+    found = run_list.filter_runs(every, args.filter)
+    if args.sort is not None:
+        found = run_list.sort_runs(found, args.sort, reverse=args.reverse)
+    elif args.reverse:
+        found.reverse()
+    of_sweeps = run_list.swept_runs(folder)
+    swept = [of_sweeps.get(run.path.resolve()) for run in found]
+    documents = []
+    for run, own in zip(found, swept, strict=True):
+        in_sweep = {"sweep": own.sweep if own else None, "swept": dict(own.values) if own else {}}
+        documents.append(_document(run) | {"seeds": list(run.seeds) or None} | in_sweep)
+    columns, rows = ["id", "task", "status", *LISTED, "resume"], list(map(_run_row, found))
+    of_one_sweep = [own for own in swept if own]
+    if found and len(of_one_sweep) == len(found) and len({own.sweep for own in of_one_sweep}) == 1:
+        keys = list(dict.fromkeys(key for own in of_one_sweep for key in own.values))
+        columns = ["id", *_short(keys), "status", *LISTED]
+        values = [[own.values.get(key) for key in keys] for own in of_one_sweep]
+        rows = [[row[0], *own, *row[2:-1]] for row, own in zip(rows, values, strict=True)]
+    # Omit empty columns of the table to have space for whole run ids, because users copy the ids.
+    optional = ("played", "evaluated", "resume")
+    used = [i for i, name in enumerate(columns) if name not in optional or any(row[i] is not None for row in rows)]
+    columns, rows = [columns[i] for i in used], [[row[i] for i in used] for row in rows]
+    return Listed(columns, rows, documents, f"no run of {len(every)} matches" if args.filter else "")
+
+
+def _of_sweep(runs: list[RunSummary], name: str, root: Path) -> list[RunSummary]:
+    index = run_list.find_sweep(name, root)
+    if index is None:
+        known = [sweep.id for sweep in run_list.list_sweeps(root)]
+        expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
+        nearest = nearest_name(name, known)
+        raise WheellegError(f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest)
+    members = run_list.runs_of(index)
+    return [run for run in runs if run.path.resolve() in members]
+
+
+def _short(keys: Sequence[str]) -> list[str]:
+    """Shorten dotted config keys from the left, so that they still differ from each other and from the column names."""
+    taken = {"id", "status", *LISTED}
+
+    def name(key: str, parts: int) -> str:
+        return ".".join(key.split(".")[-parts:])
+
+    def fits(key: str, parts: int) -> bool:
+        return name(key, parts) not in taken and [name(other, parts) for other in keys].count(name(key, parts)) == 1
+
+    return [next((name(k, n) for n in range(1, k.count(".") + 1) if fits(k, n)), k) for k in keys]
+
+
+def _sweeps(args: argparse.Namespace) -> Listed:
+    rows: list[list[Any]] = []
+    found = run_list.list_sweeps(_runs_folder(args.root))
+    for sweep in found:
+        jobs = ", ".join(f"{count} {status}" for status, count in sweep.jobs.items())
+        took = None if sweep.ended is None else (datetime.fromisoformat(sweep.ended) - sweep.started).total_seconds()
+        rows.append([sweep.id, sweep.status, jobs or None, " ".join(sweep.swept) or None, _duration(took)])
+    return Listed(["id", "status", "jobs", "swept", "took"], rows, list(map(_document, found)))
+
+
+def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
+    """Return the JSON document of a run or sweep. A fact that a damaged file hides is null."""
+    return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
+
+
+def _print_runs(columns: Sequence[str], rows: list[list[Any]], documents: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table of runs or sweeps, and below the table their problems and a legend."""
+    width = max(screen_width() - table_width(columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
+    half = (width - 1) // 2
+    for row in rows:  # Cut the middle out of a run id that is too long, because run ids differ at their ends.
+        text = str(row[0])
+        row[0] = text if len(text) <= width else f"{text[: width - half - 1]}…{text[-half:]}"
+    print_table(columns, rows, lines=False)
+    lines = [f"{entry['id']}: {entry['problem']}" for entry in documents if entry["problem"]]
+    more = len(lines) - _PROBLEMS_SHOWN
+    lines = lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json lists them"] if more > 0 else [])
+    for line in lines:
+        print(hanging(line, 4))
+    if any(entry.get("figures") or entry.get("played") for entry in documents):
+        print(hanging(_LEGEND, 0))
+
+
+def _runs_folder(root: Path | None) -> Path:
+    """Return the folder of all runs; raise WheellegError if the given folder does not exist."""
+    if root is None or root.is_dir():
+        return root or Path("runs")
+    parent = root.absolute().parent
+    names = [path.name for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
+    found = nearest_name(root.name, names)
+    nearest, expected = str(root.with_name(found)) if found else None, "the folder of the runs (run.root)"
+    raise WheellegError("the folder does not exist", key=str(root), where="--root", expected=expected, nearest=nearest)
+
+
+def _run_row(run: RunSummary) -> list[Any]:
+    done = None if run.iterations is None and run.max_iterations is None else f"{run.iterations or 0}"
+    total = "" if run.max_iterations is None else f"/{run.max_iterations}"
+    reward = run.figures.get("return")
+    return [
+        run.id,
+        run.task,
+        run.status,
+        done and done + total,
+        None if reward is None else f"{reward:.2f}",
+        _percent(run.figures.get("time_out")),
+        _survived(run.played),
+        _evaluated(run.evaluated),
+        _duration(run.seconds),
+        ("from start" if run.checkpoint is None else f"from {run.checkpoint}") if run.resumable else None,
+    ]
+
+
+def _percent(value: Any) -> str | None:
+    return percent(value) if isinstance(value, (int, float)) else None
+
+
+def _survived(played: Mapping[str, Any]) -> str | None:
+    """Return the surviving and the ended episodes of a play, ``60/64``, or the surviving share if both are missing."""
+    survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
+    if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
+        return _percent(survival)
+    ended = episodes - unfinished
+    return f"{round(survival * ended)}/{ended}"
+
+
+def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
+    """Return an evaluation's protocol and the surviving share of its first test, ``walk 100.0%``."""
+    metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
+    if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
+        return None
+    shares = (value for name, value in metrics.items() if str(name).endswith("/survival"))
+    return " ".join(filter(None, (protocol, _percent(next(shares, None)))))
+
+
+def _duration(seconds: float | None) -> str | None:
+    if seconds is None:
+        return None
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours}h{minutes:02}m"
+    return f"{minutes}m{seconds:02}s" if minutes else f"{seconds}s"
+
+
+_LISTS = {
+    "tasks": _tasks,
+    "terms": _terms,
+    "groups": _groups,
+    "options": _options,
+    "pipelines": _pipelines,
+    "runs": _runs,
+    "sweeps": _sweeps,
+}

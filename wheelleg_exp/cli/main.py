@@ -35,13 +35,10 @@ from wheelleg_exp.user_exceptions import in_words
 
 @dataclass(frozen=True)
 class Command:
-    """One command.
+    """One command: a module in ``cli`` with ``configure(parser)``, and the text in ``wheelleg --help``.
 
-    Attributes:
-        module: the module in ``cli`` with ``configure(parser)`` and the function ``run``.
-        help: the description in ``wheelleg --help``.
-        run: the name of the function ``run(args) -> exit status``.
-        project: whether the command uses the user's project in the current folder.
+    The attribute ``run`` names the function that runs the command and returns its exit status. The attribute
+    ``project`` is true if the command reads the user's project in the current folder.
     """
 
     module: str
@@ -80,11 +77,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit status.
-
-    Args:
-        argv: the words after ``wheelleg``; by default those of the process.
-    """
+    """Run one command and return its exit status; ``argv`` contains the words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
         _collect_seldom()
@@ -94,9 +87,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _collect_seldom() -> None:
-    """Run the garbage collector after ten thousand new objects instead of hundreds, and not at the end of the process.
+    """Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
 
-    Imported modules are never freed, but the collector scanned them repeatedly. This took a second of a short training.
+    Python never frees imported modules, but its garbage collector scans them, which takes 1 s of a short training.
     """
     gc.set_threshold(10_000)
     atexit.register(gc.freeze)
@@ -113,31 +106,23 @@ def _answer(words: list[str], debug: bool) -> int:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except BaseException as error:  # a user's module can also raise SystemExit
+    except BaseException as error:  # The user's module can also raise SystemExit during its import.
         hint = "" if debug else " (--debug shows the traceback)"
         return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
 
 def _dispatch(words: list[str]) -> int:
-    parser = _script_parser()
     split = next((i for i, word in enumerate(words) if not word.startswith("-")), len(words))
-    options = _parse(parser, words[:split])
-    if options is None:
+    if _parse(_script_parser(), words[:split]) is None:
         return EXIT_OK
+    commands = "one of " + ", ".join(COMMANDS)
     if split == len(words):
-        raise UsageError("a command is missing", key="wheelleg", expected="one of " + ", ".join(COMMANDS))
-    return _run(words[split], words[split + 1 :])
-
-
-def _run(name: str, words: list[str]) -> int:
+        raise UsageError("a command is missing", key="wheelleg", expected=commands)
+    name, words = words[split], words[split + 1 :]
     command = COMMANDS.get(name)
     if command is None:
-        raise UsageError(
-            "there is no such command",
-            key=name,
-            expected="one of " + ", ".join(COMMANDS),
-            nearest=nearest_name(name, [*COMMANDS, "--version", "--help"]),
-        )
+        nearest = nearest_name(name, [*COMMANDS, "--version", "--help"])
+        raise UsageError("wheelleg has no command with this name", key=name, expected=commands, nearest=nearest)
     module = import_module(f"wheelleg_exp.cli.{command.module}")
     parser = Parser(prog=f"wheelleg {name}", description=f"{command.help[0].upper()}{command.help[1:]}.")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -152,13 +137,16 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Add the configs and terms of the project in the current folder. A training trusts the folders of its options."""
+    """Add the configs and terms of the project in the current folder.
+
+    A training trusts the code in the folders of ``--config-dir``.
+    """
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):
             trust(args.config_dirs[:named])
         return
-    with suppress(ConfigError):  # a broken project does not matter for a command without configs
+    with suppress(ConfigError):  # A command that reads no configs ignores a broken project.
         with_current([])
 
 
@@ -166,8 +154,7 @@ def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
     """Parse options and overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
-    except SystemExit:
-        # argparse raises SystemExit only after --help and --version, because Parser.error raises UsageError.
+    except SystemExit:  # Only --help and --version raise SystemExit, because Parser.error raises UsageError.
         return None
 
 
@@ -188,16 +175,16 @@ def _script_parser() -> Parser:
 def _failed(message: str, status: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    print(
-        f"wheelleg: error: {message}" if status != EXIT_INTERRUPTED else "wheelleg: interrupted",
-        file=sys.stderr,
-    )
+    print(f"wheelleg: error: {message}" if status != EXIT_INTERRUPTED else "wheelleg: interrupted", file=sys.stderr)
     return status
 
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C. Only the main thread can set handlers."""
+    """Inside the block, treat the signals SIGTERM and SIGHUP as Ctrl-C.
+
+    Only the main thread can set signal handlers.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

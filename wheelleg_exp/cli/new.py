@@ -5,18 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wheelleg_exp.errors import EXIT_OK
-
-if TYPE_CHECKING:
-    from wheelleg_exp.project.create import Created
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("place", metavar="NAME", type=Path, help="the project's name, or a new folder that ends in it")
-    parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot; by default the stock one")
+    parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot (default: the stock robot)")
     parser.add_argument(
         "--allow-missing",
         action="store_true",
@@ -25,21 +21,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Create the project, and print its contents and the next commands.
-
-    Raises:
-        WheellegError: the name, the folder or the robot's file is not valid. Nothing was created.
-    """
+    """Create a user project, and print its contents and the next commands. An error leaves no files."""
     from wheelleg_exp.stop_request import StopRequest
 
-    with StopRequest() as stop:  # the USD library swallows an interrupt of its import
+    with StopRequest() as stop:  # The USD library swallows an interrupt during its import.
         from wheelleg_exp.project.create import create
     stop.check()
-    _show(create(args.place, args.robot, allow_missing=args.allow_missing))
-    return EXIT_OK
-
-
-def _show(made: Created) -> None:
+    made = create(args.place, args.robot, allow_missing=args.allow_missing)
     robot, facts = made.robot, made.robot.facts
     shown = os.path.relpath(made.path)
     print(f"created {shown}: {len(made.files)} files")
@@ -58,3 +46,4 @@ def _show(made: Created) -> None:
     print(f"      wheelleg train task={name}    # learns to stand: some minutes on two cores")
     print(f"      python -m pytest              # {name} and its test")
     print("      README.md explains more; nothing has to be installed")
+    return EXIT_OK

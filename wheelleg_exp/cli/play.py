@@ -1,4 +1,4 @@
-"""``wheelleg play RUN``, also with ``--drive`` and ``--script FILE``."""
+"""The command ``wheelleg play RUN``, also with ``--drive`` and ``--script FILE``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_OK
 
 if TYPE_CHECKING:
@@ -24,10 +25,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
     )
-    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
-    parser.add_argument("--script", type=Path, metavar="FILE", help="drive it by a list of commands (docs/drive.md)")
-    parser.add_argument("--scene", metavar="NAME", help="the ground to drive on; by default the run's own")
+    parser.add_argument(
+        "--script", type=Path, metavar="FILE", help="drive the robot by a list of commands (docs/drive.md)"
+    )
+    parser.add_argument("--scene", metavar="NAME", help="the ground to drive on (default: the ground of the run)")
     parser.add_argument("--port", type=int, help=f"port of the page, on this machine alone (default: {_PORT})")
     add_root(parser)
     add_json(parser)
@@ -39,12 +42,15 @@ def run(args: argparse.Namespace) -> int:
 
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
-    if _is_driven(args):
+    if args.drive or args.script is not None:
         return _run_drive(args, directory, checkpoint)
+    for option, value in (("--scene", args.scene), ("--port", args.port)):
+        if value is not None:
+            message = "the option applies only to driving"
+            raise UsageError(message, key=option, expected="also --drive or --script FILE")
 
     from wheelleg_exp.cli.printing.metric_tables import print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.play_policy import play
 
     with ConsoleDisplay(quiet=True) as display:
@@ -61,22 +67,17 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _is_driven(args: argparse.Namespace) -> bool:
-    """Return whether the user drives the robot; raise UsageError if another option needs a drive."""
-    if args.drive or args.script is not None:
-        return True
-    for option, value in (("--scene", args.scene), ("--port", args.port)):
-        if value is not None:
-            raise UsageError("is for driving", key=option, expected="also --drive or --script FILE")
-    return False
-
-
 def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive
+    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, scenes
 
     request = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
-    with ConsoleDisplay(quiet=True) as display, _page(args, run) as page:
+    place: Any = nullcontext()
+    if args.drive:
+        from wheelleg_exp.jobs.drive.drive_page import DrivePage
+
+        place = DrivePage(_PORT if args.port is None else args.port, scenes(), run.checkpoints())
+    with ConsoleDisplay(quiet=True) as display, place as page:
         drives = drive(request, display, page)
     if args.json:
         documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]
@@ -87,34 +88,18 @@ def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | N
     return EXIT_OK
 
 
-def _page(args: argparse.Namespace, run: RunDirectory) -> Any:
-    if not args.drive:
-        return nullcontext()
-    from wheelleg_exp.jobs.drive.drive_page import DrivePage
-    from wheelleg_exp.jobs.drive.run_drive import scenes
-
-    return DrivePage(_PORT if args.port is None else args.port, scenes(), run.checkpoints())
-
-
 def _print(made: Drive) -> None:
     from wheelleg_exp.cli.printing.metric_tables import print_recording
-    from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
     from wheelleg_exp.definitions import drive_rows
+    from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
 
     print(f"drove {shown(made.checkpoint)} without exploration noise")
     print_table(("figure", "value"), drive_rows(made.figures))
-    print(f"\nrepeat: {tool('wheelleg')} {shlex.join(_repeat_command(made))}")
-    print_recording(made.recording)
-
-
-def _repeat_command(made: Drive) -> list[str]:
-    """Return the arguments of ``wheelleg`` that repeat a drive."""
-    from wheelleg_exp.cli.printing.terminal import shown
-    from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
-
     run, scene = made.folder.parent.parent, made.figures["scene"]
     own = made.checkpoint.resolve().is_relative_to(run)
     words = ["play", shown(run), *made.figures["overrides"]]
     words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
     words += [] if scene == OWN_GROUND else ["--scene", scene]
-    return [*words, "--script", shown(made.folder / "driven.yaml")]
+    words += ["--script", shown(made.folder / "driven.yaml")]
+    print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
+    print_recording(made.recording)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_json, print_json
+from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
-
-if TYPE_CHECKING:
-    from wheelleg_exp.jobs.replay.replay_run import Replayed
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Restore the source, train, compare, and print the result."""
+    """Restore the source of a run, train the run again, compare the runs, and print the result."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
@@ -66,15 +63,10 @@ def run(args: argparse.Namespace) -> int:
                 iterations=args.iterations,
                 keep=args.keep,
             )
+    status = EXIT_FINDING if found.comparison.verdict == "different" else EXIT_OK
     if args.json:
         print_json(found.as_dict())
-    else:
-        _print(found)
-    return EXIT_FINDING if found.comparison.verdict == "different" else EXIT_OK
-
-
-def _print(found: Replayed) -> None:
-    from wheelleg_exp.cli.printing.terminal import shown
+        return status
 
     iterations = f"{found.iterations} iteration{'' if found.iterations == 1 else 's'}"
     part = "all" if found.whole else "the first"
@@ -83,3 +75,4 @@ def _print(found: Replayed) -> None:
         print(f"restored source: {found.kept}")
     for line in found.comparison.lines():
         print(line)
+    return status

@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report and print its path."""
+    """Write the HTML report and print its path."""
     from wheelleg_exp.report import make_report
 
     made = make_report(args.run, args.root, args.output, args.command, pictures=not args.no_pictures)

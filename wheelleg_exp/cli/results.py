@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_root
+from wheelleg_exp.cli.printing.terminal import shown, tool
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
 
@@ -22,8 +22,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "runs",
         nargs="*",
         metavar="RUN|OVERRIDE",
-        help="runs that differ by their seed, and protocol=walk; with --again further names: runs that several results "
-        "share are trained once",
+        help="runs that differ by their seed, and overrides such as protocol=walk; with --again: names of more "
+        "results, whose common runs are trained once",
     )
     parser.add_argument(
         "--into", type=Path, default=FOLDER, metavar="DIR", help=f"the folder of the result (default: {FOLDER})"
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate runs and write their table, or reproduce a written table."""
+    """Evaluate runs and write a table of their results, or reproduce a written table."""
     from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
@@ -51,7 +51,6 @@ def run(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, reference_of
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import shown, tool
     from wheelleg_exp.jobs.result_record import (
         compare_with_reference,
         earlier_manifests,
@@ -62,10 +61,10 @@ def _write(args: argparse.Namespace) -> int:
     names = [word for word in args.runs if not is_override(word)]
     words = [word for word in args.runs if is_override(word)]
     if not names:
-        raise WheellegError("names no run", key="RUN", expected="the runs of the table")
-    earlier_manifests(args.name, args.into)  # raises if the file to overwrite is not a result
+        raise WheellegError("the command line has no run", key="RUN", expected="the runs of the table")
+    earlier_manifests(args.name, args.into)  # Do not overwrite a file that is not a results page.
     chosen = found(args, names)
-    require_one_method([directory for directory, _ in chosen])  # raises if a run cannot be reproduced
+    require_one_method([directory for directory, _ in chosen])  # Refuse a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
@@ -83,8 +82,17 @@ def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.run.run_directory import RunDirectory
 
     names = list(dict.fromkeys((args.name, *args.runs)))
-    _require_results(args, names)
-    records = {name: read_result(name, args.into) for name in names}  # read every record before the first training
+    if args.reference or args.kept:
+        message = "the record determines the evaluations"
+        raise WheellegError(message, key="--again", expected="--again without options of evaluations")
+    pages = sorted(path.stem for path in args.into.glob("*.json"))
+    if missing := [name for name in names if name not in pages]:
+        message = f"there is no result {' and no '.join(map(repr, missing))} in {args.into}"
+        known = ", ".join(pages) or "(there are none)"
+        expected = f"names of results with --again, no runs and no overrides: {known}"
+        raise WheellegError(message, key="NAME", expected=expected, nearest=nearest_name(missing[0], pages))
+    # A broken record raises before the first training.
+    records = {name: read_result(name, args.into) for name in names}
     differ = False
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
@@ -94,23 +102,6 @@ def _again(args: argparse.Namespace) -> int:
                 _say(line)
             differ = differ or bool(found.differences)
     return EXIT_FINDING if differ else EXIT_OK
-
-
-def _require_results(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """Raise WheellegError if a result does not exist, or if an option contradicts the record."""
-    if args.reference or args.kept:
-        message = "the record determines the evaluations"
-        raise WheellegError(message, key="--again", expected="--again without options of evaluations")
-    pages = sorted(path.stem for path in args.into.glob("*.json"))
-    missing = [name for name in names if name not in pages]
-    if missing:
-        raise WheellegError(
-            f"there is no result {' and no '.join(repr(name) for name in missing)} in {args.into}",
-            key="NAME",
-            expected="names of results with --again, no runs and no overrides: "
-            + (", ".join(pages) or "(there are none)"),
-            nearest=nearest_name(missing[0], pages),
-        )
 
 
 def _say(text: str) -> None:

@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, together
+from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.cli.train import print_trained, train_on
 from wheelleg_exp.torchrun import require_alone, world_size
 
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'; or a pipeline's")
+    parser.add_argument(
+        "run", metavar="RUN", help="a run directory, its id, or 'latest'; or the folder or id of a pipeline"
+    )
     parser.add_argument(
         "overrides",
         nargs="*",
@@ -53,7 +56,6 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
         return resume_pipeline(args, pipeline, stop)
 
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import shown
     from wheelleg_exp.jobs.train import resume_training
     from wheelleg_exp.rl.ranks import ALONE
 
@@ -68,7 +70,7 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
 
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
-    """Resume on another rank than 0."""
+    """Resume a run on a rank from 1."""
     with ranks.agreed():
         _opened(args)
 
@@ -80,7 +82,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
 
 
 def _opened(args: argparse.Namespace) -> RunDirectory:
-    """Return the run, and make MKL use the run's kernels. This must precede the import of the trainer."""
+    """Return the run to resume, and make MKL use the run's matrix kernels before the trainer is imported."""
     from wheelleg_exp.machine import keep_kernels
     from wheelleg_exp.run.run_directory import RunDirectory
 

@@ -1,4 +1,4 @@
-"""``wheelleg train``, and how the commands that train report their result."""
+"""The command ``wheelleg train``, and the result texts of all commands that train."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
-from wheelleg_exp.cli.printing.terminal import shown, tool
+from wheelleg_exp.cli.printing.terminal import hanging, shown, tool
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, SimulationFailure
 from wheelleg_exp.torchrun import require_alone, world_size
 
@@ -34,11 +34,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compose, check, train, and print the result."""
+    """Train one run, a sweep, or a pipeline, and print the result."""
     from wheelleg_exp.stop_request import StopRequest
     from wheelleg_exp.terms.key_syntax import names_pipeline
 
-    # Handle interrupts before any heavy import. A C++ library can lose an interrupt during its import.
+    # Handle interrupts before any heavy import, because a C++ library can lose an interrupt during its import.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
             from wheelleg_exp.cli.train_pipeline import train_pipeline
@@ -54,14 +54,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    """Train one run, on rank 0 if there are several processes."""
+    """Train one run; with several processes, on rank 0."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed() if ranks else nullcontext():
         composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import hanging, shown
     from wheelleg_exp.jobs.train.prepare_training import prepare
     from wheelleg_exp.lint.physics_check import examine
     from wheelleg_exp.rl.ranks import ALONE
@@ -80,7 +79,7 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
 
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
-    """Train on another rank than 0."""
+    """Train one run on a rank from 1."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed():
@@ -100,9 +99,9 @@ def _digests(composed: Composed) -> dict[str, str]:
 
 
 def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
-    """Train and return the results, or None if the training was interrupted.
+    """Train a prepared run and return its results, or None if the training was interrupted.
 
-    If the training stops early, print the command that resumes it.
+    If the training stops early, print the command that resumes the run.
     """
     from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
@@ -130,7 +129,7 @@ def resume_hint(directory: RunDirectory) -> str:
 
 
 def print_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
-    """Print the results of a training and the next commands, unless it was interrupted; return the exit status."""
+    """Print the results and the next commands of a training that was not interrupted; return the exit status."""
     if results is None:
         return EXIT_INTERRUPTED
     if as_json:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import print_json
-from wheelleg_exp.cli.printing.terminal import print_table
+from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INTERRUPTED, EXIT_OK, ConfigError
 from wheelleg_exp.terms.key_syntax import names_pipeline
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Compose and check every phase, run the phases, and print the result."""
+    """Compose and check every phase of a pipeline, run the phases, and print the result."""
     if args.multirun:
         raise ConfigError("a pipeline cannot be a job of a sweep", key="-m", expected="one command per pipeline")
 
@@ -45,14 +45,10 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 
 
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
-    """Return a pipeline and the config of each phase, checked against each other and against the gates.
+    """Return a pipeline and the config of each phase, after a check of the phases against their gates.
 
-    Args:
-        words: the overrides of the pipeline and of all phases.
-        config_dirs: the user's config folders.
-
-    Raises:
-        ConfigError: all mistakes that can be found before the first phase starts.
+    The argument ``words`` contains the overrides of the pipeline and of all phases. A raised ConfigError lists all
+    mistakes that can be found before the first phase starts.
     """
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
 
@@ -78,7 +74,6 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
 
 def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.terminal import shown, tool
     from wheelleg_exp.errors import WheellegError
     from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineRunner
     from wheelleg_exp.run.run_lock import RunLock
@@ -101,8 +96,6 @@ def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSetti
 
 
 def _print_result(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
-    from wheelleg_exp.cli.printing.terminal import shown, tool
-
     rows = []
     for phase in index.phases:
         run = index.run_of(phase)

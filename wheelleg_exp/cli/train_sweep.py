@@ -12,13 +12,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.arguments import print_json
-from wheelleg_exp.cli.printing.terminal import print_table
+from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError
 from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.composing.compose_sweep import Sweep, SweepJob
-    from wheelleg_exp.jobs.training_job import JobRequest
+    from wheelleg_exp.config.composing.compose_sweep import Sweep
     from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
@@ -28,7 +27,7 @@ _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTER
 
 
 def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Expand the sweep, check and train every job, and print the result."""
+    """Expand a sweep, check and train every job, and print the result."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
     from wheelleg_exp.config.composing.compose_sweep import compose_sweep
 
@@ -41,16 +40,21 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
         display.checked()
 
-        from wheelleg_exp.cli.printing.terminal import shown
-        from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
+        from wheelleg_exp.jobs.run_sweep import SweepRunner
+        from wheelleg_exp.jobs.sweep_queue import make_launcher
+        from wheelleg_exp.jobs.training_job import JobRequest
 
         at_once, named = _at_once(sweep), _named(args.config_dirs)
+        folders = [str(folder) for folder in args.config_dirs]
         index = _make_index(sweep, at_once, args.command)
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
         crowded = _crowded(sweep, at_once)
         if crowded:
             display.say(f"warning: {crowded}")
-        requests = [_request(job, args.config_dirs, _alone(job.overrides, named)) for job in sweep.jobs]
+        requests = [
+            JobRequest("train", list(job.overrides), folders, _alone(job.overrides, named), job.digest)
+            for job in sweep.jobs
+        ]
         try:
             launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
         except WheellegError:
@@ -58,7 +62,8 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
             raise
         status = SweepRunner(index, requests, at_once, display, stop, launcher).run()
     if args.json:
-        print_json({"sweep": str(index.folder), **_document(index)})
+        jobs = [{**job, "run": None if job["run"] is None else str(index.run_of(job))} for job in index.jobs]
+        print_json({"sweep": str(index.folder), **index.data, "jobs": jobs})
     else:
         _print_report(index, named)
     return _STATUS[status]
@@ -73,7 +78,7 @@ def _at_once(sweep: Sweep) -> int:
 
 
 def _joblib() -> ModuleType:
-    """Import joblib, and remove the environment variables that the import sets, which jobs must not inherit."""
+    """Import joblib, and unset the environment variables that joblib sets, because sweep jobs would inherit them."""
     before = set(os.environ)
     import joblib
 
@@ -98,14 +103,8 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
     return index
 
 
-def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> JobRequest:
-    from wheelleg_exp.jobs.training_job import JobRequest
-
-    return JobRequest("train", list(job.overrides), [str(folder) for folder in config_dirs], command, job.digest)
-
-
 def _named(config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders without that of the project in the current folder, which needs no option."""
+    """Return the folders for ``--config-dir``, without the current project's folder, which needs no option."""
     own: list[Path] = []
     with suppress(ConfigError):
         own = with_current([])
@@ -113,15 +112,16 @@ def _named(config_dirs: Sequence[Path]) -> list[Path]:
 
 
 def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
-    """Return the command that trains one job alone."""
+    """Return the command that trains one job of a sweep alone."""
     return ["wheelleg", "train", *overrides, *(word for d in config_dirs for word in ("--config-dir", str(d)))]
 
 
 def _crowded(sweep: Sweep, at_once: int) -> str | None:
-    """Return a warning if jobs on this machine use more threads than there are cores; otherwise None."""
+    """Return a warning if the jobs on this machine use more threads than the machine has cores."""
     from wheelleg_exp.config.composing.compose_sweep import QUEUES
 
-    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":  # other machines, or a queue that limits cores
+    # A job queue such as Slurm runs the jobs on other machines or limits their cores.
+    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":
         return None
     cores = int(_joblib().cpu_count())
     configs = [job.config for job in sweep.jobs]
@@ -135,57 +135,28 @@ def _crowded(sweep: Sweep, at_once: int) -> str | None:
     )
 
 
-def _document(index: SweepIndex) -> dict[str, Any]:
-    jobs = [{**job, "run": _text(index.run_of(job))} for job in index.jobs]
-    return {**index.data, "jobs": jobs}
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
-
-
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
-    from wheelleg_exp.cli.printing.terminal import shown
-
     print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
     done = [job for job in index.jobs if job["status"] == "finished"]
     print(f"\n{len(done)} of {len(index.jobs)} jobs finished: {shown(index.path)}")
-    _print_labelled("next:", _next(index, done))
+    program = tool("wheelleg")
+    runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
+    following = []
+    if runs:
+        following.append([tool("tensorboard"), "--logdir", os.path.commonpath([Path(run).parent for run in runs])])
+        following += [[program, "diff", *runs[:2]]] if len(runs) > 1 else []
+        following.append([program, "play", runs[0]])
     left = [job for job in index.jobs if job["status"] != "finished"]
-    again = [shlex.join([*_program(), *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
-    more = len(left) - len(again)
-    _print_labelled("retry:", [*again, *([f"and {more} more, whose overrides are in the index"] if more else [])])
-
-
-def _print_labelled(label: str, lines: Sequence[str]) -> None:
-    for index, line in enumerate(lines):
-        print(f"{'' if index else label:<6} {line}")
+    again = [shlex.join([program, *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
+    if len(left) > len(again):
+        again.append(f"and {len(left) - len(again)} more, whose overrides are in the index")
+    for label, lines in (("next:", list(map(shlex.join, following))), ("retry:", again)):
+        for number, line in enumerate(lines):
+            print(f"{'' if number else label:<6} {line}")
 
 
 def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
-    from wheelleg_exp.cli.printing.terminal import shown
-
     run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
     status = "not started" if job["status"] == "waiting" else job["status"]
     figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
     return [job["number"], " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"]
-
-
-def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return commands for the results: TensorBoard, a comparison, and a play."""
-    from wheelleg_exp.cli.printing.terminal import shown, tool
-
-    runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
-    if not runs:
-        return []
-    above = os.path.commonpath([Path(run).parent for run in runs])
-    lines = [[tool("tensorboard"), "--logdir", above], [*_program(), "play", runs[0]]]
-    if len(runs) > 1:
-        lines.insert(1, [*_program(), "diff", *runs[:2]])
-    return list(map(shlex.join, lines))
-
-
-def _program() -> list[str]:
-    from wheelleg_exp.cli.printing.terminal import tool
-
-    return [tool("wheelleg")]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("a", metavar="RUN", help="a run's path, its id, or latest")
-    parser.add_argument("b", metavar="RUN", nargs="?", help="another run, to compare the first with")
+    parser.add_argument("b", metavar="RUN", nargs="?", help="another run, which is compared with the first")
     add_root(parser)
     parser.add_argument("--common", action="store_true", help="compare only the iterations that both runs have")
     parser.add_argument("--iterations", type=int, metavar="N", help="compare only the first N iterations")
@@ -24,11 +24,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the result; return exit status 0 for sound, identical, or within tolerance, otherwise 1."""
+    """Print a run's check or a comparison of two runs; return status 0 if the verdict is good, otherwise 1."""
     from wheelleg_exp.run.run_directory import RunDirectory
     from wheelleg_exp.verify import compare_runs, verify_run
 
-    _require_sensible(args)
+    for option, given in (("--common", args.common), ("--iterations", args.iterations is not None)):
+        if given and args.b is None:
+            message = "the option needs two runs, but only one was given"
+            raise UsageError(message, key=option, expected="wheelleg verify A B")
+    if args.iterations is not None and args.iterations < 1:
+        raise UsageError(
+            "no iteration is selected for the comparison", key="--iterations", expected="a whole number above 0"
+        )
     one = RunDirectory.open(args.a, args.root, odd=args.b is None)
     if args.b is None:
         findings = verify_run(one)
@@ -38,14 +45,6 @@ def run(args: argparse.Namespace) -> int:
     comparison = compare_runs(one, other, iterations=args.iterations, common=args.common)
     _print(args.json, comparison)
     return EXIT_FINDING if comparison.verdict == "different" else EXIT_OK
-
-
-def _require_sensible(args: argparse.Namespace) -> None:
-    for option, given in (("--common", args.common), ("--iterations", args.iterations is not None)):
-        if given and args.b is None:
-            raise UsageError("needs two runs, but only one was given", key=option, expected="wheelleg verify A B")
-    if args.iterations is not None and args.iterations < 1:
-        raise UsageError("there is nothing to compare", key="--iterations", expected="a whole number above 0")
 
 
 def _print(as_json: bool, found: RunFindings | Comparison) -> None:

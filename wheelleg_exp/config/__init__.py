@@ -1,4 +1,4 @@
-"""Compose, check, and explain the config. Without torch and MuJoCo, except for the checks that need them.
+"""Compose, check, and explain the config. Most checks import neither torch nor MuJoCo.
 
 | module | contents |
 |---|---|
@@ -7,5 +7,5 @@
 | `explaining` | the value of a key, its meaning, and the values that the key accepts |
 | `key_slots` | the type, default and bounds of each key |
 | `schema` | the fixed part of the tree |
-| `config_tree`, `config_errors` | helpers for trees; several mistakes in one error |
+| `tree_lookup`, `config_errors` | helpers for trees; several mistakes in one error |
 """

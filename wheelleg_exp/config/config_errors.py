@@ -1,17 +1,17 @@
-"""Raise several config errors as one, and convert an error to JSON."""
+"""Join config errors, convert an error to JSON, and name the valid alternatives to an unknown name."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
-from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
 
 _OVERRIDE = "override "
 
 
 class Mistakes(ConfigError):
-    """Several mistakes, one per line; ``errors`` contains each of them."""
+    """An error that lists several config errors, one per line."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
         lines = "\n".join(f"  {error}" for error in errors)
@@ -20,7 +20,7 @@ class Mistakes(ConfigError):
 
 
 class UnknownName(ConfigError):
-    """A value names a part of the config that does not exist; ``named`` is the missing key."""
+    """A value refers to a config key that does not exist; ``named`` is that key."""
 
     named: str
 
@@ -29,29 +29,38 @@ class AbsentKey(ConfigError):
     """An override names a key that does not exist."""
 
 
+def not_one_of(
+    message: str, name: object, names: Iterable[object], *, key: str, where: str | None = None
+) -> ConfigError:
+    """Return the error for an unknown name. The error lists the valid names and suggests the most similar one."""
+    known = [str(valid) for valid in names]
+    expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)
+    return ConfigError(message, key=key, where=where, expected=expected, nearest=nearest)
+
+
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Return one error for all of ``errors``, with one line each. A single error is returned unchanged."""
+    """Return one error that lists all of ``errors``. A single error is returned unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 
 def parts(error: ConfigError) -> list[ConfigError]:
-    """Return the single mistakes of an error that ``join`` made."""
+    """Return the separate errors inside an error that ``join`` returned."""
     return list(error.errors) if isinstance(error, Mistakes) else [error]
 
 
 def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> NoReturn:
-    """Raise ``errors`` as one."""
+    """Raise one error that lists all of ``errors``."""
     raise join(errors) from cause
 
 
 def override_of(error: WheellegError) -> str | None:
-    """Return the override that caused an error, as typed; None if its place is a file or unknown."""
+    """Return the override that caused an error, as typed; None if a file caused the error."""
     where = error.where or ""
     return where.removeprefix(_OVERRIDE) if where.startswith(_OVERRIDE) else None
 
 
 def document(error: WheellegError) -> dict[str, Any]:
-    """Return a mistake as JSON: key, message, file and line or override, expected value, nearest name."""
+    """Return the fields of an error as a mapping for JSON."""
     override = override_of(error)
     place, _, line = (error.where or "").rpartition(":")
     has_line = override is None and line.isdigit()

@@ -1,7 +1,7 @@
 """Return the slots of the config: the type, default, bounds, and description of each key that the config accepts.
 
-A slot comes from the code that reads the key: a dataclass for a section, a signature for a term, a class of rsl_rl
-for the agent.
+The slot of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a
+term, or from a class of rsl_rl.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.config_tree import at
 from wheelleg_exp.config.explaining.key_documentation import FIELDS, KEYS, meaning_of, parameter_lines
+from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import term_binding
@@ -27,16 +27,16 @@ from wheelleg_exp.terms.term_errors import type_hints
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# Parameters that rsl_rl itself passes to its algorithms, networks and extensions. A config cannot set them.
+# A config cannot set these parameters, because rsl_rl itself passes them to its algorithms, networks, and extensions.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# Sections of the algorithm without a `class_name`, and the class of rsl_rl.extensions that reads each section.
+# The class of rsl_rl.extensions that reads each section of the algorithm without a `class_name`.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-# Keys that rsl_rl reads in a section, although the constructor has no such parameter.
+# rsl_rl reads these keys in a section, although the constructor of the class has no such parameter.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# Parameters that name a term of another section. The first key is the section of the term with the parameter, "" any.
+# The section whose terms a parameter names, by the section of the term that has the parameter ("": any section).
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
@@ -47,24 +47,21 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Slot:
-    """The type and description of one key that a config can set.
+    """The type, default, and description of one key that a config can set.
 
-    Attributes:
-        annotation: the type.
-        default: the value if the key is not set; ``REQUIRED`` if it must be set.
-        meaning: the description of the key.
-        reader: the dotted name of the class or function that reads the key.
+    ``default`` is ``REQUIRED`` for a key without a default. ``reader`` is the dotted name of the class or function that
+    reads the key.
     """
 
     annotation: Any = Any
-    # A plain default of Parameter.empty would tell `inspect` that the field has no default.
+    # A factory is needed, because `inspect` treats the default Parameter.empty as a missing default.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
 
 
 def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
-    """Return the slot of a key, whether or not the key is set; None if nothing reads such a key."""
+    """Return the slot of a key, set or not; None if nothing reads the key."""
     if not keys:
         return Slot(_root(tree), reader=_name(_root(tree)))
     named = slots(tree, keys[:-1])
@@ -74,13 +71,13 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # The description of a section does not apply to a single term in it.
+    # A term does not inherit the description of its section.
     inherited = "" if section_of(keys) is not None else element.meaning
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
 
 def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the slots of the keys below ``keys``; empty if any name is accepted there."""
+    """Return the slots of the keys below ``keys``; empty if any name is accepted below ``keys``."""
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
@@ -108,17 +105,12 @@ def section_of(keys: Keys) -> str | None:
 
 
 def term_keys(keys: Keys) -> Keys | None:
-    """Return the keys of the term at or above ``keys``; None outside a term."""
+    """Return the keys of the term that contains ``keys``; None outside a term."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the section whose terms a parameter refers to; None if the parameter refers to no term.
-
-    Args:
-        section: the section of the term that has the parameter.
-        name: the parameter.
-    """
+    """Return the section whose terms a parameter names; ``section`` is that of the term with the parameter."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
@@ -158,16 +150,13 @@ def _root(tree: Mapping[str, Any]) -> type:
 
 
 def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
-    lines = parameter_lines(options)
-    defaults = {f.name: f.default for f in dataclasses.fields(options)}
-    factories = {f.name: f.default_factory for f in dataclasses.fields(options)}
-    made = {}
+    lines, made = parameter_lines(options), {}
+    fields = {f.name: f for f in dataclasses.fields(options)}
     for name, key in keys_of(options).items():
-        factory = factories[name]
-        default = factory() if factory is not dataclasses.MISSING else defaults[name]
+        factory, default = fields[name].default_factory, fields[name].default
+        default = factory() if factory is not dataclasses.MISSING else default
         default = REQUIRED if default is dataclasses.MISSING else default
-        meaning = lines.get(name) or meaning_of((*keys, name))
-        made[name] = Slot(key.annotation, default, meaning, _name(options))
+        made[name] = Slot(key.annotation, default, lines.get(name) or meaning_of((*keys, name)), _name(options))
     return made
 
 
@@ -189,18 +178,13 @@ def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
 def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
     hints, lines = type_hints(target), parameter_lines(target)
     return {
-        name: Slot(
-            hints.get(name, Any),
-            parameter.default,
-            lines.get(name, ""),
-            _name(target),
-        )
+        name: Slot(hints.get(name, Any), parameter.default, lines.get(name, ""), _name(target))
         for name, parameter in parameters.items()
     }
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the slots inside a parameter that is not set and whose default is an object."""
+    """Return the slots of the attributes of a default object, for a parameter that is not set."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -210,12 +194,7 @@ def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def class_slots(found: Any, section: str) -> dict[str, Slot]:
-    """Return the parameters of a class of rsl_rl that a config can set.
-
-    Args:
-        found: the class.
-        section: the key in ``agent`` that names the class, such as ``algorithm``.
-    """
+    """Return the parameters of an rsl_rl class that a config can set in a section of ``agent``."""
     passed: tuple[str, ...] = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
     passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -236,12 +215,12 @@ def extension_of(keys: Keys) -> Any | None:
 
 
 def class_packages() -> tuple[str, ...]:
-    """Return the packages that the classes of an agent can come from."""
+    """Return the packages whose classes the ``agent`` section can name."""
     return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
 
 
 def rsl_class(name: Any) -> Any:
-    """Return the class of an agent's ``class_name``; None if no rsl_rl or allowed package has it."""
+    """Return the class of a ``class_name``; None if no allowed package contains the class."""
     text = str(name).replace(":", ".")
     if "." in text and not term_binding.is_inside(text, class_packages()):
         return None
@@ -252,7 +231,7 @@ def rsl_class(name: Any) -> Any:
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the slot of an element of a mapping or a list; None if ``above`` is neither."""
+    """Return the slot of an element of a mapping or list; None if ``above`` is neither a mapping nor a list."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

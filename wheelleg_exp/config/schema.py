@@ -14,7 +14,7 @@ from typing import Literal
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.config_sections import Env, Section
 
-# Section of the tree -> the dataclass whose fields are the keys of the section. It is imported on first use.
+# The dataclass whose fields are the keys of each section. The dataclass is imported when it is first needed.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
@@ -96,7 +96,7 @@ class PlayRoot:
 
 @dataclass(frozen=True)
 class PipelineRoot:
-    """The top level of a pipeline's config. The code that runs the pipeline reads its phases."""
+    """The top level of a pipeline's config. The package ``wheelleg_exp.jobs.pipeline`` reads the phases."""
 
     pipeline: Section
 
@@ -111,63 +111,23 @@ class EvaluateRoot:
     agent: Section
 
 
-# The rules of `wheelleg check --physics`, which `check.silence` can name.
+# The names of the rules of `wheelleg check --physics`, which `check.silence` can contain.
 PHYSICS_RULES: tuple[str, ...] = (
-    "action_clip_never_acts",
-    "action_scale",
-    "armature_ratio",
-    "assumed_masses",
-    "balance_pose",
-    "command_reach",
-    "contact_at_start",
-    "contact_threshold",
-    "control_rate",
-    "cumulative_randomisation",
-    "discount_horizon",
-    "drive_bandwidth",
-    "effort_against_load",
-    "effort_against_traction",
-    "episode_end",
-    "event_never_fires",
-    "falling_pays",
-    "gains_against_time_step",
-    "joint_limits",
-    "late_average",
-    "levels_out_of_reach",
-    "link_masses",
-    "lopsided_pose",
-    "lost_in_conversion",
-    "mirror_images",
-    "missing_files",
-    "no_colliders",
-    "noise_against_signal",
-    "noop_curriculum",
-    "noop_joint_reset",
-    "noop_restitution",
-    "observation_scale",
-    "overlapping_bodies",
-    "placeholder_limits",
-    "ppo_batch",
-    "push_size",
-    "reset_into_ground",
-    "reward_outweighs",
-    "reward_too_small",
-    "robot_size",
-    "rolling_direction",
-    "spawn_height",
-    "target_height",
-    "tracking_std",
-    "unbounded_observation",
-    "weak_wheels",
-    "wheel_senses",
-    "wheels_that_do_not_roll",
-    "wrench_size",
+    "action_clip_never_acts", "action_scale", "armature_ratio", "assumed_masses", "balance_pose", "command_reach",
+    "contact_at_start", "contact_threshold", "control_rate", "cumulative_randomisation", "discount_horizon",
+    "drive_bandwidth", "effort_against_load", "effort_against_traction", "episode_end", "event_never_fires",
+    "falling_pays", "gains_against_time_step", "joint_limits", "late_average", "levels_out_of_reach",
+    "link_masses", "lopsided_pose", "lost_in_conversion", "mirror_images", "missing_files", "no_colliders",
+    "noise_against_signal", "noop_curriculum", "noop_joint_reset", "noop_restitution", "observation_scale",
+    "overlapping_bodies", "placeholder_limits", "ppo_batch", "push_size", "reset_into_ground", "reward_outweighs",
+    "reward_too_small", "robot_size", "rolling_direction", "spawn_height", "target_height", "tracking_std",
+    "unbounded_observation", "weak_wheels", "wheel_senses", "wheels_that_do_not_roll", "wrench_size",
     "zero_width_range",
-)
+)  # fmt: skip
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether another dataclass than ``root`` defines the keys of the section at ``path``."""
+    """Return whether a dataclass in ``OPTIONS`` instead of ``root`` defines the keys of the section at ``path``."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 

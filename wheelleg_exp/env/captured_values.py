@@ -1,6 +1,7 @@
-"""Values that the parts of an environment's step read and write: what a recording depends on and what it changes.
+"""Values that the parts of an environment's step read and write.
 
-See ``graph_capture`` for the contract.
+``graph_capture`` uses this module to find out which values a recorded CUDA graph depends on, and which values it
+changes. A *slot* is an attribute, or an entry of a dictionary or list in an attribute (see ``state.object_graph``).
 """
 
 from __future__ import annotations
@@ -19,20 +20,18 @@ from wheelleg_exp.state.object_graph import PLAIN, Slot, is_own, is_plain, parts
 from wheelleg_exp.state.saved_values import Unsaveable, same, snapshot
 
 Key = tuple[Any, ...]
-_MOST_KNOWN = 64  # combinations of settings
+_MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """The attributes below an environment that parts of its step read or write.
+    """The slots of an environment's objects that parts of the environment's step read or write.
 
-    Plain values that a part changes are *flags*, all others are *settings*. Flags are compared before each part. To
-    compare all settings takes longer. So they are compared only when code has run that may have changed one.
-
-    Args:
-        root: the environment.
+    Plain values that a part changes are *flags*, all other plain values are *settings*. The values of the flags are
+    compared before each part runs. Because a comparison of all settings takes longer, the settings are compared only
+    after code has run that may have changed a setting.
 
     Attributes:
-        is_checked: whether nothing has run since the last comparison that may have changed a setting.
+        is_checked: whether no code has run since the last comparison that may have changed a setting.
         generation: how often a new flag was found.
         rebound: slots that some part binds to another tensor.
     """
@@ -61,18 +60,18 @@ class Values:
         return (node for _, node in walk([("env", self._root)], children) if not _runs_outside(node))
 
     def slots(self) -> Iterator[Slot]:
-        """Yield every slot of these objects."""
+        """Yield every slot of the objects that a part may read or write."""
         return (slot for node in self.objects() for slot in slots(node))
 
     def key(self) -> Key:
-        """Return the present settings, as a number, and the present flags."""
+        """Return the number of the present combination of settings, and the present flags."""
         if not self.is_checked:
             self._check()
             self.is_checked = True
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Treat slots as flags from now on; return whether any is new."""
+        """Treat slots as flags from now on; return whether a slot is a new flag."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -90,7 +89,12 @@ class Values:
         return next((str(slot) for slot, was, value in pairs if was != value), "the set of attributes")
 
     def _check(self) -> None:
-        """Compare all settings with those of the last comparison, and number a combination that is new."""
+        """Compare all settings with their values in the last comparison, and number each new combination of values.
+
+        Most comparisons find no change, so the comparison must be fast. The settings are read through the containers in
+        ``_places`` and compared by identity. Only if a container was replaced or changed its size, the graph of objects
+        is walked again.
+        """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):
             self._find_settings()
@@ -109,7 +113,8 @@ class Values:
         self._present = now
         settings = tuple([kind_of(value) for value in now if not _is_container(value)])
         self._number = self._known.pop(settings, next(self._numbers))
-        self._known[settings] = self._number  # last, because the combination that was not used for longest is dropped
+        # The dictionary ``_known`` is ordered by the last use, so its first combination is the oldest.
+        self._known[settings] = self._number
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
 
@@ -130,7 +135,7 @@ class Values:
         self._sizes = [(one, len(one)) for one in sized]
 
     def move_rebound(self, found: Sequence[Slot]) -> None:
-        """Give each tensor that some part rebinds its own memory, which all recordings share."""
+        """Copy each tensor that a part rebinds into static memory, which all recordings share."""
         moved = []
         with torch.inference_mode(False), torch.no_grad():
             for slot in found:
@@ -148,17 +153,17 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield what terms hold that is neither a buffer nor a setting, by term and attribute."""
+        """Yield the values of terms that are neither a buffer nor a setting, by term and attribute."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
                     yield (id(term), name), (f"'{name}' of {type(term).__name__}", _undeclared_in(value))
 
-    def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[tuple[str, tuple[Any, Any]]]:
-        """Yield what has changed since ``undeclared`` returned ``before``, by name."""
+    def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[str]:
+        """Yield the name of each undeclared value that has changed since ``undeclared`` returned ``before``."""
         for key, (name, now) in self.undeclared():
             if key in before and not same(now, before[key][1]):
-                yield name, (before[key][1], now)
+                yield name
 
 
 class TouchedMemory(TorchDispatchMode):
@@ -169,36 +174,39 @@ class TouchedMemory(TorchDispatchMode):
         self._memory: set[int] = set()
 
     def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Run an operation and note its tensors."""
         del types
         result = operation(*args, **(kwargs or {}))
         self.note((args, kwargs, result))
         return result
 
     def note(self, tree: Any) -> None:
-        """Note the tensors of a nested structure."""
+        """Note the memory of all tensors in a nested structure."""
         self._memory |= {
             leaf.untyped_storage().data_ptr() for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)
         }
 
     def has(self, tensor: torch.Tensor) -> bool:
-        """Return whether the memory of a tensor was noted."""
+        """Return whether torch operations have read or written the memory of a tensor."""
         return tensor.untyped_storage().data_ptr() in self._memory
 
 
 def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy tensors that were rebound to new memory back into the memory that the slots held before."""
+    """Copy tensors that were rebound back into the memory that their slots held before.
+
+    A graph replays on fixed memory, so each slot must hold the same memory at the end of a recording as at its start.
+    """
     moved = [(slot, static, now) for slot, static in tensors if (now := slot.get()) is not static and fits(now, static)]
-    every = {static.untyped_storage().data_ptr() for _, static in tensors}
-    copies = [(static, now.clone() if now.untyped_storage().data_ptr() in every else now) for _, static, now in moved]
-    for static, now in copies:
-        static.copy_(now)
+    copy_tensors([(static, now) for _, static, now in moved])
     for slot, static, _ in moved:
         slot.set(static)
 
 
 def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    """Copy each second tensor into the first, also where one of the second lies in the memory of one of the first."""
+    """Copy the second tensor of each pair into the first.
+
+    The source of one copy can share memory with the target of another copy. Such sources are cloned first, so that no
+    copy reads memory that another copy has already overwritten.
+    """
     targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
     copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
     for static, value in copies:
@@ -210,12 +218,12 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is a term of an event that no part calls: parts call the events of resets only."""
+    """Return whether an object is a term of an event that no part calls; parts call only the events of resets."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
 def _undeclared_in(value: Any) -> Any:
-    """Return a copy of what a value holds that is neither a tensor, nor plain, nor an object of this package."""
+    """Return a copy of everything in a value that is neither a tensor, nor plain, nor an object of this package."""
     if isinstance(value, torch.Tensor) or is_plain(value) or is_own(type(value)):
         return None
     if isinstance(value, (dict, list)):
@@ -229,17 +237,17 @@ def _undeclared_in(value: Any) -> Any:
 
 
 def form_of(value: Any) -> Any:
-    """Return what must be equal for a tensor to take the place of another; of other values, the value itself."""
+    """Return shape, dtype, and device of a tensor; return any other value unchanged."""
     return (value.shape, value.dtype, value.device) if isinstance(value, torch.Tensor) else value
 
 
 def fits(value: Any, static: torch.Tensor) -> bool:
-    """Return whether a value is a tensor that can be copied into static memory."""
+    """Return whether a value is a tensor that can be copied into a static tensor."""
     return isinstance(value, torch.Tensor) and form_of(value) == form_of(static)
 
 
 class _Identity:
-    """Compares equal to the same object only, and keeps the object alive so that its id is not used again."""
+    """A dictionary key for one object. The key refers to the object, so that Python does not reuse the object's id."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -252,7 +260,7 @@ class _Identity:
 
 
 def kind_of(value: Any) -> Any:
-    """Return what a recording depends on: a plain value with its type, a tuple itself, or the form of a tensor."""
+    """Return the part of a value that a recording depends on: type and plain value, tuple identity, or tensor form."""
     kind = type(value)
     if kind in PLAIN:
         return kind, value
@@ -264,19 +272,19 @@ def kind_of(value: Any) -> Any:
 
 
 def is_changed(was: Any, now: Any) -> bool:
-    """Return whether a value became another, apart from a tensor that became another tensor."""
+    """Return whether the value of an attribute has changed; a replaced tensor does not count as a change."""
     if now is was or (isinstance(was, torch.Tensor) and isinstance(now, torch.Tensor)):
         return False
     return not isinstance(was, (dict, list)) and kind_of(was) != kind_of(now)
 
 
 def has_other_entries(now: Any, was: dict[Any, Any]) -> bool:
-    """Return whether a dictionary has other keys or holds other objects than before."""
+    """Return whether the keys or the objects of a dictionary differ from those of its earlier copy ``was``."""
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 
 def frozen(tree: Any) -> Any:
-    """Return the same tensors in new containers, because the work may change its containers later."""
+    """Copy the containers of a nested structure, but not its tensors: recorded work may change the originals."""
     if isinstance(tree, dict):
         return {key: frozen(value) for key, value in tree.items()}
     return type(tree)(frozen(value) for value in tree) if isinstance(tree, (list, tuple)) else tree

@@ -35,7 +35,8 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-_BYTES_PER_ENV = 10_000  # at least: state, outputs, and observations of one small robot
+# The state, the outputs, and the observations of one small robot need at least this number of bytes.
+_BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
 AutoresetMode = Literal["same_step", "next_step", "disabled"]
@@ -45,24 +46,17 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 class ManagerBasedRLEnv(IsaacLabAttributes):
     """N environments with nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
 
-    ``step`` and ``reset`` call the methods below them in the order of the file. The decorators ``captured_part`` and
-    ``host_part`` matter on a GPU with ``env.sim.graph_step`` only; see ``graph_capture``.
-
-    Args:
-        cfg: the composed ``env`` section, plain.
-        mjcf: the robot's MJCF file.
-        seed: seed of all random streams.
+    ``cfg`` is the composed ``env`` section, ``mjcf`` the robot's MJCF file, and ``seed`` the seed of all random
+    streams. ``step`` and ``reset`` call private methods in the order in which the file defines them. The decorators
+    ``captured_part`` and ``host_part`` have an effect on a GPU with ``env.sim.graph_step`` only; see ``graph_capture``.
 
     Attributes:
-        device: device of all tensors. There is no other source of the device.
+        device: device of all tensors.
         autoreset: when an environment whose episode ended is reset: within the same step; in the next step, which then
             does nothing else; or only by the caller.
         keep_final_obs: whether ``extras["final_obs"]`` holds the last observations of episodes that end.
         observers: functions that each step calls after the rewards and before the resets.
         reset_order: the managers in the order in which a reset resets them.
-
-    Raises:
-        ConfigError: ``cfg`` contains a mistake.
     """
 
     outside_graphs = (
@@ -82,7 +76,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
         self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
-        # Rounded first: 5 s / (2 / 120 s) must be 300 steps, not 301.
+        # The quotient is rounded first, because 5 s / (2 / 120 s) must be 300 steps, not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
@@ -114,9 +108,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
         self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
-        captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms  # recorders wait for the GPU
+        # With recorders nothing is captured, because recorders wait for the GPU in every step.
+        captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        self._attributes = EnvAttributes(self, self.managers, cfg)  # last: attributes that appear later are state
+        # EnvAttributes comes last, because it treats attributes that appear later as state of terms.
+        self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property
     def managers(self) -> dict[str, Any]:
@@ -134,22 +130,16 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         }
 
     def step(self, action: torch.Tensor) -> StepResult:
-        """Advance every environment by one control step, in the order of Isaac Lab.
+        """Advance every environment by one control step in the order of Isaac Lab, with raw actions (N, A).
 
-        Terminations and rewards are computed from the new state. Environments whose episode ended are reset after that,
-        so that the returned observation is the first of their next episode. Commands and interval events come after the
-        resets: the returned observation shows the effect of a push.
+        Terminations and rewards are computed from the new state. Environments whose episode ended are reset after the
+        rewards, so that the returned observation is the first of their next episode. Commands and interval events come
+        after the resets: the returned observation shows the effect of a push.
 
-        Args:
-            action: raw actions (N, total_action_dim).
-
-        Returns:
-            Observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If the physics or
-            the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
-            ``extras["non_finite"]`` names the term.
-
-        Raises:
-            SimulationFailure: observations, or numbers that an event wrote, are NaN or inf.
+        Return observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If the physics
+        or the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
+        ``extras["non_finite"]`` names the term. Observations, or numbers that an event wrote, that are NaN or inf raise
+        SimulationFailure.
         """
         skipped = self._skipped()
         self._act(action)
@@ -159,8 +149,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.scene.sim.step()
             self.recorder_manager.record_post_physics_decimation_step()
         self.common_step_counter += 1
-        done, unstable = self._update_and_terminate(skipped)
-        self._ended.start(done, unstable)
+        done = self._find_ended(skipped)
         self.reward_manager.start_step()
         reward_failed = self._compute_reward(skipped)
         ended = self._end_episodes(reward_failed)
@@ -170,12 +159,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if self.autoreset != "same_step":
             ended = ids_where(torch.zeros_like(done) if skipped is None else skipped)
         self._reset_ended(ended)
-        self._reset_late()
         self._advance_commands()
         self._apply_interval_events()
         self.scene.show_written()
         observations = self._observe()
-        if self.autoreset == "same_step":  # otherwise failed environments still show their last state
+        if self.autoreset == "same_step":
+            # In the modes next_step and disabled, failed environments still show their last state, which can be NaN.
             require_finite_observations(self, is_noted=True)
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
@@ -184,14 +173,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset environments and return the observations of all; those of the remaining environments do not change.
+        """Reset the environments ``env_ids`` (all by default) and return the observations of all environments.
 
-        Commands are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command
-        even of an environment that is commanded to stand still.
-
-        Args:
-            seed: new seed of all random streams; None continues them.
-            env_ids: environments, or None for all.
+        The observations of environments without a reset do not change. A ``seed`` restarts all random streams. Commands
+        are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command even of an
+        environment that is commanded to stand still.
         """
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
@@ -217,7 +203,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _act(self, action: torch.Tensor) -> None:
-        """Process the action, and write what the first physics step starts from."""
+        """Process the action, and write the controls for the first physics step."""
         self.action_manager.process_action(action)
         self.recorder_manager.record_pre_step()
         self.scene.robot.begin_control_step()
@@ -231,6 +217,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.observation_manager.sample_between()
         self.action_manager.apply_action()
         self.scene.write_data_to_sim()
+
+    def _find_ended(self, skipped: torch.Tensor | None) -> torch.Tensor:
+        """Find the environments (N,) bool whose episode ends, and start to copy the mask to the host."""
+        done, unstable = self._update_and_terminate(skipped)
+        self._ended.start(done, unstable)
+        return done
 
     @captured_part()
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -250,7 +242,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return failed if skipped is None else failed & ~skipped
 
     def _end_episodes(self, reward_failed: torch.Tensor) -> torch.Tensor:
-        """End the episodes that failed; return the environments whose episode ended, (n,)."""
+        """End the episodes that failed; return the ids (n,) of the environments whose episode ended."""
         needs_all = bool(self.observers or self.recorder_manager.active_terms or self.keep_final_obs)
         ended, failed = self._ended.ids(reward_failed, at_once=needs_all or self.autoreset != "same_step")
         self.extras.pop("non_finite", None)
@@ -272,7 +264,10 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return bool(self.observers)
 
     def _reset_ended(self, ended: torch.Tensor) -> None:
-        """Reset the environments whose episode ended, (n,)."""
+        """Reset the environments ``ended`` (n,).
+
+        Also reset environments whose NaN reward the host detects only now.
+        """
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
         if len(ended):
@@ -281,18 +276,17 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-
-    def _reset_late(self) -> None:
-        """End and reset the episodes whose reward was found to be NaN or inf only after ``_reset_ended``."""
+        # The first query did not wait for the rewards, so a NaN reward can become known only in this second query.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):
             log = self.extras.get("log") if self.extras["log_is_fresh"] else None
             self._reset_idx(not_reset)
-            self.extras["log"] = log or self.extras["log"]  # the log of the episodes that ended normally
+            # The log of episodes that ended normally has priority over the log of failed episodes.
+            self.extras["log"] = log or self.extras["log"]
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
-        """Reset environments: the curriculum sees the terminal state, then events set the new state."""
+        # The curriculum runs first, because it needs the terminal state, which the reset events overwrite.
         self._run_curriculum(env_ids)
         self.command_manager.read_settings()
         self.extras["log"] = self._reset_rows(env_ids)
@@ -349,11 +343,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.refresh()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that later steps depend on.
-
-        Raises:
-            ConfigError: a term holds state that cannot be saved.
-        """
+        """Return everything that later steps depend on; ConfigError if a term holds state that cannot be saved."""
         attributes = self._attributes.save()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {
@@ -364,7 +354,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             "extras": cloned(self.extras),
             "streams": self.streams.state_dict(),
             "scene": self.scene.state_dict(),
-            "managers": {name: state for name, state in managers.items() if state},  # stock recorders have none
+            "managers": {name: state for name, state in managers.items() if state},
             **({"attributes": attributes} if attributes else {}),
         }
 

@@ -9,6 +9,7 @@ import torch
 
 from wheelleg_exp.managers import Env
 from wheelleg_exp.state import Memory, Outside, Stateful
+from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import (
     NOTHING,
     Reference,
@@ -20,21 +21,14 @@ from wheelleg_exp.state.saved_values import (
 )
 from wheelleg_exp.state.stateful import refusal
 
-# Attributes that the environment itself or its caller changes.
+# The environment itself or its caller changes the attributes in this list, so they are not state of terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
-_PLAIN = (bool, int, float, str, type(None))
 
 
 class EnvAttributes:
-    """State of terms outside their own attributes.
+    """Saves state that terms put on the environment, and rejects state that terms put anywhere else.
 
-    Args:
-        env: the complete environment.
-        managers: the managers by the name of their config section.
-        cfg: the ``env`` section.
-
-    Raises:
-        ConfigError: a term holds state that cannot be saved, or has written to the compiled model.
+    The constructor raises ConfigError if a term holds state that cannot be saved, or has written to the compiled model.
     """
 
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
@@ -66,8 +60,7 @@ class EnvAttributes:
     def save(self) -> dict[str, Any]:
         """Return the attributes that terms added to the environment or changed there.
 
-        Raises:
-            ConfigError: a term holds state where it cannot be saved.
+        State that a term holds outside itself and the environment raises ConfigError.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()
@@ -78,14 +71,14 @@ class EnvAttributes:
                 continue
             try:
                 seen = snapshot(item, name)
-                if not isinstance(seen, Reference):  # a reference is not state
+                if not isinstance(seen, Reference):
                     found[name] = checkpoint_value(seen, NOTHING, name)
             except (Unsaveable, RecursionError) as error:
                 raise refusal(self._env, error, "env") from error
         return found
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Restore the attributes that ``save`` returned, and delete all others that terms added."""
+        """Restore the attributes that ``save`` returned, and delete all other attributes that terms added."""
         for name in vars(self._env).keys() - self._names - saved.keys():
             delattr(self._env, name)
         for name, item in {**self._plain, **saved}.items():
@@ -93,7 +86,7 @@ class EnvAttributes:
 
 
 def _is_plain(name: str, item: Any) -> bool:
-    return type(item) in _PLAIN and name not in _OWN
+    return type(item) in PLAIN and name not in _OWN
 
 
 def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
@@ -108,7 +101,6 @@ def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
 
 
 def _tensors(watched: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Return the tensors among the attributes of the environment's own objects, by name."""
     return {
         f"{owner}.{name}": item
         for owner, value in watched.items()

@@ -1,10 +1,11 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-``captured_part`` marks a method of the environment as a part. Without graph capture the method simply runs. With it,
-``GraphCapture`` runs the part a few times, records it, and from then on replays the recording.
+``captured_part`` marks a method of the environment as a part. Without graph capture, each call runs the method. With
+graph capture, ``GraphCapture`` runs the part a few times, records it, and from then on replays the recording.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to know what the Python code of
-a part does. The contract for the objects that a part uses (terms, managers, robot, sensors) is:
+A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to know which attributes the
+Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot, sensors)
+is:
 
 - **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to them or rebind them
   to a new tensor of the same shape.
@@ -12,10 +13,11 @@ a part does. The contract for the objects that a part uses (terms, managers, rob
   runs with the new value: each combination of settings that occurs often has its own recording.
 - A part may set such an attribute as well (for example a flag), but the new value must follow from the old values.
 - Everything else is undeclared: a number that a part counts up, and a list that grows, a deque, a tuple of tensors, a
-  module, or a foreign object that a part changes. A part with undeclared state runs without a graph. So does a part
-  that waits for the GPU. A warning names the reason.
+  module, or a foreign object that a part changes. A part that has undeclared state or waits for the GPU runs without a
+  graph. A warning names the reason.
 
-A part runs twice before it is recorded. In the second run, the capture compares all attributes before and after.
+A part runs twice before it is recorded. In the second run, the capture compares all attributes before the run with
+those after the run.
 """
 
 from __future__ import annotations
@@ -45,13 +47,14 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.object_graph import Slot, is_plain
 
-_RUNS_BEFORE_CAPTURE = 2  # lazily created tensors exist then, and libraries have their workspaces
-_RECORDINGS, _RESET_RECORDINGS = (
-    8,
-    128,
-)  # most recordings of one part; a reset needs one for each number of environments
-_WINDOW = 1024  # last runs of a part in which the capture counts how often a combination of values occurred
-_MANY = 256  # more runs without a graph than with one, before a warning
+# After two runs, lazily created tensors exist and libraries have allocated their workspaces.
+_RUNS_BEFORE_CAPTURE = 2
+# The most recordings of one part. A reset needs one recording for each number of environments.
+_RECORDINGS, _RESET_RECORDINGS = 8, 128
+# The number of last runs of a part in which the capture counts how often a combination of values occurred.
+_WINDOW = 1024
+# A warning appears once the runs without a graph outnumber the runs with a graph by this number.
+_MANY = 256
 _MOST_MISMATCHES = 64
 
 Method = TypeVar("Method", bound=Callable[..., Any])
@@ -60,9 +63,8 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment as a part of the step that may be captured.
 
-    Args:
-        to_caller: whether the caller of the environment receives the result: it is then copied out of the memory of the
-            graph, and the settings are checked before the next part, because the caller may change them.
+    With ``to_caller``, the caller of the environment receives the result. The result is then copied out of the memory
+    of the graph, and the settings are checked before the next part, because the caller may change them.
     """
 
     def decorate(method: Method) -> Method:
@@ -80,7 +82,7 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 def host_part(method: Method) -> Method:
     """Mark a method that is never captured and that may change settings, for example because it calls user code.
 
-    A method that returns False has changed nothing.
+    A method that returns False has changed no setting.
     """
 
     @functools.wraps(method)
@@ -103,15 +105,11 @@ class Graph(Protocol):
         """Record the work."""
 
     def replay(self) -> None:
-        """Repeat the recorded work on the same memory."""
+        """Repeat the recorded work on the memory of the recording."""
 
 
 class CudaGraph:
-    """A CUDA graph whose random streams advance with each replay.
-
-    Args:
-        generators: the random streams that the work may draw from.
-    """
+    """A CUDA graph whose random streams (``generators``) advance with each replay."""
 
     def __init__(self, generators: Sequence[torch.Generator]) -> None:
         self._generators = generators
@@ -120,12 +118,13 @@ class CudaGraph:
     def _make(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
-            # torch accepts no subclass of Generator here: this is one of the class itself, with the same state.
+            # A CUDA graph accepts no subclass of Generator. graphsafe_get_state returns a plain Generator with the same
+            # state.
             graph.register_generator_state(generator.graphsafe_get_state())
         return graph
 
     def record(self, work: Callable[[], None]) -> None:
-        """Record the work. Its kernels do not run before the first replay."""
+        """Record the work into the CUDA graph. The kernels of the work do not run before the first replay."""
         torch.cuda.synchronize()
         stream, failed = torch.cuda.current_stream(), []
         try:
@@ -136,29 +135,25 @@ class CudaGraph:
                     failed.append(error)
                     raise
         except Exception as error:
-            torch.cuda.set_stream(stream)  # a capture that fails at its end leaves its own stream current
-            # The generators of a failed capture wait for its end. An empty capture ends it.
+            # A capture that fails at its end leaves its own stream current.
+            torch.cuda.set_stream(stream)
+            # Generators that belong to a failed capture stay blocked until another capture ends. So capture one kernel.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # the error of the work, which names the term
+            cause = (failed or [error])[0]  # The error that the work raised names the term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
-        """Launch the graph."""
         self._graph.replay()
 
 
 class GraphCapture:
-    """Runs the parts of an environment's step: directly at first, as recordings later.
-
-    Args:
-        env: the environment, complete except for this attribute.
-        make_graph: makes an empty graph for work that draws from the given random streams.
-    """
+    """Runs the parts of an environment's step: directly at first, as recordings later."""
 
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
-        env.observation_manager.in_masks = True  # a list of row indices has another length in each step
-        # The log of curricula and recorders is made of Python numbers, so they are reset after the replay.
+        # Masks have a fixed shape, but a list of row indices has another length in each step.
+        env.observation_manager.in_masks = True
+        # The log of curricula and recorders consists of Python numbers, so these managers are reset after the replay.
         self._reset_later = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
@@ -167,11 +162,11 @@ class GraphCapture:
 
     @property
     def recordings(self) -> int:
-        """Number of recordings of all parts."""
+        """The number of recordings of all parts."""
         return sum(len(part.recordings) for part in self.parts.values())
 
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
-        """Run a part, or replay a recording of it."""
+        """Run a part, or replay a recording of the part."""
         env = self._env
         if method.__name__ not in self.parts:
             self.parts[method.__name__] = CapturedPart(
@@ -197,13 +192,11 @@ class GraphCapture:
 
 @dataclass
 class Recording:
-    """One recording of a part, and what Python has to do around a replay.
+    """One recording of a part, and the work that Python has to do around a replay.
 
     Attributes:
-        graph: the recorded kernels.
-        inputs: memory for the arguments.
         buffers: slots of tensors that the work reads or writes, and the memory that the graph uses for them.
-        shared: ids of such memory that several slots see: no other values can be copied into it.
+        shared: ids of memory that several slots use: no other values can be copied into such memory.
         assigned: slots that the work assigned, and the value.
         filled: dictionaries that the work filled, and their entries.
         output: the result of the work, in the memory of the graph.
@@ -225,18 +218,17 @@ class Recording:
         self._find_places()
 
     def _find_places(self) -> None:
-        """Look up the dictionaries and lists that hold the buffers: faster than by slot at every replay."""
         self._places = [(slot.container, slot.path[-1], static) for slot, static in self.buffers]
         found = {(id(parent), key): (parent, key, c) for slot, _ in self.buffers for parent, key, c in slot.containers}
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy the present values into the memory of the graph; return the slots where this is not possible."""
+        """Copy the present values into the memory of the graph; return the slots for which this is not possible."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
             moved = [(place, now) for place in self._places if (now := place[0][place[1]]) is not place[2]]
-        except (LookupError, TypeError):  # a slot no longer exists
+        except (LookupError, TypeError):
             return [slot for slot, _ in self.buffers if not isinstance(slot.get(), torch.Tensor)]
         if moved:
             wrong = {id(static) for (_, _, static), now in moved if not fits(now, static) or id(static) in self.shared}
@@ -251,7 +243,7 @@ class Recording:
         return []
 
     def replay(self) -> Any:
-        """Repeat the work."""
+        """Replay the graph, and repeat the assignments that the work made in Python."""
         self.graph.replay()
         for slot, content in self.filled:
             whole = slot.get()
@@ -266,13 +258,9 @@ class Recording:
 class CapturedPart:
     """One part of the step.
 
-    Args:
-        work: the part. It returns tensors, or for a reset a log: numbers by name.
-        values: the settings and flags of the environment, which all parts share.
-        make_graph: makes an empty graph for work that draws from the given random streams.
-        reset_caches: is called before every run; forgets derived quantities.
-        streams: returns all random streams.
-        is_reset: whether it is a reset: the number of rows differs from call to call, and the result is a log.
+    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name; the number of rows of a reset
+    differs from call to call. ``values`` are the settings and flags of the environment, which all parts share.
+    ``reset_caches`` is called before every run and forgets derived quantities. ``streams`` returns all random streams.
     """
 
     def __init__(
@@ -303,7 +291,8 @@ class CapturedPart:
         if self.fails:
             return self._run(args)
         state = self._values.key()
-        if self._generation != self._values.generation:  # recordings depend on values that were not known before
+        if self._generation != self._values.generation:
+            # The keys of all recordings lack the values of the new flags, on which the recordings can depend.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -321,7 +310,8 @@ class CapturedPart:
             if recording is None:
                 self._reset_caches()
                 return self._run(args)
-            if self._generation == self._values.generation:  # else the key lacks a flag that the work has set
+            if self._generation == self._values.generation:
+                # If the recording found a new flag, the key lacks this flag, and the recording cannot be stored.
                 self._store(key, recording)
         elif unfit := recording.load(args):
             self._drop(key, unfit)
@@ -332,14 +322,11 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        """Run the part without a graph."""
-        self._values.is_checked = False  # Python code that runs may change settings
+        self._values.is_checked = False  # Python code that runs can change settings.
         return self._work(*args)
 
-    # --- which combinations of values have a recording ---
-
     def _count(self, key: Key) -> int:
-        """Count a run; return how many of the last ``_WINDOW`` runs had this key."""
+        """Count a run, and return how many of the last ``_WINDOW`` runs had this key."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -350,10 +337,10 @@ class CapturedPart:
         return self._counts[key]
 
     def _is_worth(self, key: Key, count: int) -> bool:
-        """Return whether to record a key: it occurs often, and more often than a recording that would be replaced."""
+        """Return whether to record a key: it must occur often, and more often than the rarest recording."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Twice as often: otherwise keys that are equally rare would replace each other again and again.
+        # A key must be twice as frequent as the rarest recording, or two rare keys would replace each other forever.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
@@ -365,7 +352,11 @@ class CapturedPart:
         self.recordings[key] = recording
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Drop a recording whose memory cannot take the present tensors: their kind becomes part of the key."""
+        """Drop a recording whose memory cannot take the present tensors.
+
+        The form of these tensors then becomes a part of the key, so that the next recording is not replayed for other
+        forms.
+        """
         del self.recordings[key]
         self._values.add_flags(unfit)
         self._mismatches += 1
@@ -389,10 +380,8 @@ class CapturedPart:
         name = getattr(getattr(self._work, "func", self._work), "__name__", "part").strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
-    # --- recording ---
-
     def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
-        """Run the part without a graph, and check that it keeps the contract (see the module)."""
+        """Run the part of the step without a graph, and check that the part follows the contract of this module."""
         values = self._values
         before = [(slot, slot.get()) for slot in values.slots()]
         undeclared = dict(values.undeclared())
@@ -411,23 +400,21 @@ class CapturedPart:
             elif is_changed(was, now):
                 flags.append(slot)
         values.add_flags(flags)
-        for name, (was, now) in values.undeclared_changes(undeclared):
-            del was, now
-            self._give_up(f"{name} changes, and is neither a tensor nor a number")
-            break
+        if changed := next(values.undeclared_changes(undeclared), None):
+            self._give_up(f"{changed} changes, and is neither a tensor nor a number")
         self._checked.add(state)
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
         """Record the work; return None if this is not possible, for example because the work waits for the GPU."""
-        # Each registered stream costs two launches at every replay. So first only those that the work drew from.
+        # Each registered stream costs two launches at every replay. So try first with the streams that the work used.
         for streams in (self._drawn, self._streams()):
             try:
                 return self._record(args, self._make_graph(streams))
             except (RuntimeError, SimulationFailure) as error:
                 if not isinstance(error, RuntimeError) and not isinstance(error.__cause__, RuntimeError):
                     raise
-                reason = str(error).splitlines()[0]  # of the term, with its key
+                reason = str(error).splitlines()[0]
         self._give_up(reason)
         return None
 
@@ -450,7 +437,8 @@ class CapturedPart:
 
         try:
             graph.record(work)
-        except Exception:  # no kernel has run, so the attributes must be as before, too
+        except Exception:
+            # A failed recording has run no kernel, so restore all attributes to their values before the recording.
             for slot, content in dictionaries:
                 slot.set(content)
             for slot, value in (*tensors, *others):
@@ -464,9 +452,9 @@ class CapturedPart:
         return Recording(graph, inputs, buffers, assigned, filled, frozen(outputs[0]))
 
     def _packed(self, result: Any) -> Any:
-        """Return the log of a reset as names and one tensor, because its numbers are copied at every replay."""
+        """Return the log of a reset as names and one tensor, because the log is copied at every replay."""
         if not self.is_reset:
             return result
         if not all(isinstance(value, torch.Tensor) for value in result.values()):
-            raise RuntimeError("the log of a reset holds something other than tensors")
+            raise RuntimeError("the log of a reset contains a value that is not a tensor")
         return list(result), torch.stack([value.reshape(()) for value in result.values()])

@@ -1,4 +1,4 @@
-"""Attributes that Isaac Lab's environments have: the buffers, the config by attributes, and ``sim``."""
+"""Attributes of Isaac Lab's environments: the buffers, the config by attributes, and ``sim``."""
 
 from __future__ import annotations
 
@@ -17,23 +17,19 @@ if TYPE_CHECKING:
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
-# Keys of Isaac Lab's config that have another path here.
+# Keys of Isaac Lab's config that have another path in this project.
 _OTHER_PATHS = {"scene.num_envs": "num_envs", "sim.render_interval": "decimation"}
 
 
 class NoSuchKey(ConfigError, AttributeError):
-    """A key of the config does not exist, or code tried to change the config."""
+    """The error for a missing key of an environment's config, or for an attempt to change the config."""
 
 
 class Cfg(Mapping[str, Any]):
     """A read-only section of the composed config, with access by attribute and by key.
 
-    The node of a term has ``func``, its target, and ``params``, its parameters.
-
-    Args:
-        section: the section.
-        path: config key of the section.
-        root: the complete ``env`` section.
+    The node of a term has ``func``, its target, and ``params``, its parameters. ``root`` is the complete ``env``
+    section.
     """
 
     def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
@@ -51,7 +47,8 @@ class Cfg(Mapping[str, Any]):
     def __getattr__(self, name: str) -> Any:
         section, path = self._section, self._path
         if name in section:
-            return self._seen(section[name], f"{path}.{name}")
+            value = section[name]
+            return Cfg(value, f"{path}.{name}", self._root) if isinstance(value, Mapping) else value
         if TARGET in section and name == "params":
             parameters = {key: value for key, value in section.items() if key != TARGET and key not in FIELD_TYPES}
             return Cfg(parameters, path, self._root)
@@ -61,18 +58,15 @@ class Cfg(Mapping[str, Any]):
         if elsewhere is not None:
             return self._root[elsewhere]
         raise NoSuchKey(
-            "there is no such key",
+            "the environment's config does not contain this key",
             key=f"{path}.{name}",
             expected="one of " + ", ".join(section),
             nearest=nearest_name(name, section),
         )
 
-    def _seen(self, value: Any, path: str) -> Any:
-        return Cfg(value, path, self._root) if isinstance(value, Mapping) else value
-
     def __setattr__(self, name: str, value: Any) -> None:
         raise NoSuchKey(
-            "the config that an environment was made from does not change",
+            "the environment's config does not change",
             key=f"{self._path}.{name}",
             expected="a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params",
         )
@@ -89,24 +83,19 @@ class Cfg(Mapping[str, Any]):
     }
 )
 class Simulation(Kept):
-    """Attributes of ``env.sim`` that terms written for Isaac Lab read.
-
-    Args:
-        env: the environment.
-    """
+    """Attributes of ``env.sim`` that terms written for Isaac Lab read."""
 
     def __init__(self, env: Env) -> None:
         self._env = env
 
     @property
     def cfg(self) -> Cfg:
-        """``env.sim`` of the config."""
-        found: Cfg = self._env.cfg.sim
-        return found
+        """The ``env.sim`` section of the config."""
+        return self._env.cfg.sim
 
     @property
     def device(self) -> torch.device:
-        """Device of all tensors."""
+        """The device of all tensors."""
         return self._env.device
 
     def get_physics_dt(self) -> float:
@@ -114,7 +103,7 @@ class Simulation(Kept):
         return self._env.physics_dt
 
     def has_gui(self) -> bool:
-        """Return False, because there is no window."""
+        """Return False, because the simulation has no window."""
         return False
 
     def is_playing(self) -> bool:
@@ -127,7 +116,7 @@ class Simulation(Kept):
     | {"viewport_camera_controller": "there is no window", "render": "wheelleg play and recordings draw pictures"}
 )
 class IsaacLabAttributes(Kept):
-    """Attributes of Isaac Lab's environment; the managers hold the values."""
+    """Attributes of Isaac Lab's environments, computed from the managers."""
 
     if TYPE_CHECKING:
         decimation: int
@@ -142,7 +131,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def sim(self) -> Simulation:
-        """The simulation as terms written for Isaac Lab read it. The engine itself is ``scene.sim``."""
+        """The simulation for terms written for Isaac Lab. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
 
     @property
@@ -162,10 +151,9 @@ class IsaacLabAttributes(Kept):
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
-        """Environments (N,) bool whose time was up in this step."""
+        """Which environments reached their time limit in this step, (N,) bool."""
         return self.termination_manager.time_outs
 
     @property
     def _sim_step_counter(self) -> int:
-        """Physics steps since construction."""
         return self.common_step_counter * self.decimation

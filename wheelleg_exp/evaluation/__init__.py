@@ -1,8 +1,8 @@
 """Evaluate a policy in physical units, on fixed scenarios that are the same for every policy.
 
-``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` rolls a policy through the scenarios of a protocol. It
-returns an ``Evaluation``: one row per episode, and metrics with their intervals. Heavy libraries are imported at the
-first use.
+``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` rolls a policy through the scenarios of a protocol. It returns
+an ``Evaluation``: one row per episode, and metrics with their intervals. ``evaluate`` and its result classes are
+imported at the first use, because they import torch.
 
 | module | offers |
 |---|---|

@@ -1,7 +1,7 @@
 """Tests with disturbances: pushes and changed worlds.
 
 The push test finds by bisection the hardest push that a standing robot survives, and times the recovery from a
-reference push. The robustness test changes one property of the world at a time, the same for every episode.
+reference push. The robustness test changes one property of the simulated world at a time.
 """
 
 from __future__ import annotations
@@ -22,11 +22,7 @@ from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exi
 
 @dataclass
 class Pushes:
-    """Change the velocity of the robot in its own level axes, at one moment or evenly over a pulse.
-
-    ``rollout`` is the rollout whose episodes are pushed. ``options`` sets the time, duration, and directions of the
-    pushes.
-    """
+    """Change the velocity of the robot in its own level axes, at one moment or evenly over a pulse."""
 
     rollout: Rollout
     options: Push
@@ -42,7 +38,7 @@ class Pushes:
         self._longest = max(steps)
 
     def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return a callback for each step's number that changes velocities by ``change``, m/s, (N,), in total."""
+        """Return a function of the step number that changes the robots' velocities by ``change`` (N,), m/s, in all."""
         env = self.rollout.env
         each = self.direction * (change / self.pulse).unsqueeze(1)
 
@@ -67,11 +63,12 @@ def push_columns(
 ) -> tuple[Columns, Trajectories]:
     """Return the limit of each episode's push and its recovery from the reference push; (N,) each.
 
-    ``limit_m_s`` is found by bisection of [0, highest]. Every episode is rolled ``iterations`` times from the same
-    start, with the middle of its remaining interval. The limit is 0 if the robot survived no push. ``limit_normalised``
-    is the limit over √(g h), with h the height before the push. ``recovery_s`` is the time after the reference push
-    until tilt and height stay in their bands for at least ``recovered_s``; NaN if they never left the bands.
-    ``recovered`` is 1 if the bands hold at the latest from ``within_s`` on and the episode survived, else 0.
+    ``limit_m_s`` is found by bisection of [0, highest]. Every episode is simulated ``iterations`` times from the same
+    start, with a push in the middle of the remaining interval. The limit is 0 if the robot survived no push.
+    ``limit_normalised`` is the limit over √(g h), with h the height before the push. ``recovery_s`` is the time after
+    the reference push until tilt and height stay in their bands for at least ``recovered_s``; NaN if they never left
+    the bands. ``recovered`` is 1 if tilt and height stay in their bands from ``within_s`` at the latest and the episode
+    survived, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -80,7 +77,7 @@ def push_columns(
     for iteration in range(options.iterations):
         middle = (low + high) / 2
         made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
-        # Each episode has its own interval: a fall lowers its upper end, and survival raises its lower end.
+        # Each episode has its own bisection interval: a fall lowers its upper end, and survival raises its lower end.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
     made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))
@@ -92,10 +89,7 @@ def push_columns(
 
 
 def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
-    """Return how the episodes recovered from a push (see ``push_columns``).
-
-    ``options`` sets the time of the push, and the bands. ``height`` is the target height of the base, m, (N,).
-    """
+    """Return how episodes recovered from a push (see ``push_columns``). ``height`` (N,) is the target height, m."""
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
     outside = (tilt >= options.recovered_tilt) | ((made.height - height).abs() >= options.recovered_height)
@@ -110,20 +104,12 @@ def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns
 
 def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
     """Return a progress callback that reports several rollouts as one."""
-    if tell is None:
-        return None
-    return lambda done, of: tell(part * of + done, parts * of)
-
-
-_EVENTS = "wheelleg_exp.mdp.events"
+    return None if tell is None else lambda done, of: tell(part * of + done, parts * of)
 
 
 @dataclass(frozen=True)
 class World:
-    """A changed world.
-
-    ``cfg`` is the changed ``env`` section.
-    """
+    """A world of the robustness test with its ``env`` section."""
 
     sweep: str
     value: float
@@ -132,76 +118,43 @@ class World:
 
 
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
-    """Yield the unchanged world (``nominal``) and each changed world.
+    """Yield the unchanged world (``nominal``) and each changed world of an evaluation's ``env`` section.
 
-    Events set masses, centres of mass, gains, and friction. They run after the task's own events of the same kind and
-    replace their draws. Noise replaces the noise of the observation terms that ``noise_std`` names.
-
-    ``cfg`` is the ``env`` section of the evaluation. ``base`` is the name of the root link.
+    Events set masses, centres of mass, gains, and friction. These events run after the task's own events of the same
+    kind and replace their random values. Noise replaces the noise of the observation terms that ``noise_std`` names.
+    ``base`` is the name of the root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:
-        changed = _with_event(cfg, "friction", _friction(value))
+        friction = {"static_friction_range": [value, value], "dynamic_friction_range": [value, value]}
+        more = {"restitution_range": [0.0, 0.0], "num_buckets": 1}
+        changed = _with_event(cfg, "randomize_rigid_body_material", {"body_names": [".*"]}, **friction, **more)
         changed["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
         yield World("friction", value, changed)
     for value in options.mass:
-        yield World("mass", value, _with_event(cfg, "mass", _mass(value)))
+        mass = {"mass_distribution_params": [value, value], "operation": "scale"}
+        yield World("mass", value, _with_event(cfg, "randomize_rigid_body_mass", {"body_names": [".*"]}, **mass))
     for value in options.com:
-        yield World("com", value, _with_event(cfg, "com", _com(value, base)))
+        shift = {"x": [value, value], "y": [0.0, 0.0], "z": [0.0, 0.0]}
+        changed = _with_event(cfg, "randomize_rigid_body_com", {"body_names": [base]}, com_range=shift)
+        yield World("com", value, changed)
     for value in options.gains:
-        yield World("gains", value, _with_event(cfg, "gains", _gains(value)))
+        gains = {f"{name}_distribution_params": [value, value] for name in ("stiffness", "damping")}
+        on = {"joint_names": [".*"]}
+        changed = _with_event(cfg, "randomize_actuator_gains", on, operation="scale", **gains)
+        yield World("gains", value, changed)
     for value in options.noise:
         yield World("noise", value, _noisy(cfg, value, options.noise_std))
     for value in options.delay_s:
         yield World("delay", value, copy.deepcopy(dict(cfg)), round(value / step_dt))
 
 
-def _with_event(cfg: Mapping[str, Any], name: str, node: dict[str, Any]) -> dict[str, Any]:
+def _with_event(cfg: Mapping[str, Any], function: str, on: Mapping[str, Any], **parameters: Any) -> dict[str, Any]:
     changed = copy.deepcopy(dict(cfg))
-    changed["events"] = {**changed["events"], f"evaluation_{name}": {"mode": "startup", **node}}
+    asset = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **on}
+    node = {"_target_": f"wheelleg_exp.mdp.events.{function}", "mode": "startup", "asset_cfg": asset, **parameters}
+    changed["events"] = {**changed["events"], f"evaluation_{function}": node}
     return changed
-
-
-def _on(**which: Any) -> dict[str, Any]:
-    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **which}
-
-
-def _friction(value: float) -> dict[str, Any]:
-    return {
-        "_target_": f"{_EVENTS}.randomize_rigid_body_material",
-        "static_friction_range": [value, value],
-        "dynamic_friction_range": [value, value],
-        "restitution_range": [0.0, 0.0],
-        "num_buckets": 1,
-        "asset_cfg": _on(body_names=[".*"]),
-    }
-
-
-def _mass(value: float) -> dict[str, Any]:
-    return {
-        "_target_": f"{_EVENTS}.randomize_rigid_body_mass",
-        "mass_distribution_params": [value, value],
-        "operation": "scale",
-        "asset_cfg": _on(body_names=[".*"]),
-    }
-
-
-def _com(value: float, base: str) -> dict[str, Any]:
-    return {
-        "_target_": f"{_EVENTS}.randomize_rigid_body_com",
-        "com_range": {"x": [value, value], "y": [0.0, 0.0], "z": [0.0, 0.0]},
-        "asset_cfg": _on(body_names=[base]),
-    }
-
-
-def _gains(value: float) -> dict[str, Any]:
-    return {
-        "_target_": f"{_EVENTS}.randomize_actuator_gains",
-        "stiffness_distribution_params": [value, value],
-        "damping_distribution_params": [value, value],
-        "operation": "scale",
-        "asset_cfg": _on(joint_names=[".*"]),
-    }
 
 
 def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float]) -> dict[str, Any]:
@@ -220,7 +173,7 @@ def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float
 
 
 class DelayedPolicy:
-    """A policy whose actions are delayed by whole control steps; the first actions are zeros."""
+    """A policy whose actions are delayed by whole control steps. The first actions are zeros."""
 
     def __init__(self, policy: Policy, steps: int) -> None:
         self._policy, self._steps = policy, steps
@@ -229,9 +182,8 @@ class DelayedPolicy:
     def reset(self) -> None:
         """Drop the delayed actions and reset the policy."""
         self._waiting = []
-        reset: Callable[[], None] | None = getattr(self._policy, "reset", None)
-        if reset is not None:
-            reset()
+        if hasattr(self._policy, "reset"):
+            self._policy.reset()
 
     def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
         """Return the actions that the policy returned ``steps`` calls ago."""

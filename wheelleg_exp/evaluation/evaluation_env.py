@@ -1,6 +1,6 @@
 """Environment of a task for an evaluation, and the wheels and mirrored joints of its robot.
 
-The environment keeps the task's robot, starts, and observations, and has no pushes. Wheels and mirrored joints are
+The environment has the task's robot, start states, and observations, but no pushes. Wheels and mirrored joints are
 found by geometry, never by name.
 """
 
@@ -26,22 +26,18 @@ from wheelleg_exp.managers import Env
 
 CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
-_DISTURBING = ("interval", "step")  # modes of events that act during an episode
-_MOST_CONTACTS = 8  # per wheel: a wheel on a height field has several contacts
+_DISTURBING = ("interval", "step")
+_MOST_CONTACTS = 8  # A wheel on rough ground has at most this number.
 
 
 def evaluation_cfg(
     env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
 ) -> dict[str, Any]:
-    """Return a task's ``env`` section, changed for an evaluation.
+    """Return a task's composed ``env`` section, changed for an evaluation.
 
-    Removed are events that act during an episode, time-outs, rewards, curricula, and recorders. Commands, terminations
-    that are failures, observations with their noise, and events at startup and reset stay.
-
-    ``env_cfg`` is the composed ``env`` section, plain. ``ground`` says whether the task's own ground stays.
-
-    Raises:
-        ConfigError: the task lacks the protocol's command.
+    Events that act during an episode, time-outs, rewards, curricula, and recorders are removed. Commands, terminations
+    that are failures, observations with their noise, and events at startup and reset stay. ``ground`` says whether the
+    task's own ground stays.
     """
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
@@ -55,7 +51,7 @@ def evaluation_cfg(
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
     cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
-    # Only failures end an episode here; the horizon replaces the time-out.
+    # Only failures end an episode of an evaluation, because the horizon replaces the time-out.
     ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
     cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}
     cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
@@ -69,11 +65,10 @@ def evaluation_cfg(
 
 
 def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
-    """Return the name of a contact sensor on every body, or None. A second sensor would only cost time."""
-    for name, node in sensors.items():
-        if isinstance(node, Mapping) and node.get("_target_") == _SENSOR and node.get("body_names") == [".*"]:
-            return name
-    return None
+    """Return the name of a contact sensor that covers every body, or None."""
+    wanted = {"_target_": _SENSOR, "body_names": [".*"]}
+    nodes = {name: node for name, node in sensors.items() if isinstance(node, Mapping)}
+    return next((name for name, node in nodes.items() if all(node.get(k) == v for k, v in wanted.items())), None)
 
 
 def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,11 +89,7 @@ def _contacts(protocol: Protocol) -> dict[str, Any]:
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build the environment. An episode that has ended is not reset.
-
-    Raises:
-        ConfigError: a setting in ``cfg`` is wrong, or the robot's base is fixed.
-    """
+    """Build the environment. An episode that has ended is not reset. ConfigError if the robot's base is fixed."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
@@ -128,22 +119,14 @@ def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class RobotParts:
-    """The robot's parts that metrics use; indices are into its joints.
+    """The robot's parts that metrics use; tensors of integers are indices into its joints.
 
-    Attributes:
-        joint_names: names of all joints, (J,).
-        wheels: joints of driven wheels that carry the robot, (W,).
-        contacts: name of the contact sensor on every body.
-        wheel_bodies: columns of the wheels' bodies in that sensor, (W,).
-        wheel_offsets: distance of each wheel to the left of the base, m, (W,); None if the robot has no forward
-            direction.
-        left: driven joints of the left legs, (P,).
-        right: their mirror images, (P,).
-        sign: the mirror image of ``left`` at q is ``right`` at sign · q, (P,).
-        groups: joints of each actuator group by name.
-        effort_limit: limit of each joint in each environment, N·m, (N, J); inf without a limit.
-        mass: mass of the robot, kg.
-        gravity: m/s².
+    ``wheels`` (W,) are driven wheels that carry the robot. ``contacts`` is the name of the contact sensor on every
+    body, and ``wheel_bodies`` (W,) are the columns of the wheels' bodies in that sensor. ``wheel_offsets`` (W,) is the
+    distance of each wheel to the left of the base, m; None if the robot has no forward direction. ``left`` (P,) are
+    driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is ``right``
+    at ``sign`` · q. ``groups`` has the joints of each actuator group. ``effort_limit`` (N, J) is in N·m, inf without a
+    limit; ``mass`` is in kg and ``gravity`` in m/s².
     """
 
     joint_names: tuple[str, ...]

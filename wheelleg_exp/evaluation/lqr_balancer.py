@@ -23,23 +23,19 @@ Array = np.ndarray[Any, Any]
 # LQR weights of position, pitch, speed, and pitch rate (m, rad, m/s, rad/s), and of the wheels' acceleration, rad/s².
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
-_HEADING = 4.0  # 1/s: gain from the heading error to the yaw rate
-_MOST_ERROR = 0.05  # rad: bound on the integrated error, so that a push or a fall does not wind up the integrator
+_HEADING = 4.0  # gain, 1/s
+# The integrated error is bounded, in rad, so that a push or a fall does not wind up the integrator.
+_MOST_ERROR = 0.05
 
 
 @dataclass(frozen=True)
 class Pendulum:
     """A body on one axle of wheels, with still legs, at the default pose.
 
-    Attributes:
-        mass: mass without the wheels, kg.
-        height: height of its centre of mass over the axle, m.
-        lean: pitch at which that centre is above the axle, rad; positive is forward and down.
-        inertia: inertia without the wheels about the axle, kg·m².
-        rolling: resistance of the wheels to rolling, kg: their mass, and their inertia over the radius squared.
-        radius: radius of the wheels, m.
-        track: distance between the outermost contacts, m.
-        gravity: m/s².
+    ``mass`` in kg and ``inertia`` about the axle in kg·m² exclude the wheels. ``height`` is the height of the centre of
+    mass over the axle, m, and ``lean`` the pitch at which the centre is above the axle, rad, positive for forward and
+    down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the radius
+    squared. ``radius`` of the wheels and ``track`` between the outermost contacts are in m, ``gravity`` is in m/s².
     """
 
     mass: float
@@ -53,7 +49,7 @@ class Pendulum:
 
     @property
     def pole(self) -> float:
-        """The rate at which it falls while the wheels keep their speed relative to the body, 1/s."""
+        """The rate at which the body falls at a constant speed of the wheels relative to the body, 1/s."""
         return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
 
     @property
@@ -87,17 +83,13 @@ class Pendulum:
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
         cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
-        found: Array = np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0]
-        return found
+        return np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0]
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
-    """Return the pendulum model of a robot at its default pose, and the robot's anatomy.
+    """Return the pendulum model of a robot at its default pose without randomisation, and the robot's anatomy.
 
-    ``env`` is the environment; its compiled model is used, without randomisation.
-
-    Raises:
-        ConfigError: the robot does not stand on driven wheels of one axle that roll in one direction.
+    A robot that does not stand on driven wheels of one axle, which roll in one direction, raises ConfigError.
     """
     robot, model = env.scene.robot, env.scene.model
     data = at_default(model, robot)
@@ -147,24 +139,16 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """An LQR balancer as a policy. It reads the state without noise and acts through the task's actions.
+    """An LQR balancer as a policy. The balancer reads the state without noise and acts through the task's actions.
 
-    The target of a wheel is ``w + u / b``: its speed w, the optimal acceleration u, and the bandwidth b of the wheels'
-    drive. A difference between left and right turns the robot to the commanded heading. All other joints hold their
-    defaults. The position target moves at the commanded speed, so errors do not accumulate.
+    The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
+    wheels' drive in 1/s. A difference between left and right turns the robot to the commanded heading. All other joints
+    stay at their default positions. The position target moves at the commanded speed, so errors do not accumulate.
 
-    An integrator estimates the lean at which this robot balances. Its centre of mass, a wrench, and the slope of the
-    ground shift that lean. The integrator adds up the pitch acceleration that the linear model does not explain, with
-    the time constant of the pole. The error is 0 in balance, so the position has no offset. Commands do not wind up the
-    integrator, because the model explains their effect.
-
-    Attributes:
-        pendulum: the linear model's parameters.
-        gains: K, for position, pitch, speed and pitch rate.
-        bandwidth: b, 1/s.
-
-    Raises:
-        ConfigError: the robot cannot balance, or its actions set no wheel speeds.
+    An integrator estimates the lean at which this robot balances. The centre of mass, a wrench, and the slope of the
+    ground shift the lean at which the robot balances. The integrator adds up the pitch acceleration that the linear
+    model does not explain, with the time constant of the pole. The error is 0 in balance, so the position has no
+    offset. Commands do not wind up the integrator, because the model explains their effect.
     """
 
     name = "reference"
@@ -179,7 +163,8 @@ class Reference:
         names = [wheel.joint for wheel in wheels]
         self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
-        sides = {"left": -1.0, "right": 1.0, "middle": 0.0}  # sign of the wheel speed in a left turn
+        # The sign of each wheel's speed in a left turn depends on the side of the wheel.
+        sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
         self.bandwidth = _bandwidth(env, names)
         self._forward = torch.tensor(anatomy.forward, dtype=torch.float32, device=device)
@@ -187,7 +172,7 @@ class Reference:
         self._left = torch.linalg.cross(self._up, self._forward)
         self._terms = _terms(env, names)
         self._place, self._heading, self._lean = torch.zeros(3, env.num_envs, device=device).unbind()
-        self._before = torch.zeros(3, env.num_envs, device=device)  # pitch, pitch rate and wheel speed
+        self._before = torch.zeros(3, env.num_envs, device=device)
 
     def describe(self) -> dict[str, Any]:
         """Return the model and the gains for JSON."""
@@ -215,7 +200,7 @@ class Reference:
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
         error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
         wheel = speed - (error @ self._k) / self.bandwidth
-        # The shortest turn, so that a heading error never exceeds half a turn.
+        # The heading error is wrapped, so that the robot always turns the shorter way.
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
@@ -226,13 +211,13 @@ class Reference:
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         """Integrate one control step and return the lean at which each robot balances, rad, (N,).
 
-        ``fresh`` says whether an episode starts, (N,) bool. ``state`` holds the pitch, pitch rate and wheel
-        speed, (3, N).
+        ``fresh`` (N,) says whether an episode starts. ``state`` (3, N) has the pitch, the pitch rate, and the wheel
+        speed.
         """
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
         _, pitching, rolling = (state - self._before) / dt
-        pitch = (state[0] + self._before[0]) / 2  # at the middle of the step, like the finite differences
+        pitch = (state[0] + self._before[0]) / 2
         apparent = pitch - (pitching - b[3][0] * rolling) / a[3][1] - self.pendulum.lean
         error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR)
         self._lean = torch.where(fresh, 0.0, self._lean + self.pendulum.pole * dt * error)
@@ -244,7 +229,7 @@ class Reference:
         return torch.atan2(gravity @ self._forward, -(gravity @ self._up))
 
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions for these wheel speeds; all other joints stay at their defaults."""
+        """Return the raw actions for given wheel speeds; all other joints stay at their default positions."""
         data = self._env.scene.robot.data
         limits = data.soft_joint_vel_limits[:, self._wheels]
         speeds = data.default_joint_vel.clone()
@@ -264,11 +249,7 @@ def _bandwidth(env: Env, wheels: list[str]) -> float:
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:
-    """Return the task's action terms in order, each with its joints.
-
-    Raises:
-        ConfigError: a term cannot invert a target, or no term sets the wheels' speeds.
-    """
+    """Return the task's action terms in order with their joints; ConfigError if they cannot set the wheels' speeds."""
     found: list[tuple[JointAction, torch.Tensor]] = []
     manager, names = env.action_manager, env.scene.robot.joint_names
     for name in manager.active_terms:

@@ -1,6 +1,7 @@
 """Compare evaluations: one method over several training seeds, and one method against another.
 
-``verdict`` and ``push_verdict`` summarise the differences in words.
+The module computes bootstrap intervals over training seeds, the interval of a difference between two methods, and
+statistical tests of episodes. ``verdict`` and ``push_verdict`` summarise the differences in words.
 """
 
 from __future__ import annotations
@@ -11,27 +12,55 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.evaluation import significance
-from wheelleg_exp.evaluation.metric_catalogue import Array, Metric, metrics_of, resampled, worst
+from wheelleg_exp.evaluation.metric_catalogue import LEVEL, Array, Metric, metrics_of, percentiles, resampled, worst
 from wheelleg_exp.evaluation.result import Evaluation
-from wheelleg_exp.evaluation.significance import ALPHA, Interval, Test
 from wheelleg_exp.managers.streams import stream_seed
+
+ALPHA = 0.05  # significance level
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with the ends of its 95 % confidence interval.
+
+    ``floor`` is the noise floor: the difference of two such values that chance exceeds once in 20 times.
+    """
+
+    value: float
+    low: float
+    high: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Test:
+    """The result of a statistical test of two columns of episodes.
+
+    Attributes:
+        test: ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
+        p: two-sided probability of a difference at least this large by chance.
+        pairs: number of pairs; without pairs, the number of episodes of the smaller group.
+        untied: number of pairs that differ; None without pairs.
+        difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
+        effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
+            (Kerby, 2014), or the difference of shares. Its sign can differ from the median's, if many episodes differ
+            slightly one way and some strongly the other way.
+    """
+
+    test: str
+    p: float
+    pairs: int
+    untied: int | None
+    difference: float
+    effect: float
 
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """One metric over several trainings that differ by their seed.
-
-    Attributes:
-        metric: ``group/metric``.
-        unit: unit of all numbers.
-        better: ``higher``, ``lower``, or empty.
-        values: value of each training.
-        mean: mean over the trainings, with its interval clustered by training.
-        interquartile_mean: over the trainings.
-    """
+    """One metric over several trainings that differ by their seed; ``mean`` has an interval clustered by training."""
 
     metric: str
     unit: str
@@ -69,15 +98,16 @@ class Difference:
     def outcome(self) -> str:
         """``better`` or ``worse`` if the first method's difference is significant, else empty.
 
-        The corrected test must be significant and agree with the sign of the means. Without a test, the interval must
-        exclude 0.
+        The corrected test must be significant and agree with the sign of the means. Without a test, the interval of the
+        difference must exclude 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
+        # There is no outcome if the median or the ranks contradict the means: a few episodes then decide the means.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
-            return ""  # the median or the ranks point one way, and a few episodes pull the means the other way
+            return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:
@@ -85,40 +115,148 @@ class Difference:
         return plain({**asdict(self), "outcome": self.outcome})
 
 
-def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
-    """Return every metric that all evaluations have, over the trainings.
+# --- intervals ---
 
-    ``evaluations`` are the evaluations of trainings that differ by their seed, in the same scenarios.
 
-    Raises:
-        RunDirectoryError: their scenarios differ.
+def interquartile_mean(values: Array) -> float:
+    """Return the mean of the middle half of the values; NaN without values.
+
+    A quarter of the values, rounded down, is dropped at either end. With fewer than four values, no value is dropped.
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (2021).
     """
+    return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
+
+
+def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
+    """Return the mean of a metric over S training seeds with its percentile bootstrap interval, clustered by seed.
+
+    ``values`` (S,) is the metric of each seed. ``drawn`` has the bootstrap values of each seed's episodes, (B,) each.
+    With one seed, the interval covers the seed's episodes only, and does not describe another training.
+    """
+    finite = [value for value in values if np.isfinite(value)]
+    return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
+
+
+def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
+    """Return means over training seeds drawn with replacement, each with its own draw of episodes, (B,).
+
+    The episodes of one seed are not independent draws of the trained method. So whole seeds are drawn, and then the
+    episodes of each seed: Davison and Hinkley, Bootstrap Methods (1997), 3.8. The draws of a single seed keep their
+    order.
+    """
+    held = [np.asarray(column, dtype=np.float64) for column in drawn]
+    held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
+    if len(held) < 2:
+        return held[0] if held else np.zeros(0)
+    seeds, lengths = len(held), np.array([len(column) for column in held])
+    resamples = int(lengths.max())
+    # np.resize repeats shorter columns, but `places` only indexes their original part.
+    padded = np.stack([np.resize(column, resamples) for column in held])
+    chosen = generator.integers(seeds, size=(resamples, seeds))
+    places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
+    means: Array = padded[chosen, places].mean(axis=1)
+    return means
+
+
+def interval(value: float, drawn: Array, generator: np.random.Generator) -> Interval:
+    """Return a value with the percentile interval and the noise floor of its bootstrap values, (B,)."""
+    finite = drawn[np.isfinite(drawn)]
+    if not len(finite):
+        return Interval(value, math.nan, math.nan, math.nan)
+    return Interval(value, *percentiles(finite), noise_floor(finite, generator))
+
+
+def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
+    """Return the 95 % quantile of the difference between two independent draws of bootstrap values, (B,).
+
+    If one method is evaluated twice with as many seeds and episodes, the two values differ by more once in 20 times.
+    For normal values the noise floor is 1.96 √2 standard errors.
+    """
+    first, second = generator.choice(drawn, (2, len(drawn)))
+    return float(np.quantile(np.abs(first - second), LEVEL))
+
+
+# --- statistical tests ---
+
+
+def mcnemar(first: Array, second: Array) -> Test:
+    """Return the exact McNemar test of paired outcomes, 1 or 0, of two policies on the same scenarios.
+
+    Only scenarios in which exactly one policy succeeded count. By chance both cases are equally likely: the two-sided
+    binomial test of Dwass (1955), McNemar (1947).
+    """
+    won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
+    p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
+    share = (won - lost) / max(1, len(first))
+    return Test("McNemar", p, len(first), won + lost, share, share)
+
+
+def wilcoxon(first: Array, second: Array) -> Test:
+    """Return the Wilcoxon signed-rank test of finite errors of two policies on the same scenarios, without ties."""
+    difference = np.asarray(second, dtype=np.float64) - first
+    untied = int(np.count_nonzero(difference))
+    p = float(stats.wilcoxon(difference, zero_method="wilcox").pvalue) if untied else 1.0
+    median = float(np.median(difference)) if len(difference) else 0.0
+    moved = difference[difference != 0.0]
+    ranks = stats.rankdata(np.abs(moved))
+    effect = float((ranks * np.sign(moved)).sum() / ranks.sum()) if untied else 0.0
+    return Test("Wilcoxon", p, len(difference), untied, median, effect)
+
+
+def fisher(first: Array, second: Array) -> Test:
+    """Return Fisher's exact test of outcomes, 1 or 0, of two policies on different scenarios."""
+    table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
+    share = float(second.mean() - first.mean())
+    p = float(stats.fisher_exact(table).pvalue)
+    return Test("Fisher", p, min(len(first), len(second)), None, share, share)
+
+
+def mann_whitney(first: Array, second: Array) -> Test:
+    """Return the Mann-Whitney test of errors of two policies on different scenarios."""
+    found = stats.mannwhitneyu(second, first)
+    # scipy returns NaN if all values are equal.
+    p = 1.0 if len(np.unique(np.concatenate((first, second)))) == 1 else float(found.pvalue)
+    effect = float(2.0 * found.statistic / (len(first) * len(second)) - 1.0)
+    median = float(np.median(second) - np.median(first))
+    return Test("Mann-Whitney", p, min(len(first), len(second)), None, median, effect)
+
+
+def holm(tests: Mapping[str, float]) -> dict[str, float]:
+    """Return the p values by name, corrected for the number of tests (Holm, 1979)."""
+    ordered = sorted(tests, key=lambda name: tests[name])
+    corrected, least = {}, 0.0
+    # Corrected p values never decrease along the sorted tests.
+    for rank, name in enumerate(ordered):
+        least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
+        corrected[name] = least
+    return {name: corrected[name] for name in tests}
+
+
+# --- comparisons ---
+
+
+def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
+    """Return every metric over trainings that differ by their seed; RunDirectoryError if their scenarios differ."""
     require_same_scenarios(evaluations)
     found = []
     for metric in _shared(evaluations):
         values = tuple(evaluation.value(metric.name) for evaluation in evaluations)
-        mean = significance.clustered(values, _draws(metric, evaluations), _generator(evaluations[0], metric, "seeds"))
-        finite = np.array([value for value in values if math.isfinite(value)])
-        iqm = significance.interquartile_mean(finite)
+        mean = clustered(values, _draws(metric, evaluations), _generator(evaluations[0], metric, "seeds"))
+        iqm = interquartile_mean(np.array([value for value in values if math.isfinite(value)]))
         found.append(OverSeeds(metric.name, metric.unit, metric.better, values, mean, iqm))
     return found
 
 
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
-    """Return the differences of two methods in every metric that both have.
+    """Return the differences of two methods in every metric that both have; RunDirectoryError if scenarios differ.
 
-    Episodes with the same start are pairs. Several trainings of a method count with their mean in each scenario.
-
-    ``first`` are the evaluations of the method in question, one per training seed. ``second`` are the evaluations
-    of the other method.
-
-    Raises:
-        RunDirectoryError: their scenarios differ.
+    Each method has one evaluation per training seed. Episodes with the same start are pairs. Several trainings of a
+    method count with their mean in each scenario.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)
     found = [_difference(metric, first, second, paired(everyone, metric.test)) for metric in _shared(everyone)]
-    corrected = significance.holm({row.metric: row.test.p for row in found if row.test is not None and row.better})
+    corrected = holm({row.metric: row.test.p for row in found if row.test is not None and row.better})
     return [replace(row, p=corrected.get(row.metric)) for row in found]
 
 
@@ -138,7 +276,7 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON, with None for NaN and inf."""
+    """Return a nested value for JSON, with None for NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -147,12 +285,10 @@ def plain(value: Any) -> Any:
 
 
 def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:
-    """Return the metrics that all evaluations have."""
     first = evaluations[0]
-    tests = list(dict.fromkeys(first.episodes["test"].tolist()))
     shared = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
-    found = []
-    for test in tests:
+    found: list[Metric] = []
+    for test in dict.fromkeys(first.episodes["test"].tolist()):
         mine = first.episodes["test"] == test
         found += metrics_of(test, {name: first.episodes[name][mine] for name in shared}, first.protocol)
     return [metric for metric in found if all(metric.name in one.metrics for one in evaluations)]
@@ -171,15 +307,15 @@ def _difference(
     metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool
 ) -> Difference:
     means = [float(np.mean([one.value(metric.name) for one in group])) for group in (first, second)]
-    generator = _generator(first[0], metric, "difference")
-    drawn = [significance.clustered_means(_draws(metric, group), generator) for group in (first, second)]
-    count = min(map(len, drawn))
-    interval = significance.interval(means[0] - means[1], drawn[0][:count] - drawn[1][:count], generator)
-    if metric.reduce is worst:  # neither a test nor a bootstrap is valid for the maximum of a sample
-        bare = Interval(interval.value, math.nan, math.nan, math.nan)
+    if metric.reduce is worst:  # Neither a test nor a bootstrap is valid for the maximum of a sample.
+        bare = Interval(means[0] - means[1], math.nan, math.nan, math.nan)
         return Difference(metric.name, metric.unit, "", means[0], means[1], bare, None, None)
+    generator = _generator(first[0], metric, "difference")
+    drawn = [clustered_means(_draws(metric, group), generator) for group in (first, second)]
+    count = min(map(len, drawn))
+    found = interval(means[0] - means[1], drawn[0][:count] - drawn[1][:count], generator)
     test = _test(metric, first, second, are_pairs) if len(metric.columns) == 1 else None
-    return Difference(metric.name, metric.unit, metric.better, means[0], means[1], interval, test, None)
+    return Difference(metric.name, metric.unit, metric.better, means[0], means[1], found, test, None)
 
 
 def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool) -> Test | None:
@@ -187,31 +323,27 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     if are_pairs:
         kept = np.logical_and.reduce([metric.kept(one.episodes) for one in (*first, *second)])
         one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
+        # Pairs stay aligned: an episode is dropped from both sides if one side is not finite.
+        finite = np.isfinite(one) & np.isfinite(other)
+        one, other = one[finite], other[finite]
     else:
         one, other = (np.concatenate([metric.values(each.episodes)[0] for each in group]) for group in (first, second))
-    # Pairs stay aligned: an episode is dropped from both sides if one side is not finite.
-    finite = np.isfinite(one) & np.isfinite(other) if are_pairs else None
-    if finite is not None:
-        one, other = one[finite], other[finite]
     if not len(one) or not len(other):
         return None
-    outcomes = bool(np.isin(np.concatenate((one, other)), (0.0, 1.0)).all())
-    if are_pairs:
-        return significance.mcnemar(other, one) if outcomes else significance.wilcoxon(other, one)
-    return significance.fisher(other, one) if outcomes else significance.mann_whitney(other, one)
+    if np.isin(np.concatenate((one, other)), (0.0, 1.0)).all():
+        return mcnemar(other, one) if are_pairs else fisher(other, one)
+    return wilcoxon(other, one) if are_pairs else mann_whitney(other, one)
 
+
+# --- comparisons in words ---
 
 _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 
 
 def verdict(found: Sequence[Difference], first: str, second: str, trainings: Sequence[int]) -> str:
-    """Return a summary of the differences in words.
-
-    ``first`` is the name of the method in question. ``second`` is the name of the other method.
-    """
+    """Return a summary of the differences between two methods in words."""
     tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
-    better = [row.metric for row in tested if row.outcome == "better"]
-    worse = [row.metric for row in tested if row.outcome == "worse"]
+    better, worse = ([row.metric for row in tested if row.outcome == word] for word in ("better", "worse"))
     if not better and not worse:
         text = f"No difference between {first} and {second} is significant in any of {len(tested)} metrics."
     elif not worse:
@@ -228,9 +360,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     """Return one line that says whether a method survives harder pushes than another; empty without push tests.
 
-    It is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
-
-    ``first`` is the name of the method in question. ``second`` is the name of the other method.
+    A method is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
     """
     rows = {row.metric: row for row in found}
     kinds = [name.removeprefix(_WORST) for name in rows if name.startswith(_WORST)]

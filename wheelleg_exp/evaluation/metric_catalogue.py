@@ -1,49 +1,52 @@
 """Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
 
-``metrics_of`` declares the metrics of every test.
+``POSTURE`` and ``MOTION`` declare metrics with one row each: a formula for the column of episodes, its unit, and its
+reduction. ``metrics_of`` returns the metrics of every test.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
+from wheelleg_exp.evaluation.motion_columns import Columns, Motion, fast_share
 from wheelleg_exp.evaluation.result import Figure
-from wheelleg_exp.evaluation.significance import percentiles
 from wheelleg_exp.managers.streams import stream_seed
 
 Array = np.ndarray[Any, Any]
-Reduce = Callable[[Sequence[Array]], Array]  # columns (..., E) -> (...)
+Reduce = Callable[[Sequence[Array]], Array]
 Rows = Callable[[Mapping[str, Array]], Array]
+LEVEL = 0.95  # confidence level
+
+
+# --- reductions over episodes ---
 
 
 def mean(columns: Sequence[Array]) -> Array:
     """Return the mean over episodes."""
-    found: Array = columns[0].mean(axis=-1)
-    return found
+    return columns[0].mean(axis=-1)
 
 
 def quadratic(columns: Sequence[Array]) -> Array:
     """Return the root mean square over episodes. All episodes have the same weight."""
-    found: Array = np.sqrt(np.square(columns[0]).mean(axis=-1))
-    return found
+    return np.sqrt(np.square(columns[0]).mean(axis=-1))
 
 
 def worst(columns: Sequence[Array]) -> Array:
-    """Return the largest value."""
-    found: Array = columns[0].max(axis=-1)
-    return found
+    """Return the largest value over episodes."""
+    return columns[0].max(axis=-1)
 
 
 def median(columns: Sequence[Array]) -> Array:
-    """Return the median."""
-    found: Array = np.median(columns[0], axis=-1)
-    return found
+    """Return the median over episodes."""
+    return np.median(columns[0], axis=-1)
 
 
 def gain(columns: Sequence[Array]) -> Array:
@@ -51,15 +54,13 @@ def gain(columns: Sequence[Array]) -> Array:
     command, velocity = columns
     centred = command - command.mean(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found: Array = (centred * velocity).sum(axis=-1) / np.square(centred).sum(axis=-1)
-    return found
+        return (centred * velocity).sum(axis=-1) / np.square(centred).sum(axis=-1)
 
 
 def skill(columns: Sequence[Array]) -> Array:
     """Return (score - still) / (1 - still): 0 for standing still, 1 for perfect tracking."""
     score, still = (column.mean(axis=-1) for column in columns)
-    found: Array = (score - still) / (1.0 - still)
-    return found
+    return (score - still) / (1.0 - still)
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
@@ -75,73 +76,29 @@ def area(columns: Sequence[Array], band: float) -> Array:
             count = mine.sum(axis=-1)
             sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
             good = np.all([total <= band * count for total in sums], axis=0)
-            passed.append(np.where(count > 0, good, np.nan))  # a resample can lack a cell
-        found: Array = np.nanmean(passed, axis=0)
-    return found
+            passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack a command.
+        return np.nanmean(passed, axis=0)
 
 
-def everything(rows: Mapping[str, Array]) -> Array:
-    """Return every episode of the test."""
-    return np.ones(len(rows["test"]), dtype=bool)
-
-
-def moving(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes with a nonzero command."""
-    return (rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0)
-
-
-def still(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes with a zero command."""
-    return ~moving(rows)
-
-
-def surviving(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes with a nonzero command that survived to the end."""
-    return moving(rows) & (rows["survived"] == 1.0)
-
-
-def commanded(rows: Mapping[str, Array], axis: str) -> Array:
-    """Return the episodes with a nonzero command along one axis."""
-    return rows[f"command_{axis}"] != 0.0
-
-
-def cell_is(rows: Mapping[str, Array], name: str) -> Array:
-    """Return the episodes of a cell; a name that ends in ``/`` selects all cells with this prefix."""
-    cells = rows["cell_name"].astype(str)
-    found: Array = np.char.startswith(cells, name) if name.endswith("/") else cells == name
-    return found
-
-
-def cell_ends(rows: Mapping[str, Array], ending: str) -> Array:
-    """Return the episodes of the cells whose names have this suffix."""
-    found: Array = np.char.endswith(rows["cell_name"].astype(str), ending)
-    return found
-
-
-def worst_median(columns: Sequence[Array]) -> Array:
-    """Return the lowest median of a cell. The columns are cell and value."""
-    return _least(columns, np.nanmedian)
-
-
-def worst_mean(columns: Sequence[Array]) -> Array:
-    """Return the lowest mean of a cell. The columns are cell and value."""
-    return _least(columns, np.nanmean)
-
-
-def _least(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
+def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
+    """Return the lowest value of a statistic over cells. The columns are the cell and the value of each episode."""
     cell, value = columns
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a resample can lack a cell
-        each = [of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)]
-        found: Array = np.nanmin(each, axis=0)
-    return found
+        # A bootstrap resample can lack a command of the grid, and numpy warns about the mean of no values.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
+
+
+worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, of=np.nanmean)
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
-    """Return the number of levels from the first with this share of successes. Columns: level and success."""
+    """Return the number of levels, counted from the first level, that have at least this share of successes.
+
+    The columns are the level and the success of each episode.
+    """
     level, success = columns
-    passed = np.ones(level.shape[:-1], dtype=bool)
-    count = np.zeros(level.shape[:-1])
+    passed, count = np.ones(level.shape[:-1], dtype=bool), np.zeros(level.shape[:-1])
     for one in np.unique(level):
         mine = level == one
         tries = mine.sum(axis=-1)
@@ -150,22 +107,46 @@ def highest(columns: Sequence[Array], share: float) -> Array:
     return count
 
 
-def level_is(rows: Mapping[str, Array], level: float) -> Array:
-    """Return the episodes of a level."""
-    found: Array = rows["level"] == level
-    return found
+# --- selections of episodes ---
 
 
-def world_is(rows: Mapping[str, Array], sweep: str, value: float) -> Array:
-    """Return the episodes of one changed world."""
-    found: Array = (rows["sweep"] == sweep) & (rows["value"] == value)
-    return found
+def everything(rows: Mapping[str, Array]) -> Array:
+    """Return the mask of all episodes of a test."""
+    return np.ones(len(rows["test"]), dtype=bool)
 
 
-def changed(rows: Mapping[str, Array]) -> Array:
-    """Return the episodes of all changed worlds."""
-    found: Array = rows["sweep"] != "nominal"
-    return found
+def moving(rows: Mapping[str, Array]) -> Array:
+    """Return the mask of the episodes with a nonzero command."""
+    return (rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0)
+
+
+def still(rows: Mapping[str, Array]) -> Array:
+    """Return the mask of the episodes with a zero command."""
+    return ~moving(rows)
+
+
+def surviving(rows: Mapping[str, Array]) -> Array:
+    """Return the mask of the episodes with a nonzero command that survived to the end."""
+    return moving(rows) & (rows["survived"] == 1.0)
+
+
+def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
+    """Return the mask of the episodes in which a column differs from a value."""
+    return rows[column] != value
+
+
+def matching(rows: Mapping[str, Array], **values: Any) -> Array:
+    """Return the mask of the episodes whose columns have these values."""
+    return np.logical_and.reduce([rows[name] == value for name, value in values.items()])
+
+
+def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array:
+    """Return the mask of the episodes of all cells whose names have this prefix and this suffix."""
+    cells = rows["cell_name"].astype(str)
+    return np.char.startswith(cells, start) & np.char.endswith(cells, end)
+
+
+# --- metrics ---
 
 
 @dataclass(frozen=True)
@@ -207,10 +188,7 @@ class Metric:
 
 
 def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
-    """Return bootstrap values of a metric, (B,). Equal seeds draw the same episodes.
-
-    ``seed`` is the seed of the draws; the stream has the metric's name.
-    """
+    """Return B bootstrap values of a metric. Equal seeds draw the same episodes."""
     columns = metric.values(episodes)
     count = len(columns[0])
     if not count:
@@ -224,21 +202,22 @@ def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: 
     """Return a metric with its 95 % percentile bootstrap interval over episodes."""
     columns = metric.values(episodes)
     if not len(columns[0]):
-        return Figure(float("nan"), float("nan"), float("nan"), 0, metric.unit, metric.better)
+        return Figure(math.nan, math.nan, math.nan, 0, metric.unit, metric.better)
     found = resampled(metric, episodes, seed, resamples)
     found = found[np.isfinite(found)]
-    low, high = percentiles(found) if len(found) else (float("nan"), float("nan"))
+    low, high = percentiles(found) if len(found) else (math.nan, math.nan)
     return Figure(float(metric.reduce(columns)), low, high, len(columns[0]), metric.unit, metric.better)
 
 
-def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return the metrics of a test.
+def percentiles(drawn: Array) -> tuple[float, float]:
+    """Return the ends of the 95 % percentile interval of bootstrap values, (B,)."""
+    tail = 100 * (1 - LEVEL) / 2
+    low, high = np.percentile(drawn, (tail, 100 - tail))
+    return float(low), float(high)
 
-    Args:
-        test: the test.
-        columns: the columns of its episodes. Metrics without their columns are skipped.
-        protocol: the composed protocol, plain: its bands and pass limits.
-    """
+
+def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
+    """Return the metrics of a test whose columns exist. The composed protocol has the bands and pass limits."""
     if test == "walk":
         found = _of_walking(columns, float((protocol.get("walk") or {}).get("band", 0.1)))
     elif test == "terrain":
@@ -255,30 +234,56 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
 
 
-# Column, unit, reduction, and better direction of the metrics that several tests share.
-_SHARED: tuple[tuple[str, str, Reduce, str], ...] = (
-    ("height_rmse_m", "m", quadratic, "lower"),
-    ("height_mean_m", "m", mean, ""),
-    ("pitch_rms_rad", "rad", quadratic, "lower"),
-    ("pitch_std_rad", "rad", quadratic, "lower"),
-    ("roll_rms_rad", "rad", quadratic, "lower"),
-    ("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower"),
-    ("lean_rad", "rad", mean, ""),
-    ("wheels_down_share", "", mean, "higher"),
-    ("leg_symmetry_rms_rad", "rad", quadratic, "lower"),
-    ("wheel_sign_changes_per_s", "1/s", mean, "lower"),
-    ("wheel_speed_rms_rad_s", "rad/s", quadratic, ""),
-    ("power_gross_w", "W", mean, "lower"),
-    ("power_net_w", "W", mean, "lower"),
-    ("positive_work_j", "J", mean, "lower"),
-    ("peak_power_w", "W", mean, "lower"),
-    ("cost_of_transport_gross", "", median, "lower"),
-    ("cost_of_transport_net", "", median, "lower"),
-    ("action_rate_per_s", "1/s", mean, "lower"),
-    ("action_acceleration_per_s2", "1/s²", mean, "lower"),
-    ("torque_difference_rms_nm", "N·m", quadratic, "lower"),
-    ("fast_power_share", "", mean, "lower"),
+class Measure(NamedTuple):
+    """A column of episodes, (N,), and its metric. A formula returns None if the robot or the task has no such value."""
+
+    column: str
+    unit: str
+    reduce: Reduce
+    better: str
+    formula: Callable[[Motion], torch.Tensor | None]
+
+
+POSTURE = (
+    Measure("height_rmse_m", "m", quadratic, "lower", lambda m: m.height_error()),
+    Measure("height_mean_m", "m", mean, "", lambda m: m.mean(m.made.height)),
+    Measure("pitch_rms_rad", "rad", quadratic, "lower", lambda m: m.rms(m.made.pitch)),
+    Measure("pitch_std_rad", "rad", quadratic, "lower", lambda m: m.rms(m.made.pitch.double() - m.mean(m.made.pitch))),
+    Measure("roll_rms_rad", "rad", quadratic, "lower", lambda m: m.rms(m.made.roll)),
+    Measure("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower", lambda m: m.rms(m.made.ang[..., 1])),
+    Measure("lean_rad", "rad", mean, "", lambda m: m.mean(m.made.pitch)),
 )
+# In `work`, index 0 is gross work, 1 is net work, 2 is positive work, and 3 is the peak of the positive power.
+MOTION = (
+    Measure("wheels_down_share", "", mean, "higher", lambda m: m.mean(m.made.down.all(dim=-1)) if m.wheels else None),
+    Measure("leg_symmetry_rms_rad", "rad", quadratic, "lower", lambda m: m.leg_asymmetry()),
+    Measure(
+        *("wheel_sign_changes_per_s", "1/s", mean, "lower"),
+        lambda m: m.mean(m.made.sign_changes) / m.made.dt if m.wheels else None,
+    ),
+    Measure(
+        *("wheel_speed_rms_rad_s", "rad/s", quadratic, ""),
+        lambda m: m.rms(m.made.joint_vel[..., m.parts.wheels]) if m.wheels else None,
+    ),
+    Measure("power_gross_w", "W", mean, "lower", lambda m: m.total(m.made.work[..., 0]) / m.duration),
+    Measure("power_net_w", "W", mean, "lower", lambda m: m.total(m.made.work[..., 1]) / m.duration),
+    Measure("positive_work_j", "J", mean, "lower", lambda m: m.total(m.made.work[..., 2])),
+    Measure("peak_power_w", "W", mean, "lower", lambda m: m.largest(m.made.work[..., 3])),
+    Measure("cost_of_transport_gross", "", median, "lower", lambda m: m.total(m.made.work[..., 0]) / m.weight_distance),
+    Measure("cost_of_transport_net", "", median, "lower", lambda m: m.total(m.made.work[..., 1]) / m.weight_distance),
+    Measure("action_rate_per_s", "1/s", mean, "lower", lambda m: m.action_change(1)),
+    Measure("action_acceleration_per_s2", "1/s²", mean, "lower", lambda m: m.action_change(2)),
+    Measure("torque_difference_rms_nm", "N·m", quadratic, "lower", lambda m: m.torque_change()),
+    Measure("fast_power_share", "", mean, "lower", lambda m: fast_share(m.driven_torque, m.counted, m.made.dt)),
+)
+
+
+def measured(motion: Motion, measures: Sequence[Measure] = (*POSTURE, *MOTION)) -> Columns:
+    """Return the columns that the formulas of the catalogue compute from a motion, (N,) each."""
+    found = {measure.column: measure.formula(motion) for measure in measures}
+    return {name: column for name, column in found.items() if column is not None}
+
+
 _ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
 
 
@@ -289,7 +294,7 @@ def _shared_metrics(test: str, columns: Mapping[str, Array], rows: Rows) -> Iter
             yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
         elif name.startswith("saturation_"):
             yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
-    for name, unit, reduce, better in _SHARED:
+    for name, unit, reduce, better, _ in (*POSTURE, *MOTION):
         yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
 
 
@@ -315,7 +320,7 @@ def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
     test = "walk"
     yield from _survival(test, columns)
     for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
-        rows = partial(commanded, axis=axis)
+        rows = partial(differing, column=f"command_{axis}", value=0.0)
         yield Metric(f"walk/error_{axis}", test, (f"error_{axis}",), quadratic, unit, rows=surviving)
         yield Metric(f"walk/error_{axis}_with_falls", test, (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
         yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
@@ -344,13 +349,13 @@ def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
     test, better = "push", "higher"
     cells = dict.fromkeys(columns["cell_name"].tolist())
     for kind in dict.fromkeys(cell.rpartition(" over ")[2] for cell in cells):
-        mine, pulse = partial(cell_ends, ending=f" over {kind}"), kind.replace(" ", "")
+        mine, pulse = partial(in_cells, end=f" over {kind}"), kind.replace(" ", "")
         yield Metric(f"push/limit_{pulse}", test, ("limit_m_s",), median, "m/s", better, mine)
         yield Metric(f"push/limit_worst_{pulse}", test, ("cell", "limit_m_s"), worst_median, "m/s", better, mine)
         yield Metric(f"push/limit_normalised_{pulse}", test, ("limit_normalised",), median, "", better, mine)
     for cell in cells:
         name = f"push/limit_{cell.replace(' over ', '_').replace(' ', '')}"
-        yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(cell_is, name=cell))
+        yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(matching, cell_name=cell))
     yield Metric("push/recovered", test, ("recovered",), mean, better=better)
     yield Metric("push/recovery", test, ("recovery_s",), mean, "s")
     yield Metric("push/tilt", test, ("push_tilt_rad",), mean, "rad")
@@ -362,14 +367,14 @@ def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Met
     yield Metric("terrain/success", test, ("success",), mean, better=better)
     hardest = int(columns["level"].max())
     for name, level in (("middle", hardest // 2), ("hardest", hardest)):
-        rows = partial(level_is, level=float(level))
+        rows = partial(matching, level=float(level))
         yield Metric(f"terrain/worst_success_{name}", test, ("cell", "success"), worst_mean, better=better, rows=rows)
     cells = dict.fromkeys(columns["cell_name"].tolist())
     for kind in dict.fromkeys(cell.rpartition("/")[0] for cell in cells):
-        rows, passed = partial(cell_is, name=f"{kind}/"), partial(highest, share=pass_share)
+        rows, passed = partial(in_cells, start=f"{kind}/"), partial(highest, share=pass_share)
         yield Metric(f"terrain/levels_passed/{kind}", test, ("level", "success"), passed, "", better, rows)
     for cell in cells:
-        rows = partial(cell_is, name=cell)
+        rows = partial(matching, cell_name=cell)
         yield Metric(f"terrain/success/{cell}", test, ("success",), mean, better=better, rows=rows)
         yield Metric(f"terrain/distance_ratio/{cell}", test, ("distance_ratio",), mean, better=better, rows=rows)
     yield Metric("terrain/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
@@ -382,7 +387,7 @@ def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield Metric("strip/success", test, ("success",), mean, better=better)
     yield Metric("strip/recovered", test, ("recovered",), mean, better=better)
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
-        rows = partial(cell_is, name=cell)
+        rows = partial(matching, cell_name=cell)
         for name in ("success", "distance_ratio", "recovered"):
             yield Metric(f"strip/{name}/{cell}", test, (name,), mean, better=better, rows=rows)
         yield Metric(f"strip/recovery/{cell}", test, ("recovery_s",), mean, "s", rows=rows)
@@ -392,12 +397,12 @@ def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test = "robust"
+    test, changed = "robust", partial(differing, column="sweep", value="nominal")
     sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
     yield Metric("robust/survival", test, ("survived",), mean, "", "higher", changed)
     for sweep, value in sweeps:
         name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
-        rows = partial(world_is, sweep=sweep, value=value)
+        rows = partial(matching, sweep=sweep, value=value)
         yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
         yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
         yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)

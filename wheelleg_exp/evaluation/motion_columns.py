@@ -1,12 +1,14 @@
 """Columns of standing, walking, and stepping episodes: one number per episode.
 
-They measure posture and drift, errors and skill on a grid of commands, responses to command steps, and the motors:
-torque, saturation, energy, and chatter.
+The columns measure drift, errors and skill on a grid of commands, responses to command steps, and the motors' effort.
+``Motion`` has quantities from which ``metric_catalogue`` computes further columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 
@@ -15,12 +17,98 @@ from wheelleg_exp.evaluation.protocol_options import Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
 
 Columns = dict[str, torch.Tensor]
+_SPEED_HZ = 10.0  # Power above this frequency is chatter: a robot of this size moves at a few hertz.
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion of N episodes after settling, with the quantities that several metrics of the catalogue use.
+
+    ``made`` are the trajectories, ``settle_s`` the settling time in s, and ``target`` the base's target height in m.
+    """
+
+    made: Trajectories
+    parts: RobotParts
+    settle_s: float
+    target: float | None = None
+
+    @cached_property
+    def counted(self) -> torch.Tensor:
+        """The mask of counted steps, (T, N) bool."""
+        return self.made.counted(self.settle_s)
+
+    @property
+    def wheels(self) -> bool:
+        """Whether the robot has wheels."""
+        return len(self.parts.wheels) > 0
+
+    @property
+    def duration(self) -> torch.Tensor:
+        """The time of the counted steps, s, (N,)."""
+        return self.counted.sum(dim=0) * self.made.dt
+
+    @property
+    def distance(self) -> torch.Tensor:
+        """The length of each path in the plane, m, (N,)."""
+        way = torch.zeros_like(self.made.height)
+        way[1:] = torch.linalg.vector_norm(self.made.pos[..., :2].diff(dim=0), dim=-1)
+        return self.total(way)
+
+    @property
+    def weight_distance(self) -> torch.Tensor:
+        """The robot's weight times the length of its path, J, (N,); NaN for a zero command."""
+        drives = (self.made.command[0] != 0.0).any(dim=-1)
+        return torch.where(drives, self.parts.mass * self.parts.gravity * self.distance, torch.nan)
+
+    @property
+    def driven_torque(self) -> torch.Tensor:
+        """The torques of the driven joints at the last physics step of each control step, N·m, (T, N, J)."""
+        return self.made.torque[..., torch.cat(list(self.parts.groups.values()))]
+
+    def mean(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,)."""
+        return mean(values, self.counted)
+
+    def rms(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the root mean square of (T, N, ...) over counted steps and trailing axes, (N,)."""
+        return rms(values, self.counted)
+
+    def total(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the sum of (T, N) over counted steps, (N,)."""
+        return total(values, self.counted)
+
+    def largest(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the largest value of (T, N) over counted steps, (N,)."""
+        return largest(values, self.counted)
+
+    def height_error(self) -> torch.Tensor | None:
+        """Return the RMS distance of the base from its target height, m, (N,); None without a target height."""
+        return None if self.target is None else self.rms(self.made.height - self.target)
+
+    def leg_asymmetry(self) -> torch.Tensor | None:
+        """Return the RMS difference between left leg joints and mirrored right leg joints, rad, (N,)."""
+        if not len(self.parts.left):
+            return None
+        joints = self.made.joint_pos
+        return self.rms(joints[..., self.parts.left] * self.parts.sign - joints[..., self.parts.right])
+
+    def action_change(self, order: int) -> torch.Tensor:
+        """Return the mean size of the derivative of this order of the action's components, 1/s^order, (N,)."""
+        change, counted = self.made.action.double(), self.counted
+        for _ in range(order):
+            change, counted = change.diff(dim=0), counted[1:] & counted[:-1]
+        return mean(change.abs(), counted) / self.made.dt**order
+
+    def torque_change(self) -> torch.Tensor:
+        """Return the RMS change of the driven joints' torques per control step, N·m, (N,)."""
+        return rms(self.driven_torque.diff(dim=0), self.counted[1:] & self.counted[:-1])
 
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return whether each episode survived to the end and to given moments, and when it failed; (N,) each.
 
-    ``time_to_failure_s`` is the horizon without a failure. Its mean is therefore a lower bound of the true mean.
+    ``time_to_failure_s`` is the horizon for an episode without a failure. Therefore the mean of this column is a lower
+    bound of the true mean.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -30,20 +118,6 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
             columns[f"survived_{moment:g}s"] = ((fell == 0) | (fell > step)).double()
     columns["time_to_failure_s"] = torch.where(fell > 0, fell, horizon).double() * made.dt
     return columns
-
-
-def posture(made: Trajectories, settle_s: float, target: float | None) -> Columns:
-    """Return height and attitude after settling; (N,) each, NaN for shorter episodes."""
-    counted = made.counted(settle_s)
-    columns = {} if target is None else {"height_rmse_m": rms(made.height - target, counted)}
-    return columns | {
-        "height_mean_m": mean(made.height, counted),
-        "pitch_rms_rad": rms(made.pitch, counted),
-        "pitch_std_rad": rms(made.pitch.double() - mean(made.pitch, counted), counted),
-        "roll_rms_rad": rms(made.roll, counted),
-        "pitch_rate_rms_rad_s": rms(made.ang[..., 1], counted),
-        "lean_rad": mean(made.pitch, counted),
-    }
 
 
 def drift(made: Trajectories, settle_s: float) -> Columns:
@@ -62,18 +136,6 @@ def drift(made: Trajectories, settle_s: float) -> Columns:
         "yaw_drift_rad": largest((yaw - at(yaw, counted)).abs(), counted),
         "yaw_drift_rad_s": slope(yaw, counted, made.dt).abs(),
     }
-
-
-def stance(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return the share of steps with all wheels down, and the asymmetry of left and right legs, rad; (N,) each."""
-    counted = made.counted(settle_s)
-    columns = {}
-    if len(parts.wheels):
-        columns["wheels_down_share"] = mean(made.down.all(dim=-1), counted)
-    if len(parts.left):
-        difference = made.joint_pos[..., parts.left] * parts.sign - made.joint_pos[..., parts.right]
-        columns["leg_symmetry_rms_rad"] = rms(difference, counted)
-    return columns
 
 
 def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
@@ -170,7 +232,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     for name, velocity, column in (("vx", made.vel[..., 0], 0), ("wz", made.ang[..., 2], 2)):
         command = asked[:, column].double()
         mine = command != 0.0
-        share = velocity.double() / torch.where(mine, command, 1.0)  # 1 is the command, whatever its sign
+        share = velocity.double() / torch.where(mine, command, 1.0)  # 1 at the command
 
         def kept(values: torch.Tensor, mine: torch.Tensor = mine) -> torch.Tensor:
             return torch.where(mine & lived, values, torch.nan)
@@ -178,7 +240,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         columns[f"settle_s_{name}"] = kept(last_exit((share - 1.0).abs() > options.band, windows[0], dt))
         columns[f"overshoot_{name}"] = kept(largest(share - 1.0, windows[0]).clamp(min=0.0))
         columns[f"reversal_s_{name}"] = kept(last_exit((share + 1.0).abs() > options.band, windows[1], dt))
-        drove = at(share, windows[2]) < -options.band  # a robot that did not drive as commanded cannot stop
+        drove = at(share, windows[2]) < -options.band
         columns[f"stop_s_{name}"] = kept(last_exit(share.abs() > options.band, windows[2], dt), mine & drove)
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
@@ -189,7 +251,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
 
 
 def _beyond(made: Trajectories, name: str, window: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
-    """Return the distance of each robot beyond the place of its stop command, along -c, (T, N), m or rad."""
+    """Return how far each robot moved beyond its place at the stop command, along -c, (T, N), m or rad."""
     yaw = made.unwrapped_yaw()
     if name == "wz":
         return (yaw - at(yaw, window)) * -command.sign()
@@ -198,76 +260,21 @@ def _beyond(made: Trajectories, name: str, window: torch.Tensor, command: torch.
     return (way[..., 0] * heading.cos() + way[..., 1] * heading.sin()) * -command.sign()
 
 
-_SPEED_HZ = 10.0  # power above this frequency is chatter: a body of this size moves at a few hertz
+def group_effort(motion: Motion) -> Columns:
+    """Return torques and saturation of each actuator group; (N,) each.
 
-
-def effort(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return torques and saturation of each actuator group, and the wheels' speed and sign changes; (N,) each.
-
-    ``torque_rms_<group>`` is over joints and physics steps, N·m. ``torque_share_<group>`` is the same as a share of
-    each joint's effort limit. ``saturation_<group>`` is the share of physics steps at the limit, and
-    ``saturation_max_<group>`` that of the group's most saturated joint. ``wheel_sign_changes_per_s`` counts, per wheel,
-    how often the torque crosses the whole dead band.
+    ``torque_rms_<group>`` is over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of the torques as
+    shares of each joint's effort limit. ``saturation_<group>`` is the share of physics steps at the limit, and
+    ``saturation_max_<group>`` the largest such share of a joint in the group.
     """
-    counted = made.counted(settle_s)
     columns: Columns = {}
-    for name, joints in parts.groups.items():
-        torque, limit = made.torque_rms[..., joints], parts.effort_limit[:, joints]
-        columns[f"torque_rms_{name}_nm"] = rms(torque, counted)
-        columns[f"torque_share_{name}"] = rms(torque / limit, counted)
-        columns[f"saturation_{name}"] = mean(made.saturated[..., joints], counted)
-        each = [mean(made.saturated[..., joint], counted) for joint in joints.tolist()]
-        columns[f"saturation_max_{name}"] = torch.stack(each).amax(dim=0)
-    if len(parts.wheels):
-        columns["wheel_sign_changes_per_s"] = mean(made.sign_changes, counted) / made.dt
-        columns["wheel_speed_rms_rad_s"] = rms(made.joint_vel[..., parts.wheels], counted)
+    for name, joints in motion.parts.groups.items():
+        torque, saturated = motion.made.torque_rms[..., joints], motion.made.saturated[..., joints]
+        columns[f"torque_rms_{name}_nm"] = motion.rms(torque)
+        columns[f"torque_share_{name}"] = motion.rms(torque / motion.parts.effort_limit[:, joints])
+        columns[f"saturation_{name}"] = motion.mean(saturated)
+        columns[f"saturation_max_{name}"] = torch.stack([motion.mean(one) for one in saturated.unbind(-1)]).amax(dim=0)
     return columns
-
-
-def energy(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return power, work, and cost of transport after settling; (N,) each.
-
-    Gross sums ∑|τ q̇| Δt. Net sums ∑|(τ - I_a q̈) q̇| Δt, without the power that accelerates the armature. The cost of
-    transport is energy / (m g d), with d the length of the path in the plane. It is NaN for robots with a zero command.
-    """
-    counted = made.counted(settle_s)
-    duration = counted.sum(dim=0) * made.dt
-    gross, net, positive = (total(made.work[..., k], counted) for k in range(3))
-    way = torch.zeros_like(made.height)
-    way[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
-    distance = total(way, counted)
-    drives = (made.command[0] != 0.0).any(dim=-1)
-    weight = torch.where(drives, parts.mass * parts.gravity * distance, torch.nan)
-    return {
-        "power_gross_w": gross / duration,
-        "power_net_w": net / duration,
-        "positive_work_j": positive,
-        "peak_power_w": largest(made.work[..., 3], counted),
-        "distance_m": distance,
-        "cost_of_transport_gross": gross / weight,
-        "cost_of_transport_net": net / weight,
-    }
-
-
-def smoothness(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
-    """Return how much actions and torques change from step to step; (N,) each.
-
-    ``action_rate_per_s`` is mean|Δa|/Δt and ``action_acceleration_per_s2`` mean|Δ²a|/Δt², over the action's components.
-    ``torque_difference_rms_nm`` is the RMS change of torque per control step. ``fast_power_share`` is the share of the
-    driven joints' torque power spectrum above 10 Hz, without its mean, for episodes that survived. Torques are sampled
-    at the last physics step of each control step.
-    """
-    counted, dt = made.counted(settle_s), made.dt
-    later, latest = counted[1:] & counted[:-1], counted[2:] & counted[1:-1] & counted[:-2]
-    first = made.action.double().diff(dim=0)
-    driven = torch.cat(list(parts.groups.values()))
-    torque = made.torque[..., driven]
-    return {
-        "action_rate_per_s": mean(first.abs(), later) / dt,
-        "action_acceleration_per_s2": mean(first.diff(dim=0).abs(), latest) / dt**2,
-        "torque_difference_rms_nm": rms(torque.diff(dim=0), later),
-        "fast_power_share": fast_share(torque, counted, dt),
-    }
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:

@@ -1,7 +1,7 @@
 """Roll a policy through N episodes at once, without a reset.
 
-An episode that has ended is still simulated, but no longer counts. ``HeldCommand`` sets the task's velocity command
-from outside; the command term stays, with its other state.
+An episode that has ended is still simulated, but no longer counts. ``HeldCommand`` sets the task's velocity command;
+the other state of the command term does not change.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.evaluation_env import parts_of
+from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import EffortMeter, Trajectories
 from wheelleg_exp.managers import Env
@@ -22,11 +23,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Hold the values of a velocity command term instead of its random draws.
-
-    Raises:
-        ConfigError: the term is not a velocity command.
-    """
+    """Replace the random draws of a velocity command term by fixed values; ConfigError for any other term."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
@@ -38,7 +35,7 @@ class HeldCommand:
             )
         self._term = term
         self._held = torch.zeros(env.num_envs, 3, device=env.device)
-        setattr(term, "draw", self._draw)  # noqa: B010  # replaces the draw of this object only
+        setattr(term, "draw", self._draw)  # noqa: B010
 
     @property
     def command(self) -> torch.Tensor:
@@ -46,7 +43,7 @@ class HeldCommand:
         return self._term.asked
 
     def hold(self, command: torch.Tensor) -> None:
-        """Request velocities (N, 3) from now on, also after resets."""
+        """Set the requested velocities (N, 3), which resets do not change."""
         self._held.copy_(command)
         self._draw(torch.arange(len(command), device=command.device))
 
@@ -59,47 +56,24 @@ Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
-# Endings of the rollout itself, in addition to the task's terminations.
+# A rollout ends episodes for these reasons, in addition to the task's terminations.
 FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"
 
 
 class Rollout:
     """Roll policies through scenarios in one environment, each time from the same starts.
 
-    Args:
-        env: an environment of ``evaluation_env.build``, one row per scenario.
-        scenarios: the table.
-        command: name of the velocity command.
-        fall_tilt: tilt from which a robot counts as fallen, rad.
-        contact_force: force from which a wheel counts as on the ground, N.
-        saturation: share of the effort limit from which an actuator counts as saturated.
-        deadband: share of the effort limit up to which a torque has no sign.
-        settle_s: time at the start of each episode without counted torques, s.
-
-    Attributes:
-        parts: the robot's parts.
-        endings: names of what can end an episode; the last ones are the rollout's own.
-        starts: sha256 of the last start states and of the randomised values.
+    The environment comes from ``evaluation_env.build`` and has one row per scenario. ``endings`` names the causes that
+    can end an episode: the task's terminations, then the causes that the rollout adds. ``starts`` is the sha256 of the
+    last start states and of the randomised values.
     """
 
-    def __init__(
-        self,
-        env: ManagerBasedRLEnv,
-        scenarios: Scenarios,
-        *,
-        command: str,
-        fall_tilt: float,
-        contact_force: float,
-        saturation: float,
-        deadband: float,
-        settle_s: float,
-    ) -> None:
-        self.env, self.scenarios, self.parts = env, scenarios, parts_of(env)
-        self.starts = ""
-        self._held = HeldCommand(env, command)
-        self._fall_tilt, self._force = fall_tilt, contact_force
-        self._meter = EffortMeter(env, saturation, deadband, env.physics_dt)
-        self._settle_steps = round(settle_s / env.step_dt)
+    def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
+        self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
+        self._held = HeldCommand(env, protocol.command)
+        self._fall_tilt, self._force = protocol.fall_tilt, protocol.contact_force
+        self._meter = EffortMeter(env, protocol.saturation, protocol.torque_deadband, env.physics_dt)
+        self._settle_steps = round(protocol.settle_s / env.step_dt)
         self._commands = scenarios.commands().to(env.device)
         self._begins = [round(moment / env.step_dt) for moment in scenarios.times]
         self.steps = max(1, round(scenarios.horizon_s / env.step_dt))
@@ -114,7 +88,6 @@ class Rollout:
         return observations
 
     def _starts_digest(self) -> str:
-        """Return the sha256 of the start states and of the randomised values."""
         sim = self.env.scene.sim
         digest = hashlib.sha256(sim.motion.cpu().numpy().tobytes())
         wrench = self.env.scene.robot.permanent_wrench
@@ -126,11 +99,8 @@ class Rollout:
     def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
         """Roll a policy from the starts of ``seed`` to the horizon, or until every episode has ended.
 
-        Args:
-            policy: from observations by group to raw actions (N, A).
-            seed: seed of the streams of the starts.
-            tell: called with the number of finished steps and of all steps.
-            disturb: called before each control step with its number.
+        The policy maps observations by group to raw actions (N, A). ``tell`` is called with the number of finished
+        steps and of all steps. ``disturb`` is called before each control step with the number of the step.
         """
         env = self.env
         observations = self.start(seed)
@@ -149,7 +119,8 @@ class Rollout:
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
-                self._held.hold(self._commands[:, segment])  # before the step, so that its observation has the command
+                # The command changes before the step, so that the observation of the step contains the command.
+                self._held.hold(self._commands[:, segment])
             self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)
             failed, why = self._failed(numbers)
@@ -166,7 +137,7 @@ class Rollout:
         """Return which episodes failed in this step, and the index of the cause in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
-        # The manager terminates an environment with NaN or inf without any term that fired.
+        # If a state is NaN or inf, the manager terminates the environment although no termination term has fired.
         not_finite = manager.terminated & ~manager.fired.any(dim=0)
         not_finite = not_finite | env.scene.unstable()
         failed = manager.terminated | tilted | not_finite | ~numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
 from wheelleg_exp.evaluation.disturbance_tests import DelayedPolicy, push_columns, worlds
 from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg, target_height
-from wheelleg_exp.evaluation.metric_catalogue import Array, figure, metrics_of
-from wheelleg_exp.evaluation.motion_columns import Columns
+from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
+from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
 from wheelleg_exp.evaluation.policy_rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.protocol_options import Protocol
@@ -31,16 +31,7 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """The policy to evaluate, and its protocol.
-
-    Attributes:
-        env_cfg: the composed ``env`` section, plain.
-        mjcf: the robot's MJCF file.
-        make_policy: makes the policy for an environment.
-        protocol: the protocol.
-        seed: seed of the starts.
-        tell: called with the test, its finished steps, and all of its steps.
-    """
+    """The policy to evaluate with its task, its protocol, and the seed of its starts."""
 
     env_cfg: Mapping[str, Any]
     mjcf: Path
@@ -56,17 +47,7 @@ class Subject:
 
     def rollout(self, table: Scenarios, cfg: Mapping[str, Any]) -> Rollout:
         """Build the environment of a table's episodes."""
-        protocol = self.protocol
-        return Rollout(
-            build(cfg, self.mjcf, self.seed),
-            table,
-            command=protocol.command,
-            fall_tilt=protocol.fall_tilt,
-            contact_force=protocol.contact_force,
-            saturation=protocol.saturation,
-            deadband=protocol.torque_deadband,
-            settle_s=protocol.settle_s,
-        )
+        return Rollout(build(cfg, self.mjcf, self.seed), table, self.protocol)
 
     def teller(self, test: str) -> RolloutTell | None:
         """Return the progress callback of one test."""
@@ -89,22 +70,15 @@ def evaluate(
 ) -> Evaluation:
     """Roll a policy through the scenarios of a protocol and measure it.
 
-    Args:
-        env_cfg: the composed ``env`` section, plain.
-        mjcf: the robot's MJCF file.
-        make_policy: makes, for an environment, a callable from observations by group to raw actions (N, A). If the
-            callable has a ``reset``, it is called before each rollout.
-        protocol: the composed ``protocol``, plain.
-        seed: seed of the scenarios; by default the protocol's.
-        tell: called with the test, its finished steps, and all of its steps.
-
-    Raises:
-        ConfigError: the protocol or the task is wrong.
+    ``env_cfg`` and ``protocol`` are composed and plain. ``make_policy`` makes, for an environment, a callable from
+    observations by group to raw actions (N, A). If the callable has a ``reset``, it is called before each rollout. The
+    default ``seed`` is the protocol's. ``tell`` is called with the test, its finished steps, and all of its steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
     subject = Subject(env_cfg, mjcf, make_policy, options, seed, tell)
-    tables = list(_tables(options))
+    chosen = {test: getattr(options, test) for test in _SCENARIOS}
+    tables = [_SCENARIOS[test](test_options) for test, test_options in chosen.items() if test_options is not None]
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}
     for part in parts:
@@ -131,21 +105,15 @@ class Part:
     about: dict[str, Any]
 
 
-def _tables(options: Protocol) -> Iterator[Scenarios]:
-    if options.stand is not None:
-        yield scenarios.standing(options.stand)
-    if options.walk is not None:
-        yield scenarios.walking(options.walk)
-    if options.steps is not None:
-        yield scenarios.stepping(options.steps)
-    if options.push is not None:
-        yield scenarios.pushing(options.push)
-    if options.terrain is not None:
-        yield scenarios.on_terrain(options.terrain)
-    if options.strip is not None:
-        yield scenarios.over_strips(options.strip)
-    if options.robust is not None:
-        yield scenarios.in_changed_world(options.robust)
+_SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
+    "stand": scenarios.standing,
+    "walk": scenarios.walking,
+    "steps": scenarios.stepping,
+    "push": scenarios.pushing,
+    "terrain": scenarios.on_terrain,
+    "strip": scenarios.over_strips,
+    "robust": scenarios.in_changed_world,
+}
 
 
 def _run(subject: Subject, table: Scenarios) -> Part:
@@ -163,23 +131,22 @@ def _run(subject: Subject, table: Scenarios) -> Part:
 
 
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
-    """Build the environment of a table's episodes on the ground of its test."""
     cfg, options = subject.cfg(table), subject.protocol
-    if table.test == "terrain" and options.terrain is not None:
-        cfg["scene"]["terrain"] = terrain_tests.tiles(options.terrain, subject.seed)
-        rollout = subject.rollout(table, cfg)
-        terrain_tests.place_on_tiles(rollout, options.terrain)
-        return rollout
-    if table.test == "strip" and options.strip is not None:
-        cfg["scene"]["terrain"] = terrain_tests.strip_ground(options.strip, cfg["scene"]["terrain"], subject.seed)
-        rollout = subject.rollout(table, cfg)
-        terrain_tests.place_before_strip(rollout, options.strip)
-        return rollout
-    return subject.rollout(table, cfg)
+    terrain = options.terrain if table.test == "terrain" else None
+    strip = options.strip if table.test == "strip" else None
+    if terrain is not None:
+        cfg["scene"]["terrain"] = terrain_tests.tiles(terrain, subject.seed)
+    if strip is not None:
+        cfg["scene"]["terrain"] = terrain_tests.strip_ground(strip, cfg["scene"]["terrain"], subject.seed)
+    rollout = subject.rollout(table, cfg)
+    if terrain is not None:
+        terrain_tests.place_on_tiles(rollout, terrain)
+    if strip is not None:
+        terrain_tests.place_before_strip(rollout, strip)
+    return rollout
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
-    """Return the episodes of every changed world, the unchanged world first, each in its own environment."""
     options = subject.protocol.robust
     assert options is not None
     cfg, found, starts = subject.cfg(table), [], []
@@ -191,9 +158,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         policy = subject.make_policy(rollout.env)
         delayed = DelayedPolicy(policy, world.delay_steps) if world.delay_steps else policy
         made = rollout.roll(delayed, subject.seed)
-        columns = motion_columns.survival(made, []) | motion_columns.posture(
-            made, subject.protocol.settle_s, subject.target
-        )
+        motion = Motion(made, rollout.parts, subject.protocol.settle_s, subject.target)
+        columns = motion_columns.survival(made, []) | measured(motion, POSTURE)
         columns |= motion_columns.errors(made, subject.protocol.settle_s)
         changed = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
         changed["world"] = np.full(table.size, float(number))
@@ -209,10 +175,9 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     options, settle, parts = subject.protocol, subject.protocol.settle_s, rollout.parts
     test = rollout.scenarios.test
     moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
-    columns = motion_columns.survival(made, moments) | motion_columns.posture(made, settle, subject.target)
-    columns |= motion_columns.drift(made, settle) | motion_columns.stance(made, parts, settle)
-    columns |= motion_columns.effort(made, parts, settle)
-    columns |= motion_columns.energy(made, parts, settle) | motion_columns.smoothness(made, parts, settle)
+    motion = Motion(made, parts, settle, subject.target)
+    columns = motion_columns.survival(made, moments) | motion_columns.drift(made, settle)
+    columns |= motion_columns.group_effort(motion) | measured(motion) | {"distance_m": motion.distance}
     if test == "walk" and options.walk is not None:
         columns |= motion_columns.tracking(made, settle, options.walk) | motion_columns.wheel_error(made, parts, settle)
         columns |= motion_columns.within_band(made, columns, options.walk)
@@ -231,10 +196,10 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return the columns that identify each episode, its command, and its ending."""
+    """Return columns with the identity, the command, and the ending of each episode."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # The second command of the step test is the one after standing; all other tests have one command.
+    # The step test starts with a zero command, so its second command identifies the episode.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {

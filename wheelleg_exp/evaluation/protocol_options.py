@@ -19,7 +19,6 @@ def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield the key of each test's episode length, and the length, s."""
     for test in ("stand", "walk", "terrain", "strip", "robust"):
         if protocol[test] is not None:
             yield f"{test}.horizon_s", protocol[test]["horizon_s"]

@@ -14,15 +14,9 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """One metric.
+    """One metric with the ends of its 95 % bootstrap interval over ``episodes`` episodes; NaN without episodes.
 
-    Attributes:
-        value: over the episodes that have it; NaN if no episode has it.
-        low: lower end of the 95 % bootstrap interval over episodes.
-        high: upper end.
-        episodes: number of episodes that have it.
-        unit: unit of the three; empty for shares and ratios.
-        better: ``higher``, ``lower``, or empty.
+    ``unit`` is empty for shares and ratios. ``better`` is ``higher``, ``lower``, or empty.
     """
 
     value: float
@@ -34,7 +28,8 @@ class Figure:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the metric for JSON, with None for NaN and inf."""
-        numbers = {name: _plain(getattr(self, name)) for name in ("value", "low", "high")}
+        values = {name: float(getattr(self, name)) for name in ("value", "low", "high")}
+        numbers = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {**numbers, "episodes": self.episodes, "unit": self.unit, "better": self.better}
 
 
@@ -42,15 +37,10 @@ class Figure:
 class Evaluation:
     """The result of an evaluation by a protocol.
 
-    Attributes:
-        protocol: the composed protocol, plain.
-        seed: seed of the scenarios' starts.
-        scenarios_sha256: digest of the table of commands and its seed: equal for every policy under one protocol.
-        starts_sha256: digest of the start states and randomised values by test. If it is equal, the episodes of two
-            policies are pairs.
-        episodes: columns by name, (E,) each: numbers, NaN where an episode has none, or texts.
-        metrics: metrics by ``group/metric``.
-        about: the robot and its profile, armature, time step, device.
+    ``scenarios_sha256`` is the digest of the table of commands and its seed: equal for every policy under one protocol.
+    ``starts_sha256`` has, by test, the digest of the start states and randomised values. If the digests of two policies
+    are equal, their episodes are pairs. ``episodes`` has columns (E,) of numbers or texts; a missing number is NaN.
+    ``metrics`` are by ``group/metric``. ``about`` describes the robot, the time steps, and the device.
     """
 
     protocol: Mapping[str, Any]
@@ -74,13 +64,5 @@ class Evaluation:
         }
 
     def value(self, metric: str) -> float:
-        """Return the value of a metric.
-
-        Raises:
-            KeyError: the protocol does not have the metric.
-        """
+        """Return the value of a metric; KeyError if the protocol does not have the metric."""
         return self.metrics[metric].value
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -13,20 +13,16 @@ import torch
 from wheelleg_exp.evaluation.protocol_options import Push, Robust, Stand, Steps, Strip, Terrain, Walk
 
 Vec3 = tuple[float, float, float]
+ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Scenarios:
     """A table with one episode per row. The episodes of a cell have the same commands.
 
-    Attributes:
-        test: the test of the table.
-        horizon_s: length of every episode, s.
-        times: start times of the commands, s, the first at 0, (K,).
-        cells: commands of each cell, (C, K, 3): v_x, v_y in m/s, w_z in rad/s.
-        names: names of the cells, (C,).
-        episodes: number of episodes per cell.
-        settings: further settings of the episodes as text: pushes, tiles, a changed world.
+    ``times`` (K,) are the start times of the commands in s, the first at 0. ``cells`` (C, K, 3) are the commands v_x
+    and v_y in m/s and w_z in rad/s of each cell, and ``names`` (C,) the names of the cells. There are ``episodes``
+    episodes per cell. ``settings`` are further settings of the episodes as text: pushes, tiles, a changed world.
     """
 
     test: str
@@ -63,8 +59,7 @@ def combined_digest(tables: Sequence[Scenarios], seed: int) -> str:
 
 def standing(options: Stand) -> Scenarios:
     """Return episodes with a zero command."""
-    zero: Vec3 = (0.0, 0.0, 0.0)
-    return Scenarios("stand", float(options.horizon_s), (0.0,), ((zero,),), ("stand",), options.episodes)
+    return Scenarios("stand", float(options.horizon_s), (0.0,), ((ZERO,),), ("stand",), options.episodes)
 
 
 def walking(options: Walk) -> Scenarios:
@@ -77,10 +72,9 @@ def walking(options: Walk) -> Scenarios:
 
 def stepping(options: Steps) -> Scenarios:
     """Return episodes with the commands 0, c, -c, 0, for each c of both axes."""
-    zero: Vec3 = (0.0, 0.0, 0.0)
     forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
     turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
-    cells = tuple((zero, c, (-c[0], 0.0, -c[2]), zero) for c in (*forward, *turning))
+    cells = tuple((ZERO, c, (-c[0], 0.0, -c[2]), ZERO) for c in (*forward, *turning))
     names = (*(f"vx={c[0]:g}" for c in forward), *(f"wz={c[2]:g}" for c in turning))
     begin, drive = float(options.stand_s), float(options.drive_s)
     times = (0.0, begin, begin + drive, begin + 2 * drive)
@@ -89,15 +83,13 @@ def stepping(options: Steps) -> Scenarios:
 
 def pushing(options: Push) -> Scenarios:
     """Return standing episodes with pushes, by direction and duration."""
-    zero: Vec3 = (0.0, 0.0, 0.0)
     names = tuple(
         f"{360.0 * turn / options.directions:g}° over {pulse:g} s"
         for pulse in options.pulses_s
         for turn in range(options.directions)
     )
-    settings = json.dumps(asdict(options))
-    horizon = float(options.at_s + options.after_s)
-    return Scenarios("push", horizon, (0.0,), ((zero,),) * len(names), names, options.episodes, settings)
+    horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
+    return Scenarios("push", horizon, (0.0,), ((ZERO,),) * len(names), names, options.episodes, settings)
 
 
 def on_terrain(options: Terrain) -> Scenarios:

@@ -19,14 +19,11 @@ from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
 from wheelleg_exp.evaluation.trajectories import Trajectories, last_exit, mean, rms
 from wheelleg_exp.sim.terrain.terrain_generator import ORIGIN_WINDOW
 
-_BORDER = 2.0  # m of level ground around all tiles
+_BORDER = 2.0  # level ground, m
 
 
 def tiles(options: Terrain, seed: int) -> dict[str, Any]:
-    """Return the terrain section: one column per kind of tile, one row per level.
-
-    ``options`` sets the kinds, levels, and size of the tiles. ``seed`` is the seed of the terrain's random heights.
-    """
+    """Return the terrain section with one column per kind of tile and one row per level."""
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
@@ -52,7 +49,7 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
     """Start every episode on the tile of its cell."""
     env = rollout.env
     ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
-    assert ground.terrain_origins is not None  # a terrain of `tiles` has origins
+    assert ground.terrain_origins is not None
     ground.terrain_types.copy_(cell // options.levels)
     ground.terrain_levels.copy_(cell % options.levels)
     ground.env_origins.copy_(ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
@@ -84,16 +81,16 @@ def along_heading(made: Trajectories) -> torch.Tensor:
     return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
 
 
-_STRIP_ROOM = 1.0  # m of level ground beyond both ends of the commanded path
+_STRIP_ROOM = 1.0  # level ground, m
 
 
 def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return the terrain section: one column per strip, one row, and level ground around.
+    """Return the terrain section with one column per strip, one row, and a border of level ground.
 
-    ``options`` sets the roughness, length, and width of the strips. ``terrain`` is the terrain section whose
-    friction is copied.
+    The friction is that of the terrain section ``terrain``.
     """
-    rim = options.horizontal_scale  # the outer points are at height 0, so that the strip has no step at its edge
+    # The outer points are at height 0, so that the strip has no step at its edge.
+    rim = options.horizontal_scale
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
     way = options.lin_vel_x * options.horizon_s
     return {
@@ -116,7 +113,7 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
     """Start every episode on the level ground before the strip of its cell."""
     env = rollout.env
     terrain, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
-    assert terrain.terrain_origins is not None  # a terrain of `strip_ground` has origins
+    assert terrain.terrain_origins is not None
     terrain.terrain_types.copy_(cell)
     terrain.terrain_levels.zero_()
     begin = terrain.terrain_origins[0, cell].clone()
@@ -127,12 +124,10 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 
 @dataclass(frozen=True)
 class Phases:
-    """The steps of each episode before, on, and behind the strip. Crossing an edge back changes nothing.
+    """The steps (T, N) bool of each episode before, on, and behind the strip.
 
-    Attributes:
-        before: the last ``quiet_s`` seconds before the strip, for episodes that reach it, (T, N) bool.
-        on: the steps from then until the robot leaves the strip, (T, N) bool.
-        behind: the steps after the strip, (T, N) bool.
+    A robot that rolls back over an edge stays in its phase. ``before`` has the last ``quiet_s`` seconds before the
+    strip, for episodes that reach the strip.
     """
 
     before: torch.Tensor
@@ -152,20 +147,18 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
-    """Return how each robot crosses the strip; (N,) each, NaN if it never reached it.
+    """Return columns (N,) that describe how each robot crosses the strip; NaN for a robot that never reached the strip.
 
-    ``distance_ratio`` and ``success`` are those of ``ways``. ``error_vx_<where>`` is the RMS of v_x - c, and
-    ``swing_rad_<where>`` the RMS of the pitch about its mean before the strip; the mean is subtracted because a wrench
-    makes each robot lean differently. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing
-    over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most
-    ``quiet_floor``. ``recovered`` is 1 if that time is at most ``within_s`` and the episode survived, else 0.
+    ``distance_ratio`` and ``success`` have the same definitions as in the function ``ways``. ``error_vx_<where>`` is
+    the RMS of v_x - c, and ``swing_rad_<where>`` the RMS of the pitch about its mean before the strip; the mean is
+    subtracted because a wrench makes each robot lean differently. ``recovery_s`` is the time after the strip until the
+    pitch is quiet: its swing over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before
+    the strip, or at most ``quiet_floor``. ``recovered`` is 1 if ``recovery_s`` is at most ``within_s`` and the episode
+    survived, else 0.
     """
     found = phases(made, options, settle_s)
     ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
-    columns: Columns = {
-        "distance_ratio": ratio,
-        "success": (~made.fell & (ratio >= options.distance_share)).double(),
-    }
+    columns: Columns = {"distance_ratio": ratio, "success": (~made.fell & (ratio >= options.distance_share)).double()}
     pitch = made.pitch.double()
     swing = pitch - mean(pitch, found.before)
     error = made.vel[..., 0] - made.command[..., 0]

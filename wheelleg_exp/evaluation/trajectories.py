@@ -23,23 +23,14 @@ class EffortMeter(SensorBase):
     """Sum torques and work over every physics step, so that chatter within a control step counts.
 
     The meter is updated like a sensor, but is not part of the model. Power is torque times the mean of the speeds
-    before and after the step. The net power leaves out I_a q̈, the torque that only accelerates the armature; its work
-    is exactly the armature's gain of kinetic energy.
+    before and after the step. The net power leaves out I_a q̈, the torque that only accelerates the armature; the work
+    of this torque is exactly the armature's gain of kinetic energy.
 
-    Args:
-        env: the environment; the meter joins its scene.
-        saturation: share of the effort limit from which an actuator counts as saturated.
-        deadband: share of the effort limit up to which a torque has no sign.
-        dt: the physics step, s.
-
-    Attributes:
-        gross: ∑|τ q̇| Δt since ``begin``, J, (N,).
-        net: the same of τ - I_a q̈, J, (N,).
-        positive: ∑max(τ q̇, 0) Δt, J, (N,).
-        peak: largest sum over the joints of max(τ q̇, 0), W, (N,).
-        saturated: number of physics steps at the effort limit, (N, J).
-        squares: ∑τ² over the physics steps, (N·m)², (N, J).
-        sign_changes: how often τ crossed the whole dead band, (N, J).
+    An actuator counts as saturated from the share ``saturation`` of its effort limit. A torque below the share
+    ``deadband`` of the limit counts as having no sign. ``dt`` is the physics step, s. The sums over a control step are:
+    ``gross``, ``net``, and ``positive`` work, J, (N,); ``peak`` of the positive power of all joints, W, (N,); and per
+    joint (N, J) the number of ``saturated`` physics steps, the ``squares`` of torques, and the ``sign_changes`` across
+    the whole dead band.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -51,7 +42,8 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        self._steps = torch.zeros((), device=env.device)  # a tensor, so that replays of a CUDA graph count, too
+        # The number of physics steps is a tensor, so that replays of a CUDA graph increase it too.
+        self._steps = torch.zeros((), device=env.device)
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
 
@@ -60,11 +52,9 @@ class EffortMeter(SensorBase):
         self._armature = self._data.joint_armature
 
     def begin(self, counted: torch.Tensor | bool) -> None:
-        """Start a control step.
+        """Start a control step. ``counted`` says whether the previous control step counts, for all or (N,).
 
-        Args:
-            counted: whether the previous control step counts, for all or (N,). A sign change after a step that does not
-                count is not counted.
+        A sign change after a step that does not count is not counted.
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
@@ -87,7 +77,7 @@ class EffortMeter(SensorBase):
         limits, size = data.joint_effort_limits, torque.abs()
         self.saturated += size >= self._share * limits
         self.squares += torque.square()
-        has_sign = size > torch.nan_to_num(self._deadband * limits, posinf=0.0)  # false for a NaN torque
+        has_sign = size > torch.nan_to_num(self._deadband * limits, posinf=0.0)  # False for NaN
         sign = torch.where(has_sign, torque.sign(), self._sign)
         self.sign_changes += sign * self._sign < 0.0
         self._sign.copy_(sign)
@@ -102,58 +92,42 @@ class EffortMeter(SensorBase):
         return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Do nothing: the sums restart with each control step."""
+        """Do nothing, because the sums restart with each control step."""
 
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes. Values after the end of an episode are undefined.
+    """T control steps of N episodes, in SI units and radians. Values after the end of an episode are undefined.
 
-    Attributes:
-        dt: the control step, s.
-        alive: whether the episode still runs after the step, (T, N) bool.
-        pos: position of the root link from the environment's origin, m, (T, N, 3).
-        height: height of the root link over the ground below it, m, (T, N).
-        roll: roll of the base, rad, (T, N).
-        pitch: pitch of the base, rad, (T, N).
-        yaw: yaw of the base, rad, in -pi to pi, (T, N).
-        vel: velocity of the base's centre of mass in its own axes, m/s, (T, N, 3), which velocity commands refer to.
-        ang: angular velocity of the base in its own axes, rad/s, (T, N, 3).
-        command: command during the step, (T, N, 3).
-        action: action of the policy, (T, N, A).
-        joint_pos: rad, (T, N, J).
-        joint_vel: rad/s, (T, N, J).
-        torque: torque in the last physics step, N·m, (T, N, J).
-        torque_rms: RMS torque over the physics steps of the control step, N·m, (T, N, J).
-        sign_changes: sign changes of each wheel's torque during the step, (T, N, W).
-        down: whether each wheel was on the ground, (T, N, W) bool.
-        work: gross, net, and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
-        saturated: share of the step at the effort limit, (T, N, J).
-        fell_at: number of the step in which each episode failed, from 1; 0 without a failure, (N,) long.
-        ended_by: index of the cause, (N,) long; -1 without a failure.
+    ``pos`` is the position of the root link from the environment's origin, and ``height`` is its height over the
+    ground. ``vel`` and ``ang`` are the velocities of the base in its own axes, to which velocity commands refer;
+    ``vel`` is that of the centre of mass. ``torque`` is the torque in the last physics step of the control step.
+    ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of the control step. ``work``
+    has gross, net, and positive mechanical work, and the peak of the positive power. ``fell_at`` is the number of the
+    step in which an episode failed, from 1, and ``ended_by`` the index of the cause.
     """
 
-    dt: float
-    alive: torch.Tensor
-    pos: torch.Tensor
-    height: torch.Tensor
-    roll: torch.Tensor
-    pitch: torch.Tensor
-    yaw: torch.Tensor
-    vel: torch.Tensor
-    ang: torch.Tensor
-    command: torch.Tensor
-    action: torch.Tensor
-    joint_pos: torch.Tensor
-    joint_vel: torch.Tensor
-    torque: torch.Tensor
-    torque_rms: torch.Tensor
-    sign_changes: torch.Tensor
-    down: torch.Tensor
-    work: torch.Tensor
-    saturated: torch.Tensor
-    fell_at: torch.Tensor
-    ended_by: torch.Tensor
+    dt: float  # s
+    alive: torch.Tensor  # (T, N) bool
+    pos: torch.Tensor  # (T, N, 3)
+    height: torch.Tensor  # (T, N)
+    roll: torch.Tensor  # (T, N)
+    pitch: torch.Tensor  # (T, N)
+    yaw: torch.Tensor  # (T, N), -pi to pi
+    vel: torch.Tensor  # (T, N, 3)
+    ang: torch.Tensor  # (T, N, 3)
+    command: torch.Tensor  # (T, N, 3)
+    action: torch.Tensor  # (T, N, A)
+    joint_pos: torch.Tensor  # (T, N, J)
+    joint_vel: torch.Tensor  # (T, N, J)
+    torque: torch.Tensor  # (T, N, J)
+    torque_rms: torch.Tensor  # (T, N, J)
+    sign_changes: torch.Tensor  # (T, N, W)
+    down: torch.Tensor  # (T, N, W) bool
+    work: torch.Tensor  # (T, N, 4)
+    saturated: torch.Tensor  # (T, N, J)
+    fell_at: torch.Tensor  # (N,), 0 without failure
+    ended_by: torch.Tensor  # (N,), -1 without failure
 
     @classmethod
     def empty(cls, steps: int, n: int, parts: RobotParts, actions: int, env: ManagerBasedRLEnv) -> Self:
@@ -241,7 +215,7 @@ class Trajectories:
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
     """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
-    # In float64, because float32 loses digits in sums over long episodes.
+    # Sum in float64, because float32 loses digits in sums over long episodes.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
     total = torch.where(counted, flat, 0.0).sum(dim=0)
@@ -282,7 +256,7 @@ def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the time from the first counted step to the last step outside, s, (N,); NaN if the end is outside."""
+    """Return the time from the first counted step to the last ``outside`` step, s, (N,); NaN if the end is outside."""
     begin = counted.int().argmax(dim=0)
     steps = torch.arange(1, len(outside) + 1, device=outside.device).unsqueeze(1)
     last = torch.where(counted & outside, steps, 0).amax(dim=0)

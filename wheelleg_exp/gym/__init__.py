@@ -35,7 +35,7 @@ def register() -> None:
 def register_with_gymnasium() -> None:
     """Register the environments if Gymnasium is imported, or once it is imported later.
 
-    Importing Gymnasium takes a quarter of a second, which commands without simulation should not pay.
+    Importing Gymnasium takes a quarter of a second, so commands without simulation do not import Gymnasium.
     """
     if _GYMNASIUM in sys.modules:
         register()
@@ -44,10 +44,9 @@ def register_with_gymnasium() -> None:
 
 
 class _GymnasiumFinder(MetaPathFinder):
-    """Finds Gymnasium once with the ordinary finders, and registers the environments after its import."""
+    """Find Gymnasium with Python's standard finders, and register the environments after the import."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Return the spec of Gymnasium, and None for other modules."""
         del path, target
         if name != _GYMNASIUM:
             return None
@@ -59,17 +58,15 @@ class _GymnasiumFinder(MetaPathFinder):
 
 
 class _RegisteringLoader(Loader):
-    """Loads a module with its own loader, and then registers the environments."""
+    """Load Gymnasium with its standard loader, and then register the environments."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Create the module."""
         return self._loader.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module, restore its own loader, and register the environments."""
         assert module.__spec__ is not None
         module.__spec__.loader = module.__loader__ = self._loader
         self._loader.exec_module(module)

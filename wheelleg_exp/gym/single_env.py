@@ -24,20 +24,17 @@ from wheelleg_exp.gym.task_env import (
 
 
 class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
-    """A task as a single environment; it never resets by itself.
+    """A task as a single Gymnasium environment. The environment never resets by itself.
 
     Args:
         task: a task's name.
-        overrides: Hydra overrides, or one override as a text.
+        overrides: Hydra overrides as a list, or one override as a string.
         config_dirs: folders of the user's own configs, or one folder.
         action_bound: largest size of an action in ``action_space``, one number for all or (A,); None means unbounded.
             Larger actions are not clipped.
         render_mode: ``rgb_array``, or None.
         width: width of images, px.
         height: height of images, px.
-
-    Raises:
-        WheellegError: the task, an override or the robot is wrong, or one of these arguments.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 60}  # noqa: RUF012
@@ -82,11 +79,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         return _first(as_arrays(observations)), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return an image (height, width, 3), or None without a ``render_mode``.
-
-        Raises:
-            NoGraphics: this machine cannot render; the message states what to install.
-        """
+        """Return an image (height, width, 3), or None without a ``render_mode``."""
         drawn = self._pictures.draw()
         return None if drawn is None else drawn[0]
 

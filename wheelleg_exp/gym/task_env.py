@@ -27,15 +27,12 @@ Arrays = dict[str, np.ndarray]
 def task_env(
     task: str, num_envs: int, overrides: Sequence[str], config_dirs: str | Path | Sequence[str | Path]
 ) -> ManagerBasedRLEnv:
-    """Compose, check and build a task.
-
-    Raises:
-        WheellegError: the task, an override or the robot is wrong.
-    """
+    """Compose, check and build a task."""
     given = override_texts(overrides)
     for word in given:
         if word.lstrip("+").startswith("env.num_envs="):
-            raise ConfigError("is set by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
+            message = "Gymnasium sets the number of environments"
+            raise ConfigError(message, key="env.num_envs", expected="make_vec(..., num_envs=N)")
     words = [f"task={task}", *given, f"env.num_envs={num_envs}"]
     folders = [config_dirs] if isinstance(config_dirs, (str, Path)) else config_dirs
     composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
@@ -48,11 +45,8 @@ def task_env(
 def _require_concatenated(env: ManagerBasedRLEnv) -> None:
     for group, concatenated in env.observation_manager.group_obs_concatenate.items():
         if not concatenated:
-            raise ConfigError(
-                "Gymnasium needs one array for each observation group",
-                key=f"env.observations.{group}.concatenate_terms",
-                expected="true",
-            )
+            key = f"env.observations.{group}.concatenate_terms"
+            raise ConfigError("Gymnasium needs one array for each observation group", key=key, expected="true")
 
 
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
@@ -64,15 +58,7 @@ def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
 
 
 def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) -> gymnasium.spaces.Box:
-    """Return the space of one environment's raw actions.
-
-    Args:
-        env: the environment.
-        bound: largest size of an action, one number for all or one for each; None means unbounded.
-
-    Raises:
-        ConfigError: the bound is invalid.
-    """
+    """Return the space of one environment's raw actions, bounded by one number or by one number for each action."""
     width = env.action_manager.total_action_dim
     if bound is None:
         return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
@@ -82,9 +68,8 @@ def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) 
     except (ValueError, TypeError):
         high = None
     if high is None or not (np.isfinite(high).all() and (high > 0).all()):
-        raise ConfigError(
-            f"{bound!r} is not a bound", key="action_bound", expected=f"a number above 0, {width} such numbers, or None"
-        )
+        expected = f"a number above 0, {width} such numbers, or None"
+        raise ConfigError(f"{bound!r} is not a bound of actions", key="action_bound", expected=expected)
     return gymnasium.spaces.Box(-high, high, dtype=np.float32)
 
 
@@ -103,16 +88,9 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Renders environments one by one without changing them.
+    """Renders environments one by one without changing their state.
 
-    Args:
-        env: the environment.
-        mode: ``rgb_array``, or None for no images.
-        width: px.
-        height: px.
-
-    Raises:
-        ConfigError: the mode or the size is invalid.
+    Images are width x height px; the mode None means no images.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
@@ -123,16 +101,12 @@ class Pictures:
             whole = isinstance(size, Integral) and not isinstance(size, bool)
             if not (whole and _SIZE_PX[0] <= size <= _SIZE_PX[1]):
                 expected = "a whole number of px, {} to {}".format(*_SIZE_PX)
-                raise ConfigError(f"{size!r} is not a size", key=key, expected=expected)
+                raise ConfigError(f"{size!r} is not an image size", key=key, expected=expected)
         self._env, self._mode = env, mode
         self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
 
     def draw(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return an image (height, width, 3) of every environment, or None without a mode.
-
-        Raises:
-            NoGraphics: this machine cannot render; the message states what to install.
-        """
+        """Return an image (height, width, 3) of every environment, or None without a mode."""
         if self._mode is None:
             return None
         return tuple(self._pictures.draw(row) for row in host_copy(self._env.scene.sim.view("qpos")).astype(float))

@@ -45,18 +45,9 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of environments, N.
-        task: a task's name.
-        overrides: Hydra overrides, or one override as a text.
-        config_dirs: folders of the user's own configs, or one folder.
-        action_bound: largest size of an action in ``single_action_space``, one number for all or (A,); None means
-            unbounded. Larger actions are not clipped.
-        render_mode: ``rgb_array``, or None.
-        width: width of images, px.
-        height: height of images, px.
         autoreset_mode: ``same_step``, ``next_step``, ``disabled``, or Gymnasium's ``AutoresetMode``.
 
-    Raises:
-        WheellegError: the task, an override or the robot is wrong, or one of these arguments.
+    The remaining arguments are those of ``WheellegEnv``.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -77,7 +68,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         height: int = 480,
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
     ) -> None:
-        self.autoreset_mode = _autoreset(autoreset_mode)  # where TorchRL and SyncVectorEnv have it
+        self.autoreset_mode = _autoreset(autoreset_mode)  # TorchRL reads this attribute
         self.env = task_env(task, num_envs, overrides, config_dirs)
         self.env.autoreset = self.autoreset_mode.name.lower()  # type: ignore[assignment]
         self.env.keep_final_obs = self.autoreset_mode is AutoresetMode.SAME_STEP
@@ -119,13 +110,10 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         return as_arrays(observations), _log(extras, left) if left.any() else {}
 
     def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every environment by one control step, for raw actions (N, A).
-
-        Raises:
-            ResetNeeded: without autoreset, an environment that is done was not reset.
-        """
+        """Advance every environment by one control step, for raw actions (N, A)."""
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
-            raise ResetNeeded(f"{np.flatnonzero(self._done).tolist()} are done: reset them with options['reset_mask']")
+            done = np.flatnonzero(self._done).tolist()
+            raise ResetNeeded(f"the environments {done} are done; reset them with options['reset_mask']")
         started = self._done
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)
@@ -143,7 +131,6 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos
 
     def _add_final(self, infos: dict[str, Any], final_obs: Arrays, extras: dict[str, Any]) -> None:
-        """Add the last observation and info of each episode that has just ended."""
         non_finite = extras["non_finite"]["keys"] if "non_finite" in extras else {}
         for env_id in np.flatnonzero(self._done).tolist():
             info = {"non_finite": non_finite[env_id]} if env_id in non_finite else {}
@@ -151,15 +138,11 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             self._add_info(infos, {"final_obs": last, "final_info": info}, env_id)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return an image (height, width, 3) of every environment, or None without a ``render_mode``.
-
-        Raises:
-            NoGraphics: this machine cannot render; the message states what to install.
-        """
+        """Return an image (height, width, 3) of every environment, or None without a ``render_mode``."""
         return self._pictures.draw()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return an attribute or the result of a method for each environment, as ``SyncVectorEnv.call`` does."""
+        """Return an attribute or a method's result for each environment, as ``SyncVectorEnv.call`` does."""
         found = getattr(self, name)
         answer = found(*args, **kwargs) if callable(found) else found
         return answer if name == "render" and answer is not None else (answer,) * self.num_envs
@@ -182,7 +165,6 @@ def _autoreset(mode: str | AutoresetMode) -> AutoresetMode:
 
 
 def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.bool_] | None:
-    """Return the mask of the environments to reset; None means all."""
     if not options or "reset_mask" not in options:
         return None
     mask = options["reset_mask"]
@@ -194,7 +176,6 @@ def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.boo
 
 
 def _log(extras: dict[str, Any], which: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the managers' log in Gymnasium's layout of infos, for the environments of the mask ``which`` (N,)."""
     log: dict[str, Any] = {}
     for key, value in log_of(extras).items():
         log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}

@@ -2,9 +2,9 @@
 
 | module | offers |
 |---|---|
-| ``recording_target``, ``row_selection`` | the recording's file, and the rows and time spans of it |
+| ``recording_target``, ``row_selection`` | the file of a recording, and the selected rows and time spans |
 | ``recorded_numbers`` | recorded numbers by name, their frames and statistics |
-| ``condition_query`` | when a condition on numbers is true |
+| ``condition_query`` | the times at which a condition on numbers is true |
 | ``episode_measures`` | recorded episodes; tracking errors, forces, efforts, and rewards |
 | ``recording_summary``, ``compare_recordings``, ``export_numbers`` | a summary, a comparison, Parquet and CSV |
 | ``recording_plots``, ``motion_plots``, ``training_curves``, ``evaluation_plots`` | plots by name, and their panels |

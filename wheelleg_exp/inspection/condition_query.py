@@ -1,9 +1,9 @@
-"""Find when a condition is true in a recording, such as ``base.pitch > 0.3 and rewards.total < -5``.
+"""Find the times at which a condition is true in a recording, such as ``base.pitch > 0.3 and rewards.total < -5``.
 
 A condition is written like a Python expression of names, numbers, comparisons, ``and``, ``or``, ``not``,
-``+ - * /``, parentheses, and ``abs(…)``. It is parsed, and never run as code. A name that is not a Python name, such
-as ``joints.left-hip.effort``, is quoted. A name alone is true where its number is not zero. A comparison with NaN
-is never true.
+``+ - * /``, parentheses, and ``abs(…)``. A condition is parsed, and never executed as Python code. Names that Python
+does not allow, such as ``joints.left-hip.effort``, are quoted. A condition that is only a name is true in rows where
+the recorded number is not zero. A comparison with NaN is always false.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import ast
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import reduce
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # letters of a wrong condition
+_SHOWN = 120  # Error messages truncate longer conditions.
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -45,22 +46,19 @@ Value = NDArray | float
 
 
 class Condition:
-    """A parsed condition.
-
-    Raises:
-        WheellegError: the text is not a condition.
-    """
+    """A parsed condition on recorded numbers. The constructor raises WheellegError for an invalid condition."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
-        self._tree = _parsed(text)
-        _require_known(self._tree, text)
-        self.names = list(dict.fromkeys(_names(self._tree)))
+        self.text, self._tree = text, _parsed(text)
+        self.names = list(dict.fromkeys(_names(self._tree, text)))
         if not self.names:
             raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return where the condition is true, (n,), given the values (n,) of each of ``names``."""
+        """Return a mask (n,) of the rows in which the condition is true.
+
+        ``values`` contains an array (n,) for each name.
+        """
         rows = len(values[self.names[0]])
         with np.errstate(all="ignore"):
             return np.broadcast_to(_truth(_value(self._tree, values)), (rows,)).copy()
@@ -74,33 +72,16 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
-    # The functions below recurse, so a deep tree must be refused before Python's recursion limit.
-    if _depth(tree) > DEEPEST:
+    # The evaluation of a syntax tree is recursive, so a deep tree would exceed Python's recursion limit.
+    depth, level = 0, [cast("ast.AST", tree)]
+    while level:
+        depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
+    if depth > DEEPEST:
         raise _wrong(text, "it is nested too deeply")
     return tree
 
 
-def _depth(tree: ast.AST) -> int:
-    """Return the depth of a tree, computed without recursion."""
-    depth, level = 0, [tree]
-    while level:
-        depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
-    return depth
-
-
-def _require_known(node: ast.expr, text: str) -> None:
-    """Raise WheellegError unless the tree only has operations that conditions allow."""
-    if _name(node) is not None or _is_number(node):
-        return
-    parts = _parts(node)
-    if parts is None:
-        raise _wrong(text, f"'{ast.unparse(node)}' is not allowed")
-    for part in parts:
-        _require_known(part, text)
-
-
 def _parts(node: ast.expr) -> list[ast.expr] | None:
-    """Return the operands of an operation; None if the operation is not allowed."""
     match node:
         case ast.BoolOp(values=values):
             return values
@@ -115,27 +96,25 @@ def _parts(node: ast.expr) -> list[ast.expr] | None:
     return None
 
 
-def _names(node: ast.expr) -> Iterator[str]:
-    name = _name(node)
+def _names(node: ast.expr, text: str) -> Iterator[str]:
+    name, parts = _name(node), _parts(node)
     if name is not None:
         yield name
-        return
-    for part in _parts(node) or ():
-        yield from _names(part)
+    elif parts is not None:
+        for part in parts:
+            yield from _names(part, text)
+    elif not (isinstance(node, ast.Constant) and isinstance(node.value, (bool, int, float))):
+        raise _wrong(text, f"'{ast.unparse(node)}' is not allowed")
 
 
 def _name(node: ast.expr) -> str | None:
-    """Return the name that a node stands for: ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
+    """Return the recorded number's name that a syntax node denotes: ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     inner = node
     while isinstance(inner, (ast.Attribute, ast.Subscript)):
         inner = inner.value
     return ast.unparse(node) if isinstance(inner, ast.Name) else None
-
-
-def _is_number(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, (bool, int, float))
 
 
 def _value(node: ast.expr, values: Mapping[str, NDArray[np.float64]]) -> Value:
@@ -146,10 +125,9 @@ def _value(node: ast.expr, values: Mapping[str, NDArray[np.float64]]) -> Value:
         return float(node.value)  # type: ignore[arg-type]
     parts = [_value(part, values) for part in _parts(node) or ()]
     match node:
-        case ast.BoolOp(op=ast.And()):
-            return _all(parts)
-        case ast.BoolOp():
-            return _any(parts)
+        case ast.BoolOp(op=op):
+            join = operator.and_ if isinstance(op, ast.And) else operator.or_
+            return reduce(join, map(_truth, parts)).astype(np.float64)
         case ast.UnaryOp(op=ast.Not()):
             return np.logical_not(_truth(parts[0])).astype(np.float64)
         case ast.UnaryOp(op=ast.USub()):
@@ -158,7 +136,8 @@ def _value(node: ast.expr, values: Mapping[str, NDArray[np.float64]]) -> Value:
             return _ARITHMETIC[type(op)](np.asarray(parts[0], dtype=np.float64), parts[1])
         case ast.Compare(ops=ops):
             steps = zip(ops, parts[:-1], parts[1:], strict=True)
-            return _all([_known(a, b) & _COMPARE[type(op)](a, b) for op, a, b in steps])
+            found = (~(np.isnan(a) | np.isnan(b)) & _COMPARE[type(op)](a, b) for op, a, b in steps)
+            return reduce(operator.and_, found).astype(np.float64)
         case ast.Call():
             return np.abs(parts[0])
     return parts[0]
@@ -168,24 +147,6 @@ def _truth(value: Value) -> NDArray[np.bool_]:
     return (np.asarray(value) != 0) & ~np.isnan(value)
 
 
-def _known(a: Value, b: Value) -> NDArray[np.bool_]:
-    return ~(np.isnan(a) | np.isnan(b))
-
-
-def _all(parts: list[Any]) -> Value:
-    result = _truth(parts[0])
-    for part in parts[1:]:
-        result = result & _truth(part)
-    return result.astype(np.float64)
-
-
-def _any(parts: list[Any]) -> Value:
-    result = _truth(parts[0])
-    for part in parts[1:]:
-        result = result | _truth(part)
-    return result.astype(np.float64)
-
-
 def _wrong(text: str, reason: str) -> WheellegError:
     shown = text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
     return WheellegError(f"'{shown}' is not a condition: {reason}", key="--where", expected=_EXPECTED)
@@ -193,9 +154,10 @@ def _wrong(text: str, reason: str) -> WheellegError:
 
 @dataclass(frozen=True)
 class Hit:
-    """Consecutive frames in which a condition is true.
+    """Consecutive recorded frames in which a condition is true.
 
-    ``around`` are the rows from before the first to after the last frame; None unless requested.
+    ``around`` contains these frames and the requested frames before and after them. It is None if no surrounding frames
+    were requested.
     """
 
     first: Moment
@@ -212,21 +174,14 @@ def find_hits(
     around: Length | None = None,
     selection: Selection | None = None,
 ) -> list[Hit]:
-    """Return the stretches in which a condition is true, by environment and time.
+    """Return the groups of consecutive frames in which a condition is true, ordered by environment and time.
 
-    Args:
-        recording: the recording.
-        condition: the condition.
-        columns: the numbers of the surrounding rows; by default those of the condition.
-        around: time before and after each stretch.
-        selection: the rows to search; surrounding rows can be outside.
-
-    Raises:
-        WheellegError: a name is wrong, or no row is selected.
+    ``columns`` are the recorded numbers in ``Hit.around``; by default the numbers of the condition. ``around`` is the
+    time before and after a hit. The surrounding frames of a hit can be outside the selection.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all rows of the environment, because surrounding rows can be outside the selection.
+    # Read all rows of the environment, because the surrounding frames of a hit can be outside the selection.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)
@@ -240,7 +195,8 @@ def _hits(
     holds = condition.holds({name: frames.column(name) for name in condition.names})
     steps = frames.column(STEP)
     holds &= np.isin(steps, np.asarray(selection.apply(frames.table).column(STEP)))
-    shown = _only(frames, list(columns) or condition.names)
+    times = [name for name in frames.table.column_names if name not in frames.names]
+    shown = Frames(frames.table.select([*times, *dict.fromkeys(columns or condition.names)]), frames.env_id)
     return [
         Hit(
             first=frames.moment(a),
@@ -253,14 +209,8 @@ def _hits(
 
 
 def _stretches(holds: NDArray[np.bool_], steps: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the first and last row of each stretch of consecutive frames."""
     rows = np.flatnonzero(holds)
     if not len(rows):
         return []
     breaks = np.flatnonzero((np.diff(rows) != 1) | (np.diff(steps[rows]) > 1)) + 1
     return [(int(part[0]), int(part[-1])) for part in np.split(rows, breaks)]
-
-
-def _only(frames: Frames, names: Sequence[str]) -> Frames:
-    times = [name for name in frames.table.column_names if name not in frames.names]
-    return Frames(frames.table.select([*times, *dict.fromkeys(names)]), frames.env_id)

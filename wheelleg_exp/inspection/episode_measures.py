@@ -14,25 +14,20 @@ from wheelleg_exp.recording.layout import STEP
 from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
-_TOTAL = "total"
+TOTAL = "total"
+_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so the comparison needs a tolerance.
 _OWN = ("number", "episode.step", "terminated", "truncated")
 _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
 
 @dataclass(frozen=True)
 class Episode:
-    """The recorded part of one episode.
+    """The recorded part of one episode of one environment.
 
-    Attributes:
-        env_id: the environment.
-        iteration, last_iteration: training iterations of its first and last recorded frame; None outside of training.
-        first_step, last_step: its first and last recorded control step.
-        frames: number of recorded frames.
-        duration_s: its duration at the last recorded frame, s.
-        is_from_start: whether its first frame was recorded.
-        outcome: ``failed``, ``time out``, or ``unfinished`` if its end was not recorded.
-        ended_by: the terminations that fired.
-        total_reward: sum of the recorded rewards; None if they were not recorded.
+    The training iterations and control steps belong to the first and the last recorded frame. The iterations are None
+    outside of training. ``duration_s`` is the time from the start of the episode to its last recorded frame.
+    ``outcome`` is ``failed``, ``time out``, or ``unfinished`` if the end was not recorded. ``ended_by`` are the names
+    of the termination terms that ended the episode. ``total_reward`` is the sum of the recorded rewards.
     """
 
     env_id: int
@@ -49,63 +44,62 @@ class Episode:
 
 
 def whole(found: Sequence[Episode]) -> list[Episode]:
-    """Return the episodes that were recorded from start to end.
+    """Return the episodes that were recorded from start to end. Averages use only these episodes.
 
-    Only these count in averages. An episode that was running when recording started is probably long. An episode that
-    was running when recording stopped has no end and no final sum of rewards.
+    An episode that was running when recording started is probably long. An episode that was running when recording
+    stopped has no end and no final sum of rewards.
     """
     return [episode for episode in found if episode.is_from_start and episode.outcome != UNFINISHED]
 
 
 def survival(found: Sequence[Episode]) -> float | None:
-    """Return the share of the complete episodes that reached the time-out; None without any."""
+    """Return the share of the complete episodes that reached the time-out; None without complete episodes."""
     kept = whole(found)
     return sum(episode.outcome == TIMED_OUT for episode in kept) / len(kept) if kept else None
 
 
 def mean_duration(found: Sequence[Episode]) -> float | None:
-    """Return the mean duration of the complete episodes, s; None without any."""
+    """Return the mean duration of the complete episodes, s; None without complete episodes."""
     kept = whole(found)
     return float(np.mean([episode.duration_s for episode in kept])) if kept else None
 
 
 def mean_reward(found: Sequence[Episode]) -> float | None:
-    """Return the mean sum of rewards of the complete episodes; None without any."""
+    """Return the mean sum of rewards of the complete episodes; None without complete episodes."""
     rewards = [episode.total_reward for episode in whole(found) if episode.total_reward is not None]
     return float(np.mean(rewards)) if rewards else None
 
 
 def episodes(view: View) -> list[Episode]:
-    """Return the episodes of the selected environments, by environment and time."""
-    return [episode for env_id in view.env_ids for episode in _of_env(view, env_id)]
-
-
-def _of_env(view: View, env_id: int) -> list[Episode]:
-    ends = view.frames("terminations", env_id)
-    if ends is None or not len(ends):
-        return []
-    fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
-    marks = _Marks(view, env_id, ends, fired)
-    bounds = [0, *(np.flatnonzero(marks.begins)).tolist(), len(ends)]
-    rows = [slice(a, b) for a, b in pairwise(bounds) if b > a]
-    return [marks.episode(part) for part in rows]
+    """Return the recorded episodes of the selected environments, ordered by environment and time."""
+    found = []
+    for env_id in view.env_ids:
+        ends = view.frames("terminations", env_id)
+        if ends is not None and len(ends):
+            marks = _Marks(view, env_id, ends)
+            bounds = [0, *np.flatnonzero(marks.begins()).tolist(), len(ends)]
+            found += [marks.episode(a, b - 1) for a, b in pairwise(bounds) if b > a]
+    return found
 
 
 class _Marks:
-    """The signals that separate the episodes of one environment."""
+    """The recorded signals that separate the episodes of one environment."""
 
-    def __init__(self, view: View, env_id: int, ends: Frames, fired: NDArray[np.bool_]) -> None:
-        self._env_id, self._ends, self._fired = env_id, ends, fired
+    def __init__(self, view: View, env_id: int, ends: Frames) -> None:
+        self._env_id, self._ends = env_id, ends
+        self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
         self._steps: NDArray[np.int64] = ends.column(STEP)
         self._step_dt = view.recording.step_dt or 0.0
-        self._own = _own_marks(view.frames("episode", env_id), len(ends))
+        # Old recordings have no episode counters, and a truncated recording can lack some rows of the episode counters.
+        own = view.frames("episode", env_id)
+        if own is not None and (len(own) != len(ends) or not set(_OWN) <= set(own.names)):
+            own = None
+        self._own = own if own is not None and all(np.isfinite(own.column(name)).all() for name in _OWN) else None
         self._rewards = view.frames("rewards", env_id)
         events = view.recording.events("episodes", env_id)
         self._failed_steps = {event.step for event in events if event.level in _FAILED_LEVELS}
 
-    @property
     def begins(self) -> NDArray[np.bool_]:
-        """Whether an episode starts at a row, (n,); always false for the first row."""
         if self._own is not None:
             return np.diff(self._own.column("number"), prepend=self._own.column("number")[:1]) != 0
         begins = np.zeros(len(self._steps), dtype=bool)
@@ -113,11 +107,10 @@ class _Marks:
         begins[1:] = (np.diff(self._steps) != 1) | ended[:-1]
         return begins
 
-    def episode(self, rows: slice) -> Episode:
-        """Return the episode of some rows."""
-        first, last = rows.start, rows.stop - 1
-        outcome = self._outcome(last)
-        age = self._age(rows)
+    def episode(self, first: int, last: int) -> Episode:
+        frames = last - first + 1
+        # Recordings of format 1 do not count the control steps of an episode.
+        age = frames if self._own is None else int(self._own.column("episode.step")[last])
         names = [name for name, fired in zip(self._ends.names, self._fired[last], strict=True) if fired]
         return Episode(
             env_id=self._env_id,
@@ -125,10 +118,10 @@ class _Marks:
             last_iteration=self._ends.moment(last).iteration,
             first_step=int(self._steps[first]),
             last_step=int(self._steps[last]),
-            frames=rows.stop - first,
+            frames=frames,
             duration_s=age * self._step_dt,
-            is_from_start=age == rows.stop - first,
-            outcome=outcome,
+            is_from_start=age == frames,
+            outcome=self._outcome(last),
             ended_by=tuple(names),
             total_reward=self._reward(int(self._steps[first]), int(self._steps[last])),
         )
@@ -142,41 +135,16 @@ class _Marks:
         return FAILED if failed else TIMED_OUT if over else UNFINISHED
 
     def _reward(self, first: int, last: int) -> float | None:
-        """Return the sum of the rewards between two steps."""
-        if self._rewards is None or _TOTAL not in self._rewards.names:
+        if self._rewards is None or TOTAL not in self._rewards.names:
             return None
         steps = self._rewards.column(STEP)
         rows = (steps >= first) & (steps <= last)
-        return float(np.nansum(self._rewards.column(_TOTAL)[rows]) * self._step_dt)
-
-    def _age(self, rows: slice) -> int:
-        """Return the episode's number of control steps at its last recorded frame."""
-        if self._own is not None:
-            return int(self._own.column("episode.step")[rows.stop - 1])
-        return int(rows.stop - rows.start)
-
-
-def _own_marks(frames: Frames | None, rows: int) -> Frames | None:
-    """Return the recorded episode counters; None unless every frame has them."""
-    if frames is None or len(frames) != rows or not set(_OWN) <= set(frames.names):
-        return None
-    return frames if all(np.isfinite(frames.column(name)).all() for name in _OWN) else None
-
-
-TOTAL = "total"
-_AT_LIMIT = 1.0 - 1e-6  # efforts are float32, limits are float64
+        return float(np.nansum(self._rewards.column(TOTAL)[rows]) * self._step_dt)
 
 
 @dataclass(frozen=True)
 class TrackingError:
-    """The error of a velocity, actual minus commanded, over all frames.
-
-    Attributes:
-        command: the command.
-        name: the velocity: ``v_x``, ``v_y`` (m/s), ``w_z`` (rad/s).
-        rmse, mean_absolute, mean, largest: root mean square, mean absolute, mean, and largest absolute error.
-        mean_command: the mean command.
-    """
+    """Statistics of a velocity's tracking error (m/s or rad/s), actual minus commanded, over all frames."""
 
     command: str
     name: str
@@ -189,14 +157,11 @@ class TrackingError:
 
 @dataclass(frozen=True)
 class ForceExtreme:
-    """The contact force of one body.
+    """Statistics of the contact force on one body, measured by one contact sensor.
 
-    Attributes:
-        sensor, body: the sensor and the body.
-        largest_n: the largest norm within a step, N; if that was not recorded, the largest at the end of a step.
-        at: the moment of the largest norm.
-        mean_n: the mean norm at the end of a step, N.
-        contact_share: share of the frames with a force at their end.
+    ``largest_n`` is the largest force norm, N, over all physics steps if they were recorded, or else over the ends of
+    the control steps. ``mean_n`` is the mean force norm at the end of a control step, N. ``contact_share`` is the share
+    of the frames in which the force is not zero.
     """
 
     sensor: str
@@ -209,13 +174,9 @@ class ForceExtreme:
 
 @dataclass(frozen=True)
 class EffortUse:
-    """The use of a joint's effort limit.
+    """The effort of a joint and its effort limit, N·m (N). ``limit`` is None if the limit is unknown or infinite.
 
-    Attributes:
-        joint: the joint.
-        limit: its effort limit, N·m (N); None if it is unknown or unlimited.
-        rms, largest: root mean square and largest absolute applied effort.
-        saturated_share: share of the frames at the limit; None without a limit.
+    ``saturated_share`` is the share of the frames in which the joint's effort equals its limit; None without a limit.
     """
 
     joint: str
@@ -227,14 +188,10 @@ class EffortUse:
 
 @dataclass(frozen=True)
 class RewardShare:
-    """The contribution of one reward term.
+    """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    Attributes:
-        term: the term.
-        weight: its configured weight; None if it was not recorded.
-        mean: its mean, 1/s; None without values.
-        total: its sum over the recorded time.
-        share: its share of the sum of the terms' absolute values, 0 to 1; None if that sum is 0.
+    ``weight`` is the reward term's configured weight; None if the weight was not recorded. ``share`` is the reward
+    term's share of the sum of the absolute values of all reward terms; None if that sum is 0.
     """
 
     term: str
@@ -245,27 +202,34 @@ class RewardShare:
 
 
 def tracking_errors(view: View) -> list[TrackingError]:
-    """Return the errors of every commanded number that the base has under the same name."""
+    """Return the tracking error of every command component for which the base's measured value has the same name."""
     found = []
     for name in view.names("commands"):
         command, _, part = name.rpartition(".")
         if command and part in view.names("base"):
             words = (f"commands.{name}", f"base.{part}")
-            both = [frames for env_id in view.env_ids for frames in _together(view, words, env_id)]
+            both = []
+            for env_id in view.env_ids:
+                if set(words) <= view.recording.all_numbers(env_id).keys():
+                    both += frames_for(view.recording, words, replace(view.selection, env_id=env_id))
             asked, actual = (np.concatenate([frames.column(word) for frames in both]) for word in words)
             error = actual - asked
-            found.append(_tracking_error(command, part, error, asked))
-    return [error for error in found if error is not None]
+            known = error[np.isfinite(error)]
+            if len(known):
+                size, rmse = np.abs(known), float(np.sqrt(np.mean(known**2)))
+                mean, largest = float(known.mean()), float(size.max())
+                found.append(TrackingError(command, part, rmse, float(size.mean()), mean, largest, _mean(asked)))
+    return found
 
 
 def base_motion(view: View) -> dict[str, Statistics]:
-    """Return the statistics of the base's recorded height and angles."""
+    """Return the statistics of the recorded height, roll, and pitch of the robot's base."""
     present = [name for name in ("height", "roll", "pitch") if name in view.names("base")]
     return {name: statistics(view.column("base", name), lambda row: view.moment("base", row)) for name in present}
 
 
 def force_extremes(view: View) -> list[ForceExtreme]:
-    """Return the contact forces of every sensor and body, with peaks within a step if recorded."""
+    """Return the contact forces of every contact sensor and body, with recorded peaks within a control step."""
     names = view.names("contacts")
     found = []
     for sensor, body in _bodies(view):
@@ -282,7 +246,7 @@ def force_extremes(view: View) -> list[ForceExtreme]:
 
 
 def effort_use(view: View) -> list[EffortUse]:
-    """Return the use of each joint's effort limit."""
+    """Return for each joint how much of its effort limit the joint used."""
     joints = [name.removesuffix(".effort") for name in view.names("joints") if name.endswith(".effort")]
     found = []
     for joint in joints:
@@ -296,7 +260,7 @@ def effort_use(view: View) -> list[EffortUse]:
 
 
 def reward_shares(view: View) -> list[RewardShare]:
-    """Return the contribution of each reward term."""
+    """Return the contribution of each reward term to the total reward."""
     static = view.static("rewards")
     weights = dict(zip(static.get("terms", []), static.get("weights", []), strict=False))
     rows = {name: view.column("rewards", name) for name in view.names("rewards") if name != TOTAL}
@@ -315,33 +279,7 @@ def reward_shares(view: View) -> list[RewardShare]:
     ]
 
 
-def _together(view: View, names: tuple[str, ...], env_id: int) -> list[Frames]:
-    """Return the rows of several numbers; empty if the environment lacks one of them."""
-    known = view.recording.all_numbers(env_id)
-    if not all(name in known for name in names):
-        return []
-    return frames_for(view.recording, names, replace(view.selection, env_id=env_id))
-
-
-def _tracking_error(
-    command: str, name: str, error: NDArray[np.float64], asked: NDArray[np.float64]
-) -> TrackingError | None:
-    known = error[np.isfinite(error)]
-    if not len(known):
-        return None
-    return TrackingError(
-        command=command,
-        name=name,
-        rmse=float(np.sqrt(np.mean(known**2))),
-        mean_absolute=float(np.abs(known).mean()),
-        mean=float(known.mean()),
-        largest=float(np.abs(known).max()),
-        mean_command=_mean(asked),
-    )
-
-
 def _bodies(view: View) -> Iterator[tuple[str, str]]:
-    """Yield every sensor with each of its bodies."""
     recording = view.recording
     branch = recording.branch(view.env_ids[0])
     root = f"{branch}/contacts" if branch else "contacts"
@@ -359,6 +297,5 @@ def _limit(view: View, joint: str) -> float | None:
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:
-    """Return the mean of the values without NaN; None without any."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else None

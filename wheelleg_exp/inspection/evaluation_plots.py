@@ -19,17 +19,15 @@ from wheelleg_exp.inspection.plot_style import FAINT, INK, MUTED, PROGRESS, Pane
 Array = np.ndarray[Any, Any]
 Episodes = Mapping[str, Array]
 
-# Shares: dark red is failure, pale blue is success. Errors use the map of progress: pale is small.
+# In maps of survival shares, dark red means failure and pale blue means success. In maps of tracking errors, a pale
+# colour means a small error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # position in a colour map beyond which text is white
+_DARK = 0.4  # Text is white in map cells beyond this share of the colour map.
 _DEGREES = 180.0 / math.pi
 
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
-    """Return the panels of an evaluation by test, for the tests that have plots.
-
-    ``episodes`` are the columns of ``Evaluation.episodes``.
-    """
+    """Return plot panels for each test of an evaluation. ``episodes`` are the columns of ``Evaluation.episodes``."""
     found = {}
     for test, draw in _TESTS.items():
         mine = np.asarray(episodes["test"] == test)
@@ -39,7 +37,10 @@ def panels(episodes: Episodes) -> dict[str, list[Panel]]:
 
 
 def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write the panels of an evaluation into a folder as ``walk.png``, ``push.png``, ...; return the files."""
+    """Write one PNG file for each test of an evaluation, such as ``walk.png``, into a folder.
+
+    Return the paths of the files.
+    """
     files = []
     for test, shown in panels(evaluation.episodes).items():
         files.append(folder / f"{test}.png")
@@ -69,8 +70,6 @@ def _of_standing(rows: Episodes) -> list[Panel]:
 
 
 def _spread(title: str, values: Array) -> Panel:
-    """Return a panel of the sorted values of all episodes."""
-
     def draw(axes: Axes) -> None:
         ordered = np.sort(values[np.isfinite(values)])
         axes.plot(ordered, (np.arange(len(ordered)) + 1) / len(ordered), color=colour(0), drawstyle="steps-post")
@@ -85,7 +84,8 @@ def _of_walking(rows: Episodes) -> list[Panel]:
     def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
-        # Errors are those of survivors, as in the tables: a robot that falls has driven for a moment only.
+        # Tracking errors are averaged over robots that did not fall, because a robot that falls has driven for a short
+        # time only.
         counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
         if not np.isfinite(rows[name] * counts).any():
             return None
@@ -108,7 +108,6 @@ def _of_walking(rows: Episodes) -> list[Panel]:
 
 
 def _of_pushing(rows: Episodes) -> list[Panel]:
-    """Return the median limit in each direction, for each duration of a push."""
     names = list(dict.fromkeys(rows["cell_name"].tolist()))
     kinds = list(dict.fromkeys(name.partition(" over ")[2] for name in names))
 
@@ -119,7 +118,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             angles = np.radians([float(name.partition("°")[0]) for name in mine])
             limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
             angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
-            # Forward points up, and left points left.
+            # The robot's forward direction points up in the plot, and its left direction points left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
         _rings(axes, largest or 1.0)
@@ -156,7 +155,6 @@ def _of_terrain(rows: Episodes) -> list[Panel]:
 
 
 def _of_worlds(rows: Episodes) -> list[Panel]:
-    """Return survival over the values of each sweep, with the unchanged world as a horizontal line."""
     plain = rows["sweep"] == "nominal"
 
     def over(sweep: str) -> Panel:
@@ -185,11 +183,6 @@ _TESTS: Mapping[str, Callable[[Episodes], list[Panel]]] = {
 }
 
 
-def _two_digits(value: float) -> str:
-    """Return a number with two significant digits, without an exponent for large numbers."""
-    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
-
-
 def _some(rows: Episodes, name: str) -> bool:
     return name in rows and bool(np.isfinite(rows[name]).any())
 
@@ -200,7 +193,6 @@ def _rms(values: Array) -> float:
 
 
 def _grid(across: Array, up: Array, values: Array, of: Callable[..., Any]) -> tuple[Array, list[float], list[float]]:
-    """Return a statistic of the values of each pair, (up, across), and the two scales; NaN without values."""
     columns, lines = np.unique(across), np.unique(up)
     found = np.full((len(lines), len(columns)), np.nan)
     for i, line in enumerate(lines):
@@ -222,7 +214,6 @@ def _map(
     is_share: bool,
     height: float = 2.6,
 ) -> Panel:
-    """Return a map with a number in each cell."""
 
     def draw(axes: Axes) -> None:
         top = 1.0 if is_share else max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-9)
@@ -232,7 +223,9 @@ def _map(
             if np.isfinite(values[i, j]):
                 share = norm(values[i, j])
                 dark = share < _DARK if is_share else share > _DARK
-                text = f"{100 * values[i, j]:.0f}" if is_share else _two_digits(float(values[i, j]))
+                value = 100.0 * float(values[i, j]) if is_share else float(values[i, j])
+                # Numbers of at least 10 are formatted without an exponent.
+                text = f"{value:.0f}" if is_share or abs(value) >= 10.0 else f"{value:.2g}"
                 axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
         axes.set_xticks(range(len(columns)), [f"{column:g}" for column in columns])
         axes.set_yticks(range(len(lines)), [line if isinstance(line, str) else f"{line:g}" for line in lines])

@@ -30,7 +30,7 @@ _TIME_UNITS = {STEP: "control steps", SIM_TIME: "s", ITERATION: "iterations"}
 
 @dataclass(frozen=True)
 class Exported:
-    """A written file: its path, group, and size."""
+    """A written file: its path, its group of numbers, and its numbers of rows and columns."""
 
     path: Path
     group: str
@@ -39,30 +39,18 @@ class Exported:
 
 
 def export(
-    recording: Recording,
-    kind: str,
-    output: Path,
-    *,
-    terms: Sequence[str] = (),
-    selection: Selection | None = None,
+    recording: Recording, kind: str, output: Path, *, terms: Sequence[str] = (), selection: Selection | None = None
 ) -> list[Exported]:
     """Write the numbers of a recording: a folder with one file per group, or one file of selected numbers.
 
-    Every table has the columns ``step``, ``sim_time`` (s), ``iteration`` in a training, ``env`` if several environments
-    were recorded, and one float64 column per number. Parquet stores each column's unit in the field's metadata
-    (``unit``), and facts on the recording in the schema's (``wheelleg``). A folder of CSV files has the units in
-    ``units.json``. Numbers in CSV keep all bits. NaN is written as ``nan``. An empty field means that the number has no
-    row at that step.
+    Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, ``env`` if several
+    environments were recorded, and one float64 column per recorded number. Parquet stores the unit of each column in
+    the field's metadata (``unit``), and facts about the recording in the schema's metadata (``wheelleg``). A folder of
+    CSV files has the units in ``units.json``. Numbers in CSV have all digits of a float64. NaN is written as ``nan``.
+    An empty CSV field means that the number was not recorded at that control step.
 
-    Args:
-        recording: the recording.
-        kind: ``parquet`` or ``csv``.
-        output: the folder, or with ``terms`` the file. It must not exist, and appears only when complete.
-        terms: dotted names of the numbers, such as ``rewards.base_height``; empty for all, by group.
-        selection: the rows.
-
-    Raises:
-        WheellegError: a name, the selection or the path is wrong.
+    With ``terms``, dotted names such as ``rewards.base_height``, ``output`` is one file. The output path must not
+    exist. The output appears at its path only when it is complete.
     """
     if kind not in KINDS:
         raise WheellegError(f"'{kind}' is not an export format", key="--export", expected=" or ".join(KINDS))
@@ -74,7 +62,8 @@ def export(
             raise nothing_chosen(recording)
         write_new(output, encoded(table, kind))
         return [_exported(output, "terms", table)]
-    tables = {group: table for group in _groups(recording) if (table := _of_group(recording, group, chosen)).num_rows}
+    groups = {name.split(".")[0]: None for env_id in recording.env_ids for name in recording.all_numbers(env_id)}
+    tables = {group: table for group in groups if (table := _of_group(recording, group, chosen)).num_rows}
     if not tables:
         raise nothing_chosen(recording)
     _write_folder(output, tables, kind)
@@ -82,7 +71,7 @@ def export(
 
 
 def encoded(table: pa.Table, kind: str) -> bytes:
-    """Return a table as the bytes of a file."""
+    """Return a table as the bytes of a CSV or Parquet file."""
     buffer = io.BytesIO()
     if kind == "parquet":
         pq.write_table(table, buffer, compression="zstd")
@@ -92,15 +81,9 @@ def encoded(table: pa.Table, kind: str) -> bytes:
 
 
 def units(table: pa.Table) -> dict[str, str]:
-    """Return the units of a table's columns that have one."""
+    """Return a unit for each column of a table that has a unit."""
     found = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
     return {name: value.decode() for name, value in found.items() if value}
-
-
-def _groups(recording: Recording) -> list[str]:
-    """Return the top-level groups of numbers."""
-    names = (number.split(".")[0] for env_id in recording.env_ids for number in recording.all_numbers(env_id))
-    return list(dict.fromkeys(names))
 
 
 def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Table:
@@ -114,18 +97,17 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
         entities = {_within(group, name): number.entity for name, number in numbers.items()}
         is_own = any(is_of_env(number) for number in numbers.values())
         tables.append(_described(table, entities, recording, env_id if is_own else None))
-        if not is_own:
-            break  # these numbers belong to no environment
+        if not is_own:  # Numbers that belong to no environment are exported only once.
+            break
     return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
 
 
 def _file_name(group: str) -> str:
-    """Return a file name for a group. A group of a foreign recording can have any name, even a path."""
+    # A group in another program's recording can have any name, even a path.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 
 def _within(group: str, name: str) -> str:
-    """Return a number's name without its group, unless that would be the name of a timeline."""
     short = name.removeprefix(f"{group}.")
     return name if short in (*TIMES, ENV) else short
 
@@ -140,7 +122,6 @@ def _of_terms(recording: Recording, terms: Sequence[str], selection: Selection) 
 
 
 def _described(table: pa.Table, entities: Mapping[str, str], recording: Recording, env_id: int | None) -> pa.Table:
-    """Return a table with units in its fields and, if needed, the environment as a column."""
     fields = []
     for field in table.schema:
         word = _TIME_UNITS.get(field.name) or unit(entities.get(field.name, ""))
@@ -150,13 +131,10 @@ def _described(table: pa.Table, entities: Mapping[str, str], recording: Recordin
         place = sum(name in TIMES for name in table.column_names)
         fields.insert(place, pa.field(ENV, pa.int64()))
         columns.insert(place, pa.array([env_id] * table.num_rows, pa.int64()))
-    return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"wheelleg": _about(recording)}))
-
-
-def _about(recording: Recording) -> str:
-    known: dict[str, Any] = {"recording_id": recording.recording_id, "purpose": recording.purpose}
+    about: dict[str, Any] = {"recording_id": recording.recording_id, "purpose": recording.purpose}
     own = recording.properties.get("wheelleg", {})
-    return json.dumps({**known, **{k: own[k] for k in ("run_id", "task", "seed", "step_dt") if k in own}})
+    about |= {key: own[key] for key in ("run_id", "task", "seed", "step_dt") if key in own}
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"wheelleg": json.dumps(about)}))
 
 
 def _write_folder(output: Path, tables: Mapping[str, pa.Table], kind: str) -> None:

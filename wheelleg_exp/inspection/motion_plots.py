@@ -1,24 +1,20 @@
-"""Panels of motion: what the recorded robot did over time, against its commands."""
+"""Panels of motion: the recorded motion of the robot over time, with its commands."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from wheelleg_exp.inspection.plot_data import Sample, Series, Source, broken, mean_of
+from wheelleg_exp.inspection.plot_data import Series, Source, broken, mean_of
 from wheelleg_exp.inspection.plot_style import BLUE, FAILED, GREEN, MUTED, ORANGE, VERMILLION, Panel, shades
 from wheelleg_exp.inspection.training_curves import shares
 from wheelleg_exp.recording.layout import unit
 
-_VELOCITIES = (
-    ("v_x", "Forward velocity", "m/s"),
-    ("v_y", "Sideways velocity", "m/s"),
-    ("w_z", "Yaw rate", "rad/s"),
-)
+_VELOCITIES = (("v_x", "Forward velocity", "m/s"), ("v_y", "Sideways velocity", "m/s"), ("w_z", "Yaw rate", "rad/s"))
 TITLES = {
     "base/height": "Height of the base (m)",
     "base/pitch": "Pitch of the base (rad)",
@@ -30,9 +26,10 @@ _SHORT = 1.75
 
 
 def tracking(source: Source) -> list[Panel]:
-    """Return panels of velocities with commands, height with its target, roll, and pitch."""
-    command = _velocity_command(source)
-    panels = [_velocity(source, name, title, unit, command) for name, title, unit in _VELOCITIES]
+    """Return plot panels of the base's velocities with their commands, and of the base's height, roll, and pitch."""
+    commands = [name for name in source.below("commands") if source.maybe("commands", name, "v_x") is not None]
+    wanted = {name: source.maybe("commands", commands[0], name) if commands else None for name, _, _ in _VELOCITIES}
+    panels = [_over_time(source, ("base", n), title, unit, wanted=wanted[n]) for n, title, unit in _VELOCITIES]
     height = _over_time(source, ("base", "height"), "Height of the base", "m", target=source.target_height())
     angles = [
         _over_time(source, ("base", name), title, "rad", target=0.0)
@@ -42,23 +39,28 @@ def tracking(source: Source) -> list[Panel]:
 
 
 def joints(source: Source) -> list[Panel]:
-    """Return panels of each joint's target and effort limits. For a training, they show the last sample."""
+    """Return plot panels of each joint with its target and effort limit.
+
+    For a training, the panels show the last sample.
+    """
     panels: list[Panel] = []
     for joint in source.below("joints"):
         kind, unit = ("velocity", "rad/s") if is_driven(source, joint) else ("position", "rad")
         found = [source.maybe("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
         if all(series is not None for series in found):
             entities = [source.path("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
-            panels.append(Panel(f"{joint}: {kind} and target ({unit})", _pair(source, *entities[:2]), height=_SHORT))
+            draw = partial(_pair, source, entities[0], entities[1])
+            panels.append(Panel(f"{joint}: {kind} and target ({unit})", draw, height=_SHORT))
             limit = source.drive(joint, "effort_limit")
-            panels.append(Panel(f"{joint}: effort (N·m)", _effort(source, entities[2], limit), height=_SHORT))
+            draw = partial(_effort, source, entities[2], limit)
+            panels.append(Panel(f"{joint}: effort (N·m)", draw, height=_SHORT))
     return panels
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return panels of the contact force of every touched body, at the end of steps and in the sensor's history.
+    """Return plot panels of the contact force of every touched body.
 
-    For a training, they show the last sample.
+    For a training, the panels show the last sample.
     """
     panels = []
     for sensor in source.below("contacts"):
@@ -70,16 +72,17 @@ def contact_forces(source: Source) -> list[Panel]:
         touched = [i for i in range(len(series.names)) if np.nanmax(most[:, i], initial=0.0) > 0]
         top = float(np.nanmax(most, initial=0.0))
         for i in touched:
-            draw = _force(source, shown, peak, i, top)
+            draw = partial(_force, source, shown, peak, i, top)
             panels.append(Panel(f"{series.names[i]}: contact force (N)", draw, height=_SHORT))
         if len(touched) < len(series.names):
-            never = [name for i, name in enumerate(series.names) if i not in touched]
-            panels.append(_words(f"Never touched ({sensor})", never))
+            never = ", ".join(name for i, name in enumerate(series.names) if i not in touched)
+            height = 0.45 + 0.15 * (len(never) // 110)
+            panels.append(Panel(f"Never touched ({sensor})", partial(_write, never), height=height, wide=True))
     return panels
 
 
 def terminations(source: Source) -> list[Panel]:
-    """Return a panel of the times at which each termination fired."""
+    """Return a plot panel with the times at which each termination term fired."""
     fired = source.fired()
     if not fired:
         return []
@@ -102,13 +105,13 @@ def terminations(source: Source) -> list[Panel]:
 
 
 def rewards(source: Source) -> list[Panel]:
-    """Return panels of the mean weighted reward per term, and of each term over time."""
+    """Return plot panels of the mean weighted value of each reward term, and of each reward term over time."""
     terms = source.weighted()
     if not terms:
         return []
     means = {name: mean_of(series.first) for name, series in terms.items()}
     courses = [
-        Panel(f"{name} (1/s)", _line(source, series), height=_SHORT)
+        Panel(f"{name} (1/s)", partial(_line, source, series), height=_SHORT)
         for name, series in terms.items()
         if np.any(np.nan_to_num(series.first) != 0)
     ]
@@ -117,7 +120,7 @@ def rewards(source: Source) -> list[Panel]:
 
 
 def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
-    """Return a panel for each number of an entity, over time or iterations."""
+    """Return a plot panel for each recorded number of an entity, over time or training iterations."""
     series = source.series(entity)
     many = series.values.shape[1] > 1
 
@@ -133,37 +136,25 @@ def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
 
 
 def with_unit(title: str, entity: str) -> str:
-    """Return a title with the unit of an entity, if it has one."""
+    """Return a panel title; it contains the unit of the entity if the entity has a unit."""
     found = unit(entity)
     return f"{title} ({found})" if found else title
 
 
 def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
-    """Label the axes of a panel over time."""
+    """Label the axes of a plot panel over time."""
     axes.set_xlabel("time in the sample (s)" if relative else "simulated time (s)")
     axes.set_ylabel(label)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
 
 
 def is_driven(source: Source, joint: str) -> bool:
-    """Return whether a joint's drive follows a velocity instead of a position."""
+    """Return whether a joint's drive tracks a velocity target instead of a position target."""
     stiffness = source.drive(joint, "stiffness")
     if stiffness is not None:
         return stiffness == 0.0
     held, driven = (source.maybe("joints", joint, f"{k}_target") for k in ("position", "velocity"))
     return held is not None and driven is not None and bool(np.ptp(held.first) == 0.0 < np.ptp(driven.first))
-
-
-def _velocity_command(source: Source) -> str | None:
-    for name in source.below("commands"):
-        if source.maybe("commands", name, "v_x") is not None:
-            return name
-    return None
-
-
-def _velocity(source: Source, name: str, title: str, unit: str, command: str | None) -> Panel | None:
-    wanted = source.maybe("commands", command, name) if command else None
-    return _over_time(source, ("base", name), title, unit, wanted=wanted)
 
 
 def _over_time(
@@ -175,7 +166,7 @@ def _over_time(
     target: float | None = None,
     wanted: Series | None = None,
 ) -> Panel | None:
-    """Return a panel of one number. A training has one line per sample, from pale (early) to dark (late)."""
+    # For a training, the panel has one line per sample, from pale (early) to dark (late).
     series = source.maybe(*parts)
     if series is None:
         return None
@@ -184,7 +175,9 @@ def _over_time(
         if source.is_training:
             _draw_samples(axes, source, series, wanted)
         else:
-            _mark_ends(axes, source)
+            clock, ends = source.clock(), source.ends()
+            for moment in () if clock is None else clock.time[np.isin(clock.step, ends)]:
+                axes.axvline(moment, color=FAILED, linewidth=0.8, alpha=0.5, gid="end")
             axes.plot(*broken(series, source.ends()), color=BLUE, label="actual")
             if wanted is not None:
                 axes.plot(wanted.time, wanted.first, color=VERMILLION, linestyle=(0, (4, 2)), label="command")
@@ -205,96 +198,69 @@ def _draw_samples(axes: Axes, source: Source, series: Series, wanted: Series | N
         if not len(part.step):
             continue
         time, values = broken(part, source.ends())
-        axes.plot(time - part.time[0], values, color=shade, label=_label(sample))
+        label = f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
+        axes.plot(time - part.time[0], values, color=shade, label=label)
         if wanted is not None:
             commanded = sample.of(wanted)
             axes.plot(commanded.time - part.time[0], commanded.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
 
 
-def _label(sample: Sample) -> str:
-    return f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
-
-
-def _mark_ends(axes: Axes, source: Source) -> None:
-    clock, ends = source.clock(), source.ends()
-    if clock is not None:
-        for moment in clock.time[np.isin(clock.step, ends)]:
-            axes.axvline(moment, color=FAILED, linewidth=0.8, alpha=0.5, gid="end")
-
-
 def _last(source: Source, series: Series) -> Series:
-    """Return the last sample of a training, or the whole series of another recording."""
     samples = source.samples() if source.is_training else []
     return samples[-1].of(series) if samples else series
 
 
-def _pair(source: Source, actual: str, target: str) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
-        for entity, shade, width, label in ((target, ORANGE, 0.9, "target"), (actual, BLUE, 1.4, "actual")):
-            series = _last(source, source.series(entity))
-            axes.plot(*broken(series, source.ends()), color=shade, linewidth=width, label=label)
-        over_time(axes)
-        axes.legend(loc="upper right", ncols=2)
-
-    return draw
-
-
-def _effort(source: Source, entity: str, limit: float | None) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
+def _pair(source: Source, actual: str, target: str, axes: Axes) -> None:
+    for entity, shade, width, label in ((target, ORANGE, 0.9, "target"), (actual, BLUE, 1.4, "actual")):
         series = _last(source, source.series(entity))
-        axes.plot(*broken(series, source.ends()), color=BLUE, linewidth=1.0)
-        over_time(axes)
-        if limit is not None and np.isfinite(limit):
-            axes.set_ylim(*_padded(-limit, limit, 0.12))
-            for bound in (-limit, limit):
-                axes.axhline(bound, color=FAILED, linewidth=1.0, linestyle=(0, (4, 2)))
-            axes.annotate(
-                f"limit ±{limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="top",
-                fontsize=8, color=FAILED, xytext=(0, -2), textcoords="offset points",
-            )  # fmt: skip
+        axes.plot(*broken(series, source.ends()), color=shade, linewidth=width, label=label)
+    over_time(axes)
+    axes.legend(loc="upper right", ncols=2)
 
-    return draw
+
+def _effort(source: Source, entity: str, limit: float | None, axes: Axes) -> None:
+    series = _last(source, source.series(entity))
+    axes.plot(*broken(series, source.ends()), color=BLUE, linewidth=1.0)
+    over_time(axes)
+    if limit is not None and np.isfinite(limit):
+        axes.set_ylim(*_padded(-limit, limit, 0.12))
+        for bound in (-limit, limit):
+            axes.axhline(bound, color=FAILED, linewidth=1.0, linestyle=(0, (4, 2)))
+        axes.annotate(
+            f"limit ±{limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="top",
+            fontsize=8, color=FAILED, xytext=(0, -2), textcoords="offset points",
+        )  # fmt: skip
 
 
 def _peak(source: Source, sensor: str, series: Series) -> Series | None:
-    """Return the largest forces within each step, aligned with the forces at its end; None if not recorded."""
+    """Return the largest forces within each control step; None if these forces were not recorded."""
     peak = source.maybe("contacts", sensor, "peak")
     if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
         return None
     return _last(source, peak)
 
 
-def _force(source: Source, series: Series, peak: Series | None, column: int, top: float) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
-        time, values = broken(series, source.ends(), column)
-        axes.fill_between(time, values, color=BLUE, alpha=0.18, linewidth=0)
-        axes.plot(time, values, color=BLUE, linewidth=1.1, label="end of the step")
-        if peak is not None:
-            axes.plot(*broken(peak, source.ends(), column), color=ORANGE, linewidth=0.8, label="largest in the history")
-            axes.legend(loc="upper right", ncols=2)
-        over_time(axes)
-        axes.set_ylim(0, (1.08 if peak is None else 1.3) * top)
-
-    return draw
+def _force(source: Source, series: Series, peak: Series | None, column: int, top: float, axes: Axes) -> None:
+    time, values = broken(series, source.ends(), column)
+    axes.fill_between(time, values, color=BLUE, alpha=0.18, linewidth=0)
+    axes.plot(time, values, color=BLUE, linewidth=1.1, label="end of the step")
+    if peak is not None:
+        axes.plot(*broken(peak, source.ends(), column), color=ORANGE, linewidth=0.8, label="largest in the history")
+        axes.legend(loc="upper right", ncols=2)
+    over_time(axes)
+    axes.set_ylim(0, (1.08 if peak is None else 1.3) * top)
 
 
-def _line(source: Source, series: Series) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
-        shown = _last(source, series)
-        axes.plot(*broken(shown, source.ends()), color=BLUE, linewidth=1.2)
-        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
-        over_time(axes)
-
-    return draw
+def _line(source: Source, series: Series, axes: Axes) -> None:
+    shown = _last(source, series)
+    axes.plot(*broken(shown, source.ends()), color=BLUE, linewidth=1.2)
+    axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+    over_time(axes)
 
 
-def _words(title: str, names: Sequence[str]) -> Panel:
-    def draw(axes: Axes) -> None:
-        axes.axis("off")
-        text = textwrap.fill(", ".join(names), 110)
-        axes.text(0, 0.95, text, va="top", transform=axes.transAxes, color=MUTED, fontsize=9)
-
-    return Panel(title, draw, height=0.45 + 0.15 * (sum(map(len, names)) // 110), wide=True)
+def _write(text: str, axes: Axes) -> None:
+    axes.axis("off")
+    axes.text(0, 0.95, textwrap.fill(text, 110), va="top", transform=axes.transAxes, color=MUTED, fontsize=9)
 
 
 def _padded(low: float, high: float, part: float = 0.01) -> tuple[float, float]:

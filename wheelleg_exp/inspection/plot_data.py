@@ -28,15 +28,7 @@ _LONGEST_CONFIG = 1 << 20  # characters
 
 @dataclass(frozen=True)
 class Series:
-    """Numbers over time.
-
-    Attributes:
-        step: control steps, (n,).
-        time: simulated time, s, (n,).
-        iteration: training iterations, (n,), or None.
-        values: the numbers, (n, width).
-        names: one name per number.
-    """
+    """Numbers over time: control steps (n,), times in s (n,), training iterations (n,) or None, values (n, width)."""
 
     step: NDArray[np.int64]
     time: Numbers
@@ -45,21 +37,21 @@ class Series:
     names: tuple[str, ...]
 
     def rows(self, which: Any) -> Series:
-        """Return some of the rows."""
+        """Return the chosen rows of a series."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
 
     @property
     def first(self) -> Numbers:
-        """The first number, (n,)."""
+        """The first number of a series, (n,)."""
         return self.values[:, 0]
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Consecutive recorded steps.
+    """Consecutive recorded control steps.
 
-    ``iteration`` is the training iteration at its start, or None.
+    ``iteration`` is the training iteration at the first of these steps, or None.
     """
 
     first: int
@@ -67,17 +59,14 @@ class Sample:
     iteration: int | None
 
     def of(self, series: Series) -> Series:
-        """Return the rows of a series within the sample."""
+        """Return the rows of a series that belong to the sample."""
         return series.rows((series.step >= self.first) & (series.step <= self.last))
 
 
 class Source:
-    """A recording as a source of plots.
+    """A rerun recording as a source of plots.
 
-    ``env`` is the recorded environment; by default the selection's, or else the first.
-
-    Raises:
-        RunDirectoryError: that environment was not recorded.
+    ``env`` defaults to the selected environment, or else to the first environment.
     """
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
@@ -91,48 +80,39 @@ class Source:
 
     @property
     def whose(self) -> str:
-        """The name of the environment; empty if only one was recorded."""
+        """The name of the plotted environment; an empty string if only one environment was recorded."""
         return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
-        """Return the path of an entity of the environment."""
+        """Return the rerun entity path of an entity of the plotted environment."""
         return join(self.branch, *parts)
 
-    def has(self, entity: str) -> bool:
-        """Return whether an entity has rows over time."""
-        return self.recording.has_rows(entity)
-
     def below(self, *parts: str) -> list[str]:
-        """Return the names directly below a path, in the environment's order if it was recorded."""
+        """Return the names of the entities directly below an entity path, in the recorded order if possible."""
         root = self.path(*parts)
         found, statics = self.children(root), self.recording.static(root)
         order = [str(name) for name in statics.get("terms", statics.get("names", []))]
         return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
     def children(self, root: str) -> list[str]:
-        """Return the names directly below an entity."""
+        """Return the names of the entities directly below an entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
         return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
-        """Return the entity of a dotted name, or None.
+        """Return the entity of a dotted name such as ``rewards.base_height``, or None.
 
-        ``rewards.base_height`` is ``rewards/base_height`` of the environment. The prefix ``training.`` of a training
-        scalar is optional, and slashes can replace dots.
+        The prefix ``training.`` of a training scalar is optional, and slashes can replace dots.
         """
         parts = parts_of(term) if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
-            if self.has(entity):
+            if self.recording.has_rows(entity):
                 return entity
         return None
 
     def series(self, entity: str) -> Series:
-        """Return the numbers of an entity.
-
-        Raises:
-            RunDirectoryError: it has no numbers, or no row is selected.
-        """
+        """Return the numbers of an entity; raise RunDirectoryError if the entity has no numbers or no selected rows."""
         found = self._series(entity)
         if not found.values.size:
             raise RunDirectoryError(f"no row of '{entity}' of '{self.recording.path}' is selected")
@@ -149,13 +129,13 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return the numbers of an entity of the environment; None without numbers or selected rows."""
+        """Return an entity's numbers in the plotted environment; None without numbers or selected rows."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
 
     def training(self) -> dict[str, tuple[Any, Any]]:
-        """Return iterations and values of every training scalar by its key, such as ``Loss/value``."""
+        """Return the iterations and values of every training scalar, by its key such as ``Loss/value``."""
         found: dict[str, tuple[Any, Any]] = {}
         for entity in self._entities:
             if entity.startswith(f"{TRAINING}/") and is_numeric(self.recording, entity):
@@ -168,19 +148,23 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether the recording is of a training."""
+        """Whether a training wrote the recording."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
-        """Return the stretches of consecutive steps in order of time."""
+        """Return the groups of consecutive recorded control steps in order of time."""
         clock = self.clock()
         if clock is None or not len(clock.step):
             return []
         cuts = [0, *(np.flatnonzero(np.diff(clock.step) > 1) + 1).tolist(), len(clock.step)]
-        return [_sample(clock, a, b) for a, b in pairwise(cuts)]
+        iterations = clock.step * 0 if clock.iteration is None else clock.iteration
+        return [
+            Sample(int(clock.step[a]), int(clock.step[b - 1]), None if clock.iteration is None else int(iterations[a]))
+            for a, b in pairwise(cuts)
+        ]
 
     def shown_samples(self, count: int = 4) -> list[Sample]:
-        """Return the first sample, the last, and evenly spaced ones between."""
+        """Return the first sample, the last sample, and evenly spaced samples between these two."""
         samples = self.samples()
         if len(samples) <= count:
             return samples
@@ -195,23 +179,26 @@ class Source:
         return None
 
     def fired(self) -> dict[str, Series]:
-        """Return each termination's flags by name."""
+        """Return the recorded flags of each termination term, by the term's name."""
         found = {name: self.maybe("terminations", name) for name in self.below("terminations")}
         return {name: series for name, series in found.items() if series is not None}
 
     def ends(self) -> NDArray[np.int64]:
-        """Return the last steps of episodes."""
+        """Return the control steps at which episodes ended."""
         steps = [series.step[series.first > 0] for series in self.fired().values()]
         return np.unique(np.concatenate(steps)) if steps else np.empty(0, dtype=np.int64)
 
     def weighted(self) -> dict[str, Series]:
-        """Return each reward term's weighted values, 1/s, by name, without the sum."""
+        """Return the weighted values of each reward term, 1/s, by the term's name.
+
+        The sum of all reward terms is excluded.
+        """
         names = [name for name in self.below("rewards") if name != "total"]
         found = {name: self.maybe("rewards", name) for name in names}
         return {name: series for name, series in found.items() if series is not None}
 
     def target_height(self) -> float | None:
-        """Return the base height that the recorded config's rewards name, m, or None."""
+        """Return the base's target height, m, from the recorded reward terms; None without a target height."""
         for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
             height = as_number(_mapping(term).get("target_height"))
             if height is not None:
@@ -219,14 +206,14 @@ class Source:
         return None
 
     def drive(self, joint: str, name: str) -> float | None:
-        """Return a number of a joint's drive, such as ``effort_limit``, or None."""
+        """Return a recorded property of a joint's drive, such as ``effort_limit``, or None if not recorded."""
         kept = self.recording.static(self.path("joints", joint)).get(name)
         return as_number(kept[0]) if kept else None
 
 
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
-    """Return times and values with a gap after each step in ``ends``, so that no line crosses a reset."""
-    # A NaN between two points breaks matplotlib's line.
+    """Return times and values with NaN after each control step in ``ends``, so that plotted lines stop at resets."""
+    # matplotlib interrupts a line at NaN.
     cuts = np.flatnonzero(np.isin(series.step, ends)) + 1
     cuts = np.union1d(cuts, np.flatnonzero(np.diff(series.step) > 1) + 1)
     cuts = cuts[cuts < len(series.step)]
@@ -237,7 +224,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the indices of the rows that a selection selects."""
+    """Return the indices of the table rows that a selection of times and iterations contains."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
@@ -247,20 +234,20 @@ def chosen_rows(
 
 
 def drawable(values: Any) -> Numbers:
-    """Return numbers with NaN for values that are not finite or too large for an axis."""
+    """Return numbers in which NaN replaces values that are not finite or too large for a plot axis."""
     found = np.asarray(values, dtype=np.float64)
     return np.where(np.abs(found) < _LARGEST, found, np.nan)
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of the drawable numbers; 0 without any."""
+    """Return the mean of the numbers that a plot can show; 0 if a plot can show none of the numbers."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0
 
 
 def seconds(table: pa.Table) -> Numbers:
-    """Return the simulated times of a table, s; zeros if it has none."""
+    """Return the simulated times of a table, s; zeros if the table has no simulated times."""
     if SIM_TIME not in table.column_names:
         return np.zeros(len(table))
     column = table.column(SIM_TIME).combine_chunks()
@@ -270,7 +257,7 @@ def seconds(table: pa.Table) -> Numbers:
 
 
 def parts_of(entity: str) -> list[str]:
-    """Return the plain names along an entity path."""
+    """Return the parts of a rerun entity path without escape characters."""
     return [_plain(part) for part in re.split(r"(?<!\\)/", entity.strip("/"))]
 
 
@@ -282,13 +269,7 @@ def _integers(table: pa.Table, name: str) -> NDArray[np.int64]:
     return np.asarray(table.column(name).combine_chunks().cast(pa.int64()).fill_null(-1), dtype=np.int64)
 
 
-def _sample(clock: Series, a: int, b: int) -> Sample:
-    iteration = None if clock.iteration is None else int(clock.iteration[a])
-    return Sample(int(clock.step[a]), int(clock.step[b - 1]), iteration)
-
-
 def _config(recording: Recording) -> dict[str, Any]:
-    """Return the recorded config, or an empty mapping."""
     text = recording.document("config")
     if text is None or len(text) > _LONGEST_CONFIG:
         return {}

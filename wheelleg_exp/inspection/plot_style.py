@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import matplotlib as mpl
@@ -27,12 +28,12 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# From pale (early) to dark (late), readable on white and in grey print.
+# The colours go from pale (early) to dark (late), and are readable on white and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
 _DPI = 150
-_COLUMNS = 2  # panels in a row, unless one is wide
+_COLUMNS = 2  # A figure has two panels per row, unless one of the panels is wide.
 _MOST_PANELS = 200
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _WEB_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
@@ -83,19 +84,15 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # a name can contain any character, also $
+    "text.parse_math": False,  # The name of a term can contain a dollar sign.
 }
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot of a figure.
+    """One plot of a figure: its title with the unit, a function that draws into axes, and its height in inches.
 
-    Attributes:
-        title: its title, with the unit.
-        draw: draws into axes with style and title.
-        height: its height in inches, if the figure's size is free.
-        wide: whether it takes a whole row.
+    A ``wide`` panel occupies a whole row of the figure. The height has no effect in a figure of fixed size.
     """
 
     title: str
@@ -106,7 +103,7 @@ class Panel:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply the style, and restore the previous settings afterwards."""
+    """Apply this project's plot style inside the block, and restore the previous matplotlib settings afterwards."""
     with mpl.rc_context(rc={**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE}):
         yield
 
@@ -117,65 +114,58 @@ def _saved(figure: Figure) -> Iterator[None]:
     for text in figure.findobj(Text):
         text.set_text(printable(text.get_text()))
     with styled(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # missing glyphs, and titles that are too long
+        warnings.simplefilter("ignore", UserWarning)  # matplotlib warns of missing glyphs and too long titles.
         yield
 
 
 def colour(index: int) -> str:
-    """Return the ``index``-th colour for unordered items."""
+    """Return the plot colour for the index of an item whose order has no meaning."""
     return PALETTE[index % len(PALETTE)]
 
 
 def shades(count: int) -> list[Any]:
-    """Return ``count`` colours from pale to dark, for items ordered in time."""
+    """Return plot colours from pale (early) to dark (late) for items that are ordered in time."""
     if count == 1:
         return [BLUE]
     return [PROGRESS(i / (count - 1)) for i in range(count)]
 
 
-def tile(
-    panels: Sequence[Panel],
-    *,
-    title: str | None = None,
-    size: tuple[float, float] | None = None,
-) -> Figure:
-    """Return a figure of panels in a grid.
+def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
+    """Return a matplotlib figure of panels in a grid, with a title above the panels.
 
-    ``title`` is a line above them. ``size`` is the width and height, inches; by default the page's width and the
-    panels' heights.
+    ``size`` is the width and height of the figure, inches; by default the width of a page and the sum of the panels'
+    heights.
     """
     with styled():
         return _tiled([(title, panels)], size)
 
 
 def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
-    """Return a figure of several titled groups of panels, from top to bottom."""
+    """Return a matplotlib figure of several titled groups of panels, from top to bottom."""
     with styled():
         return _tiled(sections)
 
 
 def figure_svg(figure: Figure) -> str:
-    """Return a figure as an SVG document without a date, so that equal figures give equal files.
+    """Return a matplotlib figure as an SVG document without a date, so that equal figures give equal files.
 
-    Text stays text in the reader's font. The root has a ``viewBox``, so that a page can scale it.
+    The SVG contains text elements instead of glyph outlines. The root element has a ``viewBox``, so that a page can
+    scale the drawing.
     """
     with _saved(figure):
         buffer = io.StringIO()
         nothing: Mapping[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
         FigureCanvasSVG(figure).print_svg(buffer, metadata=dict(nothing))
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]  # HTML forbids the XML declaration
+    text = text[text.index("<svg") :]  # The XML declaration of an SVG file is not valid inside an HTML page.
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
-    return re.sub(r' d="[^"]+"', lambda path: _NUMBER.sub(_short, path[0]), text)
-
-
-def _short(number: re.Match[str]) -> str:
-    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
+    shorten = partial(_NUMBER.sub, lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."))
+    return re.sub(r' d="[^"]+"', lambda path: shorten(path[0]), text)
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of a file of ``kind``: png, svg or pdf, without a date."""
+    """Return a matplotlib figure as the bytes of a png, svg or pdf file, without a date."""
     if kind == "svg":
         head = '<?xml version="1.0" encoding="utf-8" standalone="no"?>\n'
         return (head + figure_svg(figure)).encode()
@@ -206,7 +196,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return as many panels as a figure can have. The last panel counts the remaining ones."""
+    """Return as many panels as fit into a figure; the last panel states the number of omitted panels."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
@@ -225,7 +215,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # Rows with one and with two panels share one grid: its columns are the least common multiple.
+    # Rows of one panel and rows of two panels share one grid. Its number of columns is the least common multiple.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

@@ -1,6 +1,6 @@
-"""Recorded numbers: the selected frames of a recording, numbers by typed name, and their statistics.
+"""Recorded numbers: the selected frames of a recording, numbers by name, and their statistics.
 
-A typed name is for example ``rewards.base_height``.
+The name of a recorded number is for example ``rewards.base_height``.
 """
 
 from __future__ import annotations
@@ -34,16 +34,11 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of one number over its finite values; None without any.
+    """Statistics of the finite values of one recorded number; the statistics are None without finite values.
 
-    Attributes:
-        count: number of values, finite or not.
-        nan, infinite: number of NaN and of infinite values.
-        mean, std, rms: mean, standard deviation (over n), root mean square.
-        minimum, maximum: the extremes.
-        quantiles: values by share, interpolated linearly.
-        minimum_at, maximum_at: first moments of the extremes.
-        first_at, last_at: moments of the first and the last value, finite or not.
+    ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation divides by n.
+    ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
+    ``maximum_at`` are the moments at which the minimum and the maximum were first recorded.
     """
 
     count: int
@@ -61,12 +56,12 @@ class Statistics:
     last_at: Moment | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the statistics as a plain mapping."""
+        """Return the statistics as a dictionary."""
         return asdict(self)
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of ``values`` (n,). ``at`` returns the moment of a row."""
+    """Return the statistics of ``values`` (n,); the function ``at`` returns the moment of a row."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -78,7 +73,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
         return Statistics(**counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
-    with np.errstate(over="ignore", invalid="ignore"):  # squares of huge values overflow
+    with np.errstate(over="ignore", invalid="ignore"):  # The squares of very large values overflow.
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
     return Statistics(
         **counts,
@@ -100,10 +95,7 @@ TIMES = (STEP, SIM_TIME, ITERATION)
 
 @dataclass(frozen=True)
 class Frames:
-    """Rows of one environment.
-
-    ``table`` has the timelines and one float64 column per number.
-    """
+    """Recorded rows of one environment. ``table`` has the timelines and one float64 column per recorded number."""
 
     table: pa.Table
     env_id: int | None
@@ -113,22 +105,22 @@ class Frames:
 
     @property
     def names(self) -> list[str]:
-        """The names of the numbers."""
+        """The names of the numbers in the table."""
         return [name for name in self.table.column_names if name not in TIMES]
 
     def column(self, name: str) -> NDArray:
-        """Return a number or a timeline, (n,)."""
+        """Return a recorded number or a timeline by name, (n,)."""
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
-        """Return the moment of a row."""
+        """Return the simulated moment at which a row was recorded."""
         step, time_s, iteration = (
             self.table.column(name)[row].as_py() if name in self.table.column_names else None for name in TIMES
         )
         return Moment(step, time_s, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return the rows where ``mask`` is true."""
+        """Return the frames where ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
@@ -141,33 +133,29 @@ class View:
 
     @property
     def env_ids(self) -> list[int]:
-        """The selected environments."""
+        """The indices of the selected environments."""
         return self.selection.env_ids(self.recording)
 
-    def has(self, group: str, env_id: int) -> bool:
-        """Return whether an environment has numbers at a group or entity."""
+    def frames(self, group: str, env_id: int) -> Frames | None:
+        """Return one environment's rows of a group such as ``rewards``; None if the group has no numbers."""
         branch = self.recording.branch(env_id)
         path = f"{branch}/{group}" if branch else group
-        return path in self.recording.groups() or "scalars" in self.recording.columns(path)
-
-    def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return the rows of a group of one environment; None if it has no numbers there."""
-        if not self.has(group, env_id):
+        if path not in self.recording.groups() and "scalars" not in self.recording.columns(path):
             return None
         return Frames(self.selection.apply(self.recording.numbers(group, env_id)), env_id)
 
     def names(self, group: str) -> list[str]:
-        """Return the names of a group's numbers."""
+        """Return the names of the recorded numbers in a group such as ``rewards``."""
         frames = self.frames(group, self.env_ids[0])
         return [] if frames is None else frames.names
 
     def column(self, group: str, name: str) -> NDArray[np.float64]:
-        """Return a number over the rows of all selected environments, concatenated."""
+        """Return the values of a recorded number in the selected rows of all selected environments, concatenated."""
         parts = [frames.column(name) for frames in self._all(group) if name in frames.names]
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return the moment of a row of ``column``."""
+        """Return the simulated moment of a row of a recorded number."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)
@@ -175,7 +163,7 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return the static components at a path of the first selected environment."""
+        """Return the static rerun components at a path of the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
@@ -197,92 +185,64 @@ _SHOWN = 12
 
 
 def find_number(recording: Recording, name: str, env_id: int | None = None, key: str = "--term") -> Number:
-    """Return the number of a name.
-
-    Raises:
-        WheellegError: there is none; the error names the nearest one.
-    """
+    """Return the recorded number with a name; raise WheellegError for an unknown name."""
     numbers = recording.all_numbers(env_id)
     for word in (name, name.strip("/").replace("/", ".")):
         if word in numbers:
             return numbers[word]
-    raise WheellegError(
-        f"no number '{name}' was recorded",
-        key=key,
-        expected=_expected(name, list(numbers)),
-        nearest=_nearest(name, list(numbers)),
-    )
+    word = name.replace("/", ".")
+    ends = [number for number in numbers if number.endswith(f".{word}")]
+    nearest = min(ends, key=len) if ends else nearest_name(word, list(numbers))
+    expected = _expected(name, list(numbers))
+    raise WheellegError(f"no number '{name}' was recorded", key=key, expected=expected, nearest=nearest)
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
-    """Return the selected rows of numbers for each selected environment, by the given names.
-
-    Raises:
-        WheellegError: a name or the selection is wrong.
-    """
+    """Return the selected rows of the named numbers for each selected environment."""
     words, found = list(dict.fromkeys(names)), []
     for env_id in selection.env_ids(recording):
         numbers = [find_number(recording, name, env_id, key) for name in words]
         named = [Number(word, n.entity, n.index) for word, n in zip(words, numbers, strict=True)]
         shared = bool(recording.branch(env_id)) and not any(is_of_env(number) for number in numbers)
         found.append(Frames(selection.apply(recording.columns_of(named)), None if shared else env_id))
-        if shared:
-            break  # these numbers belong to no environment
+        if shared:  # Numbers that belong to no environment are the same for all environments.
+            break
     return found
 
 
 def is_of_env(number: Number) -> bool:
-    """Return whether a number belongs to one of several recorded environments."""
+    """Return whether a recorded number belongs to one of several recorded environments."""
     return BRANCH.match(number.entity) is not None
 
 
 def _expected(name: str, names: list[str]) -> str:
-    """Return the names with the same first part, or the first parts of all names."""
     top = name.replace("/", ".").split(".")[0]
     below = [n for n in names if n.startswith(f"{top}.")]
     shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in names)]
     return "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
 
 
-def _nearest(name: str, names: list[str]) -> str | None:
-    word = name.replace("/", ".")
-    ends = [n for n in names if n.endswith(f".{word}")]
-    return min(ends, key=len) if ends else nearest_name(word, names)
-
-
 @dataclass(frozen=True)
 class NumberEntry:
-    """One recorded number: its name and number of rows."""
+    """One recorded number: its name, and its number of rows."""
 
     name: str
     rows: int
 
 
 def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return every recorded number of one environment, and those of none.
-
-    Raises:
-        RunDirectoryError: that environment was not recorded.
-    """
+    """Return by name every recorded number of one environment, and every number that belongs to no environment."""
     return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:
-    """Return the unit of each number that has one, by the given name.
-
-    Raises:
-        WheellegError: a name is wrong.
-    """
+    """Return the units of the named numbers; a number without a unit is omitted."""
     found = {name: unit(find_number(recording, name, env_id).entity) for name in names}
     return {name: word for name, word in found.items() if word}
 
 
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
-    """Return the statistics of numbers over all selected environments.
-
-    Raises:
-        WheellegError: a name or the selection is wrong.
-    """
+    """Return the statistics of the named numbers over all selected environments."""
     return {name: _statistics(recording, name, selection) for name in names}
 
 

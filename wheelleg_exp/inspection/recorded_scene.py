@@ -27,7 +27,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def shapes_in(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
-    """Yield the drawable shapes of one entity, which can hold several of a kind."""
+    """Yield the drawable shapes of one rerun entity; an entity can contain several shapes."""
     found = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
     return filter(_is_drawable, found)
 
@@ -46,7 +46,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         rgba = rgba_of(_at(statics, ("colors",), i, None))
-        if "half_sizes" in statics:  # boxes and ellipsoids differ only by archetype
+        if "half_sizes" in statics:  # rerun's boxes and ellipsoids have equal components.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
         else:
@@ -59,7 +59,7 @@ def _round(
     radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
     if "centers" in statics:
         return Shape("cylinder", (radius, half), pos, quat, rgba)
-    # The origin of a recorded capsule is the centre of one cap; a shape's origin is its centre.
+    # The origin of a rerun capsule is the centre of one cap, but the origin of a drawn shape is the shape's centre.
     centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
     return Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
@@ -92,7 +92,7 @@ def _at(statics: Mapping[str, list[Any]], names: Sequence[str], i: int, otherwis
 
 
 def rgba_of(packed: Any) -> tuple[float, ...]:
-    """Return a colour, 0 to 1, from a number 0xRRGGBBAA; grey for None."""
+    """Return the RGBA components, 0 to 1, of a colour 0xRRGGBBAA; grey for None."""
     if packed is None:
         return _GREY
     return tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
@@ -108,7 +108,7 @@ _ARROWS = {"actual": "velocity", "command": "commanded velocity"}
 
 @dataclass(frozen=True)
 class Arrows:
-    """Arrows of one kind: colour, radius, m, and per frame their origins and vectors, (k, 3), m."""
+    """Arrows of one kind: colour, radius (m), and for each frame their origins and vectors, (k, 3), m."""
 
     name: str
     rgba: tuple[float, ...]
@@ -119,16 +119,10 @@ class Arrows:
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of a scene, frame by frame.
+    """The recorded motion of the robot's bodies, frame by frame.
 
-    Attributes:
-        step: control steps, (n,).
-        time: simulated time, s, (n,).
-        iteration: training iterations, (n,), or None.
-        pos: positions of the bodies, m, (n, B, 3).
-        quat: their orientations, wxyz, (n, B, 4).
-        arrows: the arrows over the scene.
-        commands: velocity command by the name of each number, (n,).
+    The arrays are control steps (n,), times in s (n,), training iterations (n,) or None, positions of the bodies in m
+    (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` are the numbers of the velocity command by name, (n,).
     """
 
     step: NDArray[np.int64]
@@ -140,18 +134,21 @@ class Motion:
     commands: Mapping[str, Numbers] = field(default_factory=dict)
 
     def iteration_at(self, row: int) -> int | None:
-        """Return the training iteration of a frame, or None."""
+        """Return the training iteration of a frame; None outside of training."""
         known = self.iteration is not None and self.iteration[row] >= 0
         return int(self.iteration[row]) if known and self.iteration is not None else None
 
 
 def scene_of(source: Source) -> Scene:
-    """Return the scene of a recording.
-
-    Raises:
-        RunDirectoryError: the recording has no robot.
-    """
-    bodies = {name: list(_shapes_below(source, source_body(source, name))) for name in _bodies(source)}
+    """Return the scene of a recording; a recording without a moving robot raises RunDirectoryError."""
+    moving = {STEP, "translation", "quaternion"}
+    names = source.children(join(WORLD, source.branch) if source.branch else WORLD)
+    entities = {name: entity for name in names if source.recording.has_rows(entity := source_body(source, name))}
+    bodies = {
+        name: list(_shapes_below(source, entity))
+        for name, entity in entities.items()
+        if moving <= source.recording.columns(entity)
+    }
     if not any(bodies.values()):
         reason = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
         raise RunDirectoryError(
@@ -165,10 +162,9 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene. The last finite pose replaces a pose that is not finite.
+    """Return the recorded motion of a scene. A pose that is not finite is replaced by the last finite pose.
 
-    Raises:
-        RunDirectoryError: the bodies have no common step.
+    The function raises RunDirectoryError if the bodies have no common control step.
     """
     tables = _at_common_steps([source.recording.table(source_body(source, name)) for name in scene.bodies])
     first = tables[0]
@@ -177,7 +173,7 @@ def motion_of(source: Source, scene: Scene) -> Motion:
             f"the bodies of '{source.recording.path}' have no common step", expected="a complete recording"
         )
     step = np.asarray(first.column(STEP).combine_chunks())
-    # Rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
+    # rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
     pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
     quat = np.stack([_last_finite(_vectors(t, "quaternion", 4)) for t in tables], axis=1)[..., [3, 0, 1, 2]]
     iteration = None
@@ -188,17 +184,17 @@ def motion_of(source: Source, scene: Scene) -> Motion:
 
 
 def source_body(source: Source, name: str) -> str:
-    """Return the entity of a body."""
+    """Return the rerun entity path of a body."""
     return join(WORLD, source.branch, name)
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the rows of a motion that belong to a sample."""
+    """Return the frames of a motion that belong to a sample."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
 def _at_common_steps(tables: Sequence[pa.Table]) -> list[pa.Table]:
-    """Return the rows of the common steps. A truncated file can end with the rows of only some bodies."""
+    # A truncated recording can end with the rows of only some bodies.
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if all(np.array_equal(own, steps[0]) for own in steps):
         return list(tables)
@@ -206,17 +202,8 @@ def _at_common_steps(tables: Sequence[pa.Table]) -> list[pa.Table]:
     return [table.take(np.searchsorted(own, common)) for table, own in zip(tables, steps, strict=True)]
 
 
-def _bodies(source: Source) -> list[str]:
-    root = join(WORLD, source.branch) if source.branch else WORLD
-    return [name for name in source.children(root) if _has_poses(source, source_body(source, name))]
-
-
-def _has_poses(source: Source, entity: str) -> bool:
-    return source.has(entity) and {STEP, "translation", "quaternion"} <= source.recording.columns(entity)
-
-
 def _root(source: Source, names: list[str]) -> int:
-    """Return the base: by the recording's properties, or else the body at the recorded base height."""
+    """Return the index of the robot's base, from the recording's properties or else from the recorded base height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))
@@ -229,9 +216,7 @@ def _root(source: Source, names: list[str]) -> int:
 
 
 def _property(source: Source, name: str) -> list[Any]:
-    properties = getattr(source.recording, "properties", {})
-    robot = properties.get("robot", {}) if isinstance(properties, Mapping) else {}
-    value = robot.get(name) if isinstance(robot, Mapping) else None
+    value = source.recording.properties.get("robot", {}).get(name)
     return [] if value is None else (value if isinstance(value, list) else [value])
 
 
@@ -257,9 +242,10 @@ def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
 def _ground(source: Source) -> Ground | None:
     statics = source.recording.static(GROUND)
     vertices = np.asarray(statics.get("vertex_positions") or [], dtype=np.float64)
-    if len(vertices) < 2 or not source.has(GROUND) or "translation" not in source.recording.columns(GROUND):
+    table = source.recording.table(GROUND) if source.recording.has_rows(GROUND) else None
+    if len(vertices) < 2 or table is None or "translation" not in table.column_names:
         return None
-    height = float(_vectors(source.recording.table(GROUND), "translation", 3)[-1, 2])
+    height = float(_vectors(table, "translation", 3)[-1, 2])
     tile = float(np.linalg.norm(vertices[1] - vertices[0]))
     return Ground(height, tile) if abs(height) < FAR and 0.0 < tile < FAR else None
 
@@ -269,15 +255,20 @@ def _arrows(source: Source, step: NDArray[np.int64]) -> Iterator[Arrows]:
     for group in ("contacts", "velocity"):
         for name in source.children(f"{root}/{group}"):
             entity = f"{root}/{group}/{join(name)}"
-            if source.has(entity) and {STEP, "origins", "vectors"} <= source.recording.columns(entity):
+            if source.recording.has_rows(entity) and {STEP, "origins", "vectors"} <= source.recording.columns(entity):
                 yield _arrows_at(source, entity, _ARROWS.get(name, "contact force"), step)
 
 
 def _arrows_at(source: Source, entity: str, name: str, step: NDArray[np.int64]) -> Arrows:
     table, statics = source.recording.table(entity), source.recording.static(entity)
     rows = {int(s): i for i, s in enumerate(np.asarray(table.column(STEP)))}
-    pairs = [_pairs(*ends) for ends in zip(*(_ragged(table, name) for name in ("origins", "vectors")), strict=True)]
-    origins, vectors = ([pair[i] for pair in pairs] for i in (0, 1))
+    origins, vectors = [], []
+    for starts, ends in zip(_ragged(table, "origins"), _ragged(table, "vectors"), strict=True):
+        count = min(len(starts), len(ends))
+        both = np.concatenate((starts[:count], ends[:count]), axis=1)
+        both = both[(np.abs(both) < FAR).all(axis=1)]
+        origins.append(both[:, :3])
+        vectors.append(both[:, 3:])
     empty = np.empty((0, 3))
 
     def of(values: list[Numbers]) -> list[Numbers]:
@@ -285,14 +276,6 @@ def _arrows_at(source: Source, entity: str, name: str, step: NDArray[np.int64]) 
 
     radius = float((statics.get("radii") or [0.002])[0])
     return Arrows(name, rgba_of((statics.get("colors") or [None])[0]), radius, of(origins), of(vectors))
-
-
-def _pairs(origins: Numbers, vectors: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the arrows that have both ends."""
-    count = min(len(origins), len(vectors))
-    both = np.concatenate((origins[:count], vectors[:count]), axis=1)
-    both = both[(np.abs(both) < FAR).all(axis=1)]
-    return both[:, :3], both[:, 3:]
 
 
 def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
@@ -305,13 +288,12 @@ def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
 
 
 def _vectors(table: pa.Table, name: str, width: int) -> Numbers:
-    """Return the first vector of each row of a component, (n, width); NaN for an empty row."""
+    """Return the first vector of each row of a rerun component, (n, width); NaN for an empty row."""
     rows = [row[:1] if len(row) else np.full((1, width), np.nan) for row in _ragged(table, name, width)]
     return np.concatenate(rows) if rows else np.empty((0, width))
 
 
 def _ragged(table: pa.Table, name: str, width: int = 3) -> list[Numbers]:
-    """Return the vectors of each row of a component, (k, width) each."""
     column = table.column(name).combine_chunks()
     lengths = np.asarray(pc.fill_null(pc.list_value_length(column), 0), dtype=np.int64)
     flat = np.asarray(column.flatten().flatten(), dtype=np.float64)
@@ -322,7 +304,7 @@ def _last_finite(rows: Numbers) -> Numbers:
     fine = (np.abs(rows) < FAR).all(axis=1)
     if fine.all() or not fine.any():
         return np.where(np.abs(rows) < FAR, rows, 0.0)
-    # For each row the index of the last finite row before it; the first finite row serves all rows before it.
+    # Replace each row that is not finite by the preceding finite row, or else by the first finite row.
     last = np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))
     return rows[last]
 
@@ -333,7 +315,7 @@ _LOOKED_AT = 12
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with constant distance, m, and direction, and a moving target, (n, 3), m, one per frame."""
+    """A camera with constant distance, m, and direction, and a moving target, (n, 3), m, for each frame."""
 
     distance: float
     lookat: Array
@@ -342,7 +324,7 @@ class Camera:
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
     """Return a camera for the chosen frames of a motion.
 
-    ``aspect`` is the width of the picture over its height.
+    ``aspect`` is the width of the picture divided by its height.
     """
     root = motion.pos[rows, scene.root]
     seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]
@@ -355,7 +337,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
 
 
 def _smoothed(path: Array, time: Array, size: float) -> Array:
-    """Return a smoothed path. It is cut where the robot was moved to another place."""
+    # The smoothing does not cross frames at which a reset moved the robot.
     jumped = np.linalg.norm(np.diff(path, axis=0), axis=1) > size
     cuts = np.flatnonzero(jumped) + 1
     parts = np.split(np.arange(len(path)), cuts)
@@ -377,7 +359,7 @@ _COMMANDS = (("v_x", "forward", "m/s"), ("v_y", "sideways", "m/s"), ("w_z", "tur
 
 
 def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[str]:
-    """Return the caption of a frame: environment, iteration, time, and the command if it is ever nonzero."""
+    """Return the caption of a frame: environment, iteration, time, and a command that is not always zero."""
     facts = [f"t = {motion.time[row]:.2f} s"]
     if (iteration := motion.iteration_at(row)) is not None:
         facts.insert(0, f"iteration {iteration}")
@@ -392,62 +374,40 @@ def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[s
 
 
 def arrow_legend(motion: Motion) -> dict[str, tuple[float, ...]]:
-    """Return the colours of the arrows that are ever visible, by their meaning."""
+    """Return the label and colour of each kind of arrow that is visible in at least one frame."""
     return {a.name: a.rgba for a in motion.arrows if any(np.abs(v).max(initial=0.0) > 0 for v in a.vectors)}
 
 
 def write_caption(
     pixels: NDArray[np.uint8], texts: Sequence[str], colours: Mapping[str, tuple[float, ...]]
 ) -> NDArray[np.uint8]:
-    """Return a picture (h, w, 3) with texts at its lower left and the legend of arrows at its lower right."""
+    """Return the picture (h, w, 3) with texts at its lower left and the legend of arrows at its lower right."""
     image = Image.fromarray(pixels).convert("RGBA")
     layer = Image.new("RGBA", image.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
     size = max(11, round(min(image.height / 34, image.width / 46)))
-    font, pad = _font(size), round(0.55 * size)
-    _texts(draw, texts, font, pad, image.height)
-    _legend(draw, colours, font, pad, image.size)
+    font, pad, step = _font(size), round(0.55 * size), round(1.35 * size)
+    height = image.height
+    if texts:
+        width = max(draw.textlength(text, font) for text in texts)
+        top = height - 3 * pad - len(texts) * step
+        draw.rounded_rectangle((pad, top, width + 3 * pad, height - pad), round(0.6 * pad), fill=_BACK)
+        for i, text in enumerate(texts):
+            draw.text((2 * pad, top + 0.6 * pad + i * step), text, _INK, font)
+    if colours:
+        right = image.width - pad
+        left = right - max(draw.textlength(name, font) for name in colours) - 1.6 * size - 2 * pad
+        top = height - 3 * pad - len(colours) * step
+        draw.rounded_rectangle((left, top, right, height - pad), round(0.6 * pad), fill=_BACK)
+        for i, (name, rgba) in enumerate(colours.items()):
+            y = top + 0.6 * pad + i * step
+            shade, middle = tuple(round(255 * part) for part in rgba[:3]), y + 0.62 * size
+            line = (left + pad, middle, left + pad + 1.1 * size, middle)
+            draw.line(line, (*shade, 255), max(2, round(size / 5)))
+            draw.text((left + pad + 1.6 * size, y), name, _INK, font)
     return np.asarray(Image.alpha_composite(image, layer).convert("RGB"))
-
-
-def _texts(
-    draw: ImageDraw.ImageDraw, texts: Sequence[str], font: ImageFont.FreeTypeFont, pad: int, height: int
-) -> None:
-    if not texts:
-        return
-    step = round(1.35 * font.size)
-    width = max(draw.textlength(text, font) for text in texts)
-    top = height - 2 * pad - len(texts) * step - pad
-    draw.rounded_rectangle((pad, top, pad + width + 2 * pad, height - pad), round(0.6 * pad), fill=_BACK)
-    for i, text in enumerate(texts):
-        draw.text((2 * pad, top + 0.6 * pad + i * step), text, _INK, font)
-
-
-def _legend(
-    draw: ImageDraw.ImageDraw,
-    colours: Mapping[str, tuple[float, ...]],
-    font: ImageFont.FreeTypeFont,
-    pad: int,
-    size: tuple[int, int],
-) -> None:
-    if not colours:
-        return
-    width, height = size
-    step = round(1.35 * font.size)
-    wide = max(draw.textlength(name, font) for name in colours) + 1.6 * font.size
-    left, top = width - wide - 3 * pad, height - 3 * pad - len(colours) * step
-    draw.rounded_rectangle((left, top, width - pad, height - pad), round(0.6 * pad), fill=_BACK)
-    for i, (name, rgba) in enumerate(colours.items()):
-        y = top + 0.6 * pad + i * step
-        shade = tuple(round(255 * part) for part in rgba[:3])
-        middle = y + 0.62 * font.size
-        draw.line(
-            (left + pad, middle, left + pad + 1.1 * font.size, middle), (*shade, 255), max(2, round(font.size / 5))
-        )
-        draw.text((left + pad + 1.6 * font.size, y), name, _INK, font)
 
 
 @lru_cache
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return matplotlib's own font, so that pictures are the same on every machine."""
     return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)

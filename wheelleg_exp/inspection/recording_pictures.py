@@ -1,4 +1,4 @@
-"""Pictures of the robot, drawn by MuJoCo from a recording."""
+"""Draw pictures of the robot with MuJoCo from a rerun recording."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from wheelleg_exp.rendering.render_scene import AZIMUTH, ELEVATION, Scene
 from wheelleg_exp.rendering.renderer import drawing
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-_FINER = 2  # supersampling factor, against jagged edges
+_FINER = 2  # Twofold supersampling avoids jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # lengths of arrows in robot heights: shorter ones are hidden, longer ones are cut
+_SHORTEST, _LONGEST = 0.02, 1.2  # The range of arrow lengths, in robot heights.
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """A recording ready to draw: its source, shapes, motion, and samples."""
+    """A recording that is ready to draw: its source, shapes, motion, and samples."""
 
     source: Source
     scene: Scene
@@ -40,30 +40,26 @@ class Scenery:
 
     @property
     def env_id(self) -> int | None:
-        """The environment; None if only one was recorded."""
+        """The index of the drawn environment; None if only one environment was recorded."""
         return self.source.env_id if len(self.source.recording.env_ids) > 1 else None
 
 
 def scenery(
     recording: Recording, env: int | None = None, at: str | None = None, iteration: int | None = None
 ) -> Scenery:
-    """Return the scene and motion of one environment of a recording.
+    """Return the drawable scene and the motion of one recorded environment.
 
-    Args:
-        recording: the recording.
-        env: the environment; by default the one in which ``at`` happened first, or else the first.
-        at: a moment in words, see ``screenshot``.
-        iteration: the training iteration in which to search for ``at``.
-
-    Raises:
-        RunDirectoryError: the recording has no moving robot, or lacks that environment.
+    The default environment is the environment in which the term ``at`` was nonzero first, or else the first
+    environment. The search for ``at`` covers only the training iteration ``iteration``, if an iteration is given.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
     motion = motion_of(source, scene)
     if not len(motion.step):
         raise RunDirectoryError(f"'{recording.path}' contains no motion", expected="a recording with frames")
-    return Scenery(source, scene, motion, source.samples() or [_everything(motion)])
+    iteration_at_start = None if motion.iteration is None else int(motion.iteration[0])
+    everything = Sample(int(motion.step[0]), int(motion.step[-1]), iteration_at_start)
+    return Scenery(source, scene, motion, source.samples() or [everything])
 
 
 def screenshot(
@@ -78,26 +74,13 @@ def screenshot(
     iteration: int | None = None,
     caption: bool = True,
 ) -> float:
-    """Write a picture of the robot, complete or not at all.
+    """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    Args:
-        recording: the recording.
-        path: the file: .png, .jpg or .webp; it must not exist.
-        time_s: the moment in simulated time, s; with ``iteration``, counted from its start. By default the middle of
-            the iteration, or of the last sample.
-        env: the recorded environment; by default the first, or the one in which the term of ``at`` happened first.
-        width: px.
-        height: px.
-        at: the moment in words: ``1.5s``, ``400ms``, ``90steps``, or a term such as ``terminations.base_contact`` for
-            the first time that it is not zero.
-        iteration: the training iteration.
-        caption: whether to write time, command, and a legend into the picture.
-
-    Returns:
-        The simulated time of the picture, s.
-
-    Raises:
-        WheellegError: the moment, the size, or the path is wrong, or drawing is not possible on this machine.
+    ``time_s`` is the moment in simulated seconds, counted from the start of the training iteration ``iteration`` if
+    given. ``at`` is the moment as text: ``1.5s``, ``400ms``, ``90steps``, or a term such as
+    ``terminations.base_contact`` for the first time that the term is not zero. The default moment is the middle of the
+    training iteration, or of the last sample. The default environment is the environment in which the term ``at`` was
+    nonzero first, or else the first environment. An invalid moment, size, or path raises WheellegError.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -107,7 +90,7 @@ def screenshot(
 
 
 def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, caption: bool = True) -> None:
-    """Write the picture of a frame, complete or not at all (raises as ``screenshot``)."""
+    """Write the picture of a frame atomically."""
     kind = _kind(Path(path))
     buffer = io.BytesIO()
     image = Image.fromarray(picture(shown, row, width, height, caption=caption))
@@ -116,25 +99,23 @@ def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, capti
 
 
 def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool = True) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) of one frame.
-
-    Raises:
-        WheellegError: the size is wrong, or drawing is not possible on this machine.
-    """
+    """Return a picture (height, width, 3) of one frame."""
     return pictures(shown, [row], width, height, caption=caption)[0]
 
 
 def pictures(
     shown: Scenery, rows: Sequence[int], width: int, height: int, *, caption: bool = False
 ) -> list[NDArray[np.uint8]]:
-    """Return a picture (height, width, 3) of each of some frames, all from the same distance.
-
-    Raises:
-        WheellegError: the size is wrong, or drawing is not possible on this machine.
-    """
+    """Return a picture (height, width, 3) of each chosen frame, all with the same distance between camera and robot."""
     require_size(width, height)
     finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
-    found = [_seen(shown, row, width / height) for row in rows]
+    found: list[tuple[int, Camera]] = []
+    for row in rows:
+        step = shown.motion.step[row]
+        samples = (frames_of(shown.motion, s) for s in shown.samples if s.first <= step <= s.last)
+        sample = next(samples, np.array([row]))
+        place = int(np.flatnonzero(sample == row)[0])
+        found.append((place, follow_robot(shown.scene, shown.motion, sample, width / height)))
     distance = max((camera.distance for _, camera in found), default=0.0)
     drawn = []
     with drawing(Order(shown.scene, finer * width, finer * height, _SAMPLES)) as process:
@@ -149,7 +130,7 @@ def pictures(
 
 
 def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float) -> View:
-    """Return the view of a frame."""
+    """Return the camera view of a recorded frame for MuJoCo's renderer."""
     motion, size = shown.motion, shown.scene.size
     arrows = [
         _arrow(kind.rgba, size, origin, vector)
@@ -161,25 +142,22 @@ def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float)
 
 
 def _arrow(rgba: tuple[float, ...], size: float, origin: NDArray[np.float64], vector: NDArray[np.float64]) -> Arrow:
-    """Return an arrow; a short arrow is thin, so that it keeps its shape."""
     length = float(np.linalg.norm(vector))
     shown = min(length, _LONGEST * size)
     return Arrow(rgba, min(0.016 * size, 0.12 * shown), origin, origin + vector * (shown / length))
 
 
 def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None, iteration: int | None = None) -> int:
-    """Return the frame of a moment (see ``screenshot``).
-
-    Raises:
-        WheellegError: the moment is not in the recording.
-    """
+    """Return the index of the frame at a moment that is given by the arguments of ``screenshot``."""
     times = shown.motion.time
     everything = np.arange(len(times))
     if at is not None:
         length = _length(at)
         if length is None:
             return _row_of_term(shown, at, everything if iteration is None else _of_iteration(shown, iteration))
-        time_s = length.value * (_step_dt(shown) if length.is_steps else 1.0)
+        motion = shown.motion
+        step_dt = shown.source.recording.step_dt or float(motion.time[-1]) / max(int(motion.step[-1]), 1)
+        time_s = length.value * (step_dt if length.is_steps else 1.0)
     if iteration is not None:
         rows = _of_iteration(shown, iteration)
         if time_s is None:
@@ -192,11 +170,7 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
 
 
 def sample_at(shown: Scenery, iteration: int) -> Sample:
-    """Return the sample of an iteration.
-
-    Raises:
-        WheellegError: there is none.
-    """
+    """Return the recorded sample of a training iteration; raise WheellegError if the iteration was not recorded."""
     motion = shown.motion
     if motion.iteration is not None:
         for sample in shown.samples:
@@ -209,13 +183,12 @@ def sample_at(shown: Scenery, iteration: int) -> Sample:
 
 
 def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
-    """Return the frames of an iteration; raise WheellegError without any."""
     sample_at(shown, iteration)
     return np.flatnonzero(shown.motion.iteration == iteration)
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which a term is first nonzero; None for a time, or if it is always zero."""
+    """Return the environment in which a term is first nonzero; None for a time or a term that is always zero."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}
@@ -229,20 +202,14 @@ def first_env(recording: Recording, at: str, iteration: int | None = None) -> in
 
 
 def _length(words: str) -> Length | None:
-    """Return the length of time of a text such as ``1.5s``; None for other texts."""
     try:
         return parse_length(words, "--at")
     except WheellegError:
         return None
 
 
-def _step_dt(shown: Scenery) -> float:
-    """Return the duration of a control step, s."""
-    return shown.source.recording.step_dt or float(shown.motion.time[-1]) / max(int(shown.motion.step[-1]), 1)
-
-
 def require_size(width: int, height: int) -> None:
-    """Raise WheellegError unless a picture of this size, px, can be drawn."""
+    """Raise WheellegError unless MuJoCo can draw a picture of this size, px."""
     if not (16 <= width <= _LARGEST and 16 <= height <= _LARGEST):
         expected = f"16 to {_LARGEST} pixels each"
         raise WheellegError(f"a picture of {width} x {height} cannot be drawn", expected=expected)
@@ -251,31 +218,9 @@ def require_size(width: int, height: int) -> None:
 def _kind(path: Path) -> str:
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
-        raise WheellegError(
-            f"'{path}' is not a name of a picture", expected="a name that ends with .png, .jpg or .webp"
-        )
+        raise WheellegError(f"'{path}' is not an image file", expected="a name that ends with .png, .jpg or .webp")
     require_new(path)
     return kind
-
-
-def _everything(motion: Motion) -> Sample:
-    iteration = None if motion.iteration is None else int(motion.iteration[0])
-    return Sample(int(motion.step[0]), int(motion.step[-1]), iteration)
-
-
-def _seen(shown: Scenery, row: int, aspect: float) -> tuple[int, Camera]:
-    """Return the camera of a frame's sample, and the frame's index in it."""
-    rows = _around(shown, row)
-    return int(np.flatnonzero(rows == row)[0]), follow_robot(shown.scene, shown.motion, rows, aspect)
-
-
-def _around(shown: Scenery, row: int) -> NDArray[np.intp]:
-    """Return the frames of a frame's sample."""
-    step = shown.motion.step[row]
-    for sample in shown.samples:
-        if sample.first <= step <= sample.last:
-            return frames_of(shown.motion, sample)
-    return np.array([row])
 
 
 def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
@@ -295,7 +240,6 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
 
 
 def _steps_of_term(source: Source, entity: str, iteration: int | None = None) -> NDArray[np.int64]:
-    """Return the steps at which a number of an entity is nonzero, by default in all iterations."""
     series = source.series(entity)
     happened = np.any(np.nan_to_num(series.values) != 0, axis=1)
     if iteration is not None and series.iteration is not None:

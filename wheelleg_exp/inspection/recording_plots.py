@@ -1,6 +1,6 @@
 """Plots of recordings: single plots by name, pages of plots, and overlays of several recordings.
 
-The functions use no global state and need no display. Figures are matplotlib ``Figure`` objects.
+The plot functions use no global state and need no display. Figures are matplotlib ``Figure`` objects.
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection import motion_plots as plots_motion
 from wheelleg_exp.inspection import training_curves as plots_training
 from wheelleg_exp.inspection.plot_data import Series, Source, broken
-from wheelleg_exp.inspection.plot_style import Panel, colour, figure_bytes, figure_svg, page, tile
+from wheelleg_exp.inspection.plot_style import Panel, colour, figure_bytes, page, tile
 from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.layout import TRAINING
 from wheelleg_exp.recording.reading.recording_reader import Recording
-
-__all__ = ["KINDS", "PLOTS", "Plot", "default_page", "figure_svg", "make", "overlay", "save", "terms_figure"]
-
 
 KINDS = ("png", "svg", "pdf")
 _STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
@@ -34,110 +31,44 @@ _STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
 
 @dataclass(frozen=True)
 class Plot:
-    """A default figure.
+    """A default figure: its name, its title, and a function that returns its panels, empty without data.
 
-    Attributes:
-        name: its name.
-        title: the line above it.
-        about: its purpose in one sentence.
-        panels: returns its panels; empty if a recording lacks their data.
-        is_of_all: whether it shows all environments of a training, from its scalars.
-        is_of_last: whether it shows only the last sample of a training.
+    ``is_of_all`` is true if the figure shows training scalars, which cover all environments. ``is_of_last`` is true if
+    the figure shows only the last sample of a training.
     """
 
     name: str
     title: str
-    about: str
     panels: Callable[[Source], list[Panel]]
     is_of_all: bool = False
     is_of_last: bool = False
 
-    def applies(self, recording: Recording) -> bool:
-        """Return whether a recording has the data of the figure."""
-        return bool(self.each(recording))
-
-    def make(self, recording: Recording, *, selection: Selection | None = None) -> Figure:
-        """Return the figure with the width of a page.
-
-        Raises:
-            RunDirectoryError: the recording lacks its data.
-        """
-        source = Source(recording, None, selection)
-        panels = self.panels(source)
-        if not panels:
-            raise RunDirectoryError(f"'{recording.path}' has no data for the plot '{self.name}'")
-        figure = tile(panels, title=self.heading(source))
-        figure.set_label(self.name)
-        return figure
-
     def heading(self, source: Source) -> str:
-        """Return the title with the environment and the sample, if there are several."""
+        """Return the figure's title. The title names the environment and the sample if several were recorded."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
         return ", ".join([*words, *(f"last sample, from iteration {sample.iteration} on" for sample in samples[-1:])])
-
-    def each(self, recording: Recording) -> list[Panel]:
-        """Return the panels one by one; ``plot_style.tile([panel], size=...)`` draws one."""
-        return self.panels(Source(recording))
-
-
-def _learning(source: Source) -> list[Panel]:
-    return plots_training.learning(source.training())
 
 
 def _rewards(source: Source) -> list[Panel]:
     return plots_training.reward_course(source.training()) or plots_motion.rewards(source)
 
 
-def _terminations(source: Source) -> list[Panel]:
-    return plots_training.endings(source.training()) + plots_motion.terminations(source)
-
-
 PLOTS: dict[str, Plot] = {
     plot.name: plot
     for plot in (
-        Plot(
-            "learning_curves",
-            "Learning curves",
-            "Whether it learned, how fast, and whether the optimiser was healthy.",
-            _learning,
-            is_of_all=True,
-        ),
-        Plot(
-            "reward_shares",
-            "Reward by term",
-            "Which terms make up the return, and which cost it.",
-            _rewards,
-            is_of_all=True,
-        ),
+        Plot("learning_curves", "Learning curves", lambda s: plots_training.learning(s.training()), is_of_all=True),
+        Plot("reward_shares", "Reward by term", _rewards, is_of_all=True),
         Plot(
             "terminations",
             "How episodes ended",
-            "Which termination ended the episodes.",
-            _terminations,
+            lambda source: plots_training.endings(source.training()) + plots_motion.terminations(source),
             is_of_all=True,
         ),
-        Plot(
-            "tracking",
-            "Motion against what was asked for",
-            "How well the base follows the commands and its targets.",
-            plots_motion.tracking,
-        ),
-        Plot(
-            "joints",
-            "Joints",
-            "How well each joint follows its target, and how near its effort is to the limit.",
-            plots_motion.joints,
-            is_of_last=True,
-        ),
-        Plot(
-            "contact_forces",
-            "Contact forces",
-            "Which bodies touched something, and how hard.",
-            plots_motion.contact_forces,
-            is_of_last=True,
-        ),
+        Plot("tracking", "Motion against what was asked for", plots_motion.tracking),
+        Plot("joints", "Joints", plots_motion.joints, is_of_last=True),
+        Plot("contact_forces", "Contact forces", plots_motion.contact_forces, is_of_last=True),
     )
 }
 
@@ -148,24 +79,21 @@ PAGES: dict[bool, tuple[str, ...]] = {
 
 
 def make(recording: Recording, name: str, *, selection: Selection | None = None) -> Figure:
-    """Return a default figure by its name.
-
-    Raises:
-        WheellegError: there is no such figure, or the recording lacks its data.
-    """
+    """Return the default plot with a name such as ``tracking``."""
     if name not in PLOTS:
-        raise WheellegError(
-            f"there is no plot '{name}'", expected="one of " + ", ".join(PLOTS), nearest=nearest_name(name, PLOTS)
-        )
-    return PLOTS[name].make(recording, selection=selection)
+        expected = "one of " + ", ".join(PLOTS)
+        raise WheellegError(f"there is no plot '{name}'", expected=expected, nearest=nearest_name(name, PLOTS))
+    plot, source = PLOTS[name], Source(recording, None, selection)
+    panels = plot.panels(source)
+    if not panels:
+        raise RunDirectoryError(f"'{recording.path}' has no data for the plot '{name}'")
+    figure = tile(panels, title=plot.heading(source))
+    figure.set_label(name)
+    return figure
 
 
 def default_page(recording: Recording, *, selection: Selection | None = None) -> Figure:
-    """Return one figure of the default plots for the recording's purpose.
-
-    Raises:
-        RunDirectoryError: the recording lacks the data of all default plots.
-    """
+    """Return one figure with the default plots for the recording's purpose: training, play, or evaluation."""
     source = Source(recording, selection=selection)
     plots = [PLOTS[name] for name in PAGES[source.is_training]]
     sections = [(plot.heading(source), panels) for plot in plots if (panels := plot.panels(source))]
@@ -177,11 +105,7 @@ def default_page(recording: Recording, *, selection: Selection | None = None) ->
 
 
 def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selection | None = None) -> Figure:
-    """Return a figure of chosen terms (``rewards.base_height``) over time.
-
-    Raises:
-        RunDirectoryError: a term is not in the recording.
-    """
+    """Return a figure of chosen terms, such as ``rewards.base_height``, over time."""
     source = Source(recording, selection=selection)
     panels = [panel for term in terms for panel in _term(source, term)]
     of_training = all((source.find(term) or "").startswith(f"{TRAINING}/") for term in terms)
@@ -191,38 +115,35 @@ def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selec
 def overlay(
     recordings: Mapping[str, Recording], terms: str | Sequence[str], *, selection: Selection | None = None
 ) -> Figure:
-    """Return a figure with one line per recording for each number of some terms.
+    """Return a figure with one panel per number of the named terms, and one line per recording in each panel.
 
-    ``terms`` is the dotted names; by default those that suit the recordings' purpose.
-
-    Raises:
-        RunDirectoryError: no recording has a term, or the recordings have no common term.
+    By default, the terms depend on the purpose of the recordings. The function raises RunDirectoryError if the
+    recordings have no common term.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
     if terms:
         words = [terms] if isinstance(terms, str) else list(terms)
         return tile([panel for term in words for panel in _overlaid(sources, term)])
-    panels = [panel for term in _overlaid_terms(sources) for panel in _overlaid(sources, term, small=True)]
+    common: Sequence[str] = list(plots_motion.TITLES)
+    if all(source.is_training for source in sources.values()):
+        common = [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
+    panels = [panel for term in common for panel in _overlaid(sources, term, small=True)]
     if not panels:
         raise RunDirectoryError("the recordings have no common term to overlay")
     return tile(panels)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG, or PDF by the file's suffix, complete or not at all.
-
-    Raises:
-        WheellegError: the suffix is unknown, or the file exists or cannot be written.
-    """
+    """Write a figure atomically as PNG, SVG, or PDF, by the file's suffix."""
     write_new(Path(path), figure_bytes(figure, require_path(Path(path))))
 
 
 def require_path(path: Path) -> str:
-    """Return the kind of figure of a new file; raise WheellegError if the suffix is unknown or the file exists."""
+    """Return the image format for a new file; raise WheellegError for an unknown suffix or an existing file."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
-        raise WheellegError(f"'{path}' is not a name of a plot", expected="a name that ends with .png, .svg or .pdf")
+        raise WheellegError(f"'{path}' is not a plot file", expected="a name that ends with .png, .svg or .pdf")
     require_new(path)
     return kind
 
@@ -230,7 +151,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # raises, and lists the recorded names
+        source.series(source.path(*term.split(".")))  # An unknown entity raises an error.
         return []
     if entity.startswith(f"{TRAINING}/"):
         return [_training_panel(source, entity, term)]
@@ -248,26 +169,18 @@ def _training_panel(source: Source, entity: str, title: str) -> Panel:
     return Panel(title, draw, height=3.0, wide=True)
 
 
-def _overlaid_terms(sources: Mapping[str, Source]) -> list[str]:
-    if all(source.is_training for source in sources.values()):
-        return [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
-    names = ["base/height", "base/pitch", "base/v_x", "base/w_z"]
-    return [*names, "rewards/total"]
-
-
 def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) -> list[Panel]:
     found = {label: entity for label, s in sources.items() if (entity := s.find(term)) is not None}
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # raises, and lists the recorded names
+        next(iter(sources.values())).series(term)  # An unknown entity raises an error.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     widest = max(series.values(), key=lambda s: s.values.shape[1])
     return [_overlaid_panel(sources, series, i, term, widest, small) for i in range(widest.values.shape[1])]
 
 
 def _title(term: str) -> str:
-    """Return the title of a term in the default figures, or else its name."""
     word = term.removeprefix(f"{TRAINING}/")
     named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
     return named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))

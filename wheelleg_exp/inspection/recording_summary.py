@@ -41,15 +41,9 @@ from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
 @dataclass(frozen=True)
 class Trend:
-    """The course of one scalar of the training.
+    """The course of one training scalar: its first and last value, and its extremes with their iterations.
 
-    Attributes:
-        name: its name, such as ``Train/mean_reward``.
-        count: number of iterations that have it.
-        first, last: its values in the first and the last of these iterations.
-        last_at: that last iteration.
-        lowest, highest: its extremes.
-        lowest_at, highest_at: the iterations of the extremes.
+    ``count`` is the number of training iterations in which the scalar was logged.
     """
 
     name: str
@@ -65,16 +59,12 @@ class Trend:
 
 @dataclass(frozen=True)
 class Sample:
-    """The episodes of a training that were recorded at one time, of all environments.
+    """A sample: the episodes of all recorded environments that were recorded in one part of a training.
 
-    Attributes:
-        iteration, last_iteration: training iterations of its first and last frame.
-        first_step, last_step: control steps of these frames.
-        episodes: number of complete episodes; the figures are over these.
-        cut: number of incomplete episodes.
-        survival: share of the complete episodes that reached the time-out; None without any.
-        mean_duration_s: their mean duration; None without any.
-        mean_reward: their mean sum of rewards; None without any.
+    Pairs of training iterations and of control steps contain the values of the first and of the last recorded frame.
+    ``episodes`` counts the complete episodes, and ``cut`` counts the incomplete episodes. Averages are over complete
+    episodes. ``survival`` is the share of the complete episodes that reached the time-out. Averages are None without
+    complete episodes.
     """
 
     iteration: int
@@ -89,7 +79,7 @@ class Sample:
 
 
 def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
-    """Return the trend of every training scalar over the selected rows, by name."""
+    """Return the trend of every training scalar over the selected iterations, by the scalar's name."""
     found = []
     for entity in recording.entities():
         parts = [unescaped(part) for part in parts_of(entity)]
@@ -101,14 +91,10 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Return the samples by time.
+    """Return the recorded samples of a training; ``longest`` is the maximum episode length in control steps.
 
-    Each environment starts a sample with its next episode. So the episodes of one sample start within the longest
-    episode's duration.
-
-    Args:
-        found: the episodes.
-        longest: control steps of the longest episode.
+    Each environment joins a sample at the start of its next episode. So the first episodes of a sample start within the
+    maximum episode length.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -121,7 +107,6 @@ def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
 
 
 def _stretches(found: Sequence[Episode]) -> Iterator[list[Episode]]:
-    """Yield the consecutive training episodes of one environment."""
     stretch: list[Episode] = []
     for episode in sorted(found, key=lambda e: (e.env_id, e.first_step)):
         before = stretch[-1] if stretch else None
@@ -172,7 +157,7 @@ def _sample(found: list[Episode]) -> Sample:
 
 @dataclass(frozen=True)
 class Span:
-    """The first and last value of one timeline; ``sim_time`` in s."""
+    """The first and the last recorded value of one timeline; ``sim_time`` is in s."""
 
     first: float
     last: float
@@ -180,7 +165,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Part:
-    """The content below one path, of all environments: its number of entities and rows."""
+    """The content of all environments below one path: its number of entities and rows."""
 
     name: str
     entities: int
@@ -189,18 +174,11 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Figures of episodes. All but the counts are over complete episodes.
+    """Statistics of episodes. All attributes except the first four counts are computed over complete episodes.
 
-    Attributes:
-        count: number of recorded episodes.
-        whole: number of complete ones.
-        begun_before: number of episodes that were running when recording started.
-        unfinished: number of episodes that were running when recording paused or stopped.
-        failed, timed_out: endings of the complete episodes.
-        survival: share of them that reached the time-out; None without any.
-        ended_by: number of episodes by termination. An episode with two terminations counts once, under both names.
-        mean_duration_s, longest_s: their durations; None without any.
-        mean_reward: mean sum of rewards; None without any.
+    ``begun_before`` counts episodes that were running when recording started, and ``unfinished`` counts episodes that
+    were running when recording paused or stopped. In ``ended_by``, an episode with two terminations counts once, under
+    both names.
     """
 
     count: int
@@ -220,28 +198,11 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    Attributes:
-        path, recording_id, purpose: the recording; the purpose is None for another tool's recording.
-        properties: its recorded properties.
-        health: completeness and size of the file.
-        env_ids: the environments of the figures.
-        sample: the sample of a training that the figures are over: the last one with a complete episode. None for
-            selected rows and outside of training; then the figures are over all selected rows.
-        step_dt: simulated time of a control step, s.
-        timelines: range of each timeline.
-        parts: the content below each first part of the entity paths.
-        notes: messages about the recording itself, such as a size limit that was reached.
-        frames: number of frames of the figures, and of all frames; None without motion.
-        figures: the episodes together.
-        episodes: each selected episode, of all samples.
-        tracking: errors of velocities.
-        base: statistics of height (m), roll, and pitch (rad).
-        forces: the largest contact force of each sensor and body.
-        efforts: the use of each joint's effort limit.
-        rewards: the contribution of each term.
-        events: number of occurrences of each event.
-        training: the trend of each scalar of the training.
-        samples: the figures of each sample; empty outside of training.
+    ``purpose`` is None for another tool's recording. ``sample`` is the last sample of a training that contains a
+    complete episode; all statistics are computed over this sample. ``sample`` is None if rows were selected and outside
+    of training; then all statistics are computed over the selected rows. ``frames`` are the number of frames in these
+    statistics and the number of recorded frames. ``notes`` are messages about the recording itself, such as a size
+    limit that was reached. ``base`` are statistics of the base's height (m), roll, and pitch (rad).
     """
 
     path: str
@@ -268,22 +229,17 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary as a plain mapping."""
+        """Return the summary of the recording as a dictionary."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
-    """Return the summary of a recording. Missing data is empty or None.
+    """Return the summary of a recording. The summary contains None or an empty list for data that was not recorded.
 
-    Args:
-        recording: the recording.
-        selection: the rows of the figures; by default all, or the last sample of a training. The content, samples, and
-            scalars always cover the whole recording.
-
-    Raises:
-        RunDirectoryError: rows are damaged or too large, or the selected environment was not recorded.
+    Statistics are computed over the selected rows; by default over all rows, or over the last sample of a training. The
+    list of contents, the samples, and the training scalars always cover the whole recording.
     """
-    with np.errstate(all="ignore"):  # a recording can contain NaN and inf
+    with np.errstate(all="ignore"):  # numpy would warn about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))
 
 
@@ -291,8 +247,14 @@ def _summary(chosen: View) -> Summary:
     recording, found = chosen.recording, episodes(chosen)
     longest = recording.properties.get("wheelleg", {}).get("max_episode_length")
     samples = sample_episodes(found, longest if isinstance(longest, int) else 1)
-    sample = _final_sample(samples) if chosen.selection == Selection(env_id=chosen.selection.env_id) else None
-    view, shown = (chosen, found) if sample is None else _of_sample(chosen, found, sample)
+    sample, view, shown = None, chosen, found
+    if samples and chosen.selection == Selection(env_id=chosen.selection.env_id):
+        sample = next((sample for sample in reversed(samples) if sample.episodes), samples[-1])
+        first, last = sample.first_step, sample.last_step
+        begin, end = Length(float(first), True), Length(float(last), True)
+        view = View(recording, replace(chosen.selection, begin=begin, end=end))
+        shown = [episode for episode in found if first <= episode.first_step and episode.last_step <= last]
+    reaches = {name: recording.reach(name) for name in recording.timelines()}
     return Summary(
         path=str(recording.path),
         recording_id=recording.recording_id,
@@ -302,7 +264,7 @@ def _summary(chosen: View) -> Summary:
         env_ids=view.env_ids,
         sample=sample,
         step_dt=recording.step_dt,
-        timelines=_timelines(recording),
+        timelines={name: Span(*reach) for name, reach in reaches.items() if reach is not None},
         parts=_parts(recording),
         notes=recording.events("recording"),
         frames=_frames(view),
@@ -317,17 +279,6 @@ def _summary(chosen: View) -> Summary:
         training=training_trends(recording, chosen.selection),
         samples=samples,
     )
-
-
-def _final_sample(samples: list[Sample]) -> Sample | None:
-    """Return the sample that shows the training's outcome: the last with a complete episode, or else the last."""
-    return next((sample for sample in reversed(samples) if sample.episodes), samples[-1] if samples else None)
-
-
-def _of_sample(view: View, found: list[Episode], sample: Sample) -> tuple[View, list[Episode]]:
-    begin, end = (Length(float(step), True) for step in (sample.first_step, sample.last_step))
-    shown = [e for e in found if sample.first_step <= e.first_step and e.last_step <= sample.last_step]
-    return View(view.recording, replace(view.selection, begin=begin, end=end)), shown
 
 
 def episode_figures(found: list[Episode]) -> EpisodeFigures:
@@ -349,13 +300,7 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
     )
 
 
-def _timelines(recording: Recording) -> dict[str, Span]:
-    found = {name: recording.reach(name) for name in recording.timelines()}
-    return {name: Span(*reach) for name, reach in found.items() if reach is not None}
-
-
 def _frames(view: View) -> tuple[int, int] | None:
-    """Return the number of selected frames, and of all frames of the selected environments."""
     for group in ("episode", "base", "terminations", "rewards"):
         found = [frames for env_id in view.env_ids if (frames := view.frames(group, env_id)) is not None]
         if found:

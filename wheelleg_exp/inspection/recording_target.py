@@ -1,4 +1,4 @@
-"""Resolve the command-line argument RUN or FILE to a recording's file."""
+"""Resolve the command-line argument RUN or FILE to the file of a rerun recording."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _SUFFIX = ".rrd"
 
 @dataclass(frozen=True)
 class Target:
-    """A recording's file, and its run if it has one."""
+    """The file of a rerun recording, and the training run that wrote the file; None for a recording without a run."""
 
     path: Path
     run: RunDirectory | None
 
     @property
     def status(self) -> str | None:
-        """The status of the run if this is its training's recording, or None."""
+        """The status of the run if the file is the recording of its training, or None."""
         from wheelleg_exp.run.run_list import effective_status
 
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
@@ -36,37 +36,28 @@ class Target:
 
     @contextmanager
     def resting(self) -> Iterator[None]:
-        """Lock the run of the recording while the body runs, so that it cannot continue.
-
-        Raises:
-            RunDirectoryError: a process is writing the run.
-        """
+        """Lock the recording's run directory inside the block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
         lock = None if run is None else run.path / RUN_LOCK
-        if run is None or lock is None or not os.access(lock, os.W_OK):  # no process can write the run
+        # A user without write access to the lock file cannot resume the run, so no lock is needed.
+        if run is None or lock is None or not os.access(lock, os.W_OK):
             yield
             return
         with RunLock(run).held():
             yield
 
     def others(self) -> list[Path]:
-        """Return the run's other recordings."""
+        """Return the paths of all recordings of the run except this recording."""
         found = recordings_of(self.run) if self.run is not None else []
         return [path for path in found if path.resolve() != self.path.resolve()]
 
 
 def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
-    """Return the recording of a word from the command line.
+    """Return the rerun recording that a command-line argument names.
 
-    Args:
-        word: a file; a folder with a recording, such as ``<run>/play/<time>``; or a run by path, id, or ``latest``, for
-            its training's recording.
-        root: the folder of all runs.
-        play: whether to return the newest play of the run instead.
-
-    Raises:
-        RunDirectoryError: there is no such recording.
-        WheellegError: ``play`` is set, but the word is not a run.
+    The argument is a recording's file; a folder with a recording, such as ``<run>/play/<time>``; or a run by path, id,
+    or ``latest``, for the recording of the training. With ``play``, the argument names a run, and the function returns
+    the recording of the run's newest play.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):
@@ -76,19 +67,31 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
         raise RunDirectoryError(f"'{path}' is a broken link", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
-        raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=_like(path))
+        names = [p.name for p in path.parent.glob(f"*{_SUFFIX}")] if path.parent.is_dir() else []
+        like = nearest_name(path.name, names)
+        nearest = str(path.with_name(like)) if like else None
+        raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=nearest)
     run = RunDirectory.open(word, root)
-    return Target(_newest_play(run) if play else _training(run), run)
+    if not play:
+        return Target(_training(run), run)
+    plays = sorted(path for path in run.play.glob(f"*/{RECORDING}") if path.is_file())
+    if not plays:
+        expected = f"one made by 'wheelleg play {run.id}'"
+        raise RunDirectoryError(f"run '{run.id}' has no recorded play", key="--play", expected=expected)
+    return Target(plays[-1], run)
 
 
 def names_a_run(word: str | Path) -> bool:
-    """Return whether a word is a run. A word that is no path counts as a run's id."""
+    """Return whether a command-line argument names a run.
+
+    An argument that is not a path is treated as the id of a run.
+    """
     path = Path(word)
     return not path.exists() or (path.is_dir() and (path / MANIFEST_NAME).is_file())
 
 
 def recordings_of(run: RunDirectory) -> list[Path]:
-    """Return the recordings of a run: the training's, then those of its plays and evaluations by name."""
+    """Return the recordings of a run: of its training, then of its plays and evaluations by name."""
     later = [path for folder in (run.play, run.evaluation) for path in sorted(folder.glob(f"**/*{_SUFFIX}"))]
     return [path for path in (run.recording, *later) if path.is_file()]
 
@@ -96,26 +99,14 @@ def recordings_of(run: RunDirectory) -> list[Path]:
 def _training(run: RunDirectory) -> Path:
     if run.recording.is_file():
         return run.recording
-    reason = "it was trained with recording.enabled=false" if _is_disabled(run) else f"there is no {RECORDING}"
+    options = written_config(run).get("recording")
+    is_disabled = isinstance(options, dict) and options.get("enabled") is False
+    reason = "it was trained with recording.enabled=false" if is_disabled else f"there is no {RECORDING}"
     others = [path.relative_to(run.path) for path in recordings_of(run)]
     hint = f"; its plays were recorded: {', '.join(map(str, others))}" if others else ""
     raise RunDirectoryError(
         f"run '{run.id}' has no recording of its training: {reason}{hint}", expected="a recorded run, or --play"
     )
-
-
-def _newest_play(run: RunDirectory) -> Path:
-    found = sorted(path for path in run.play.glob(f"*/{RECORDING}") if path.is_file())
-    if not found:
-        raise RunDirectoryError(
-            f"run '{run.id}' has no recorded play", key="--play", expected=f"one made by 'wheelleg play {run.id}'"
-        )
-    return found[-1]
-
-
-def _is_disabled(run: RunDirectory) -> bool:
-    options = written_config(run).get("recording")
-    return isinstance(options, dict) and options.get("enabled") is False
 
 
 def _in_folder(folder: Path) -> Path:
@@ -134,12 +125,6 @@ def _run_around(path: Path) -> RunDirectory | None:
         if (folder / MANIFEST_NAME).is_file():
             try:
                 return RunDirectory.open(folder, folder.parent)
-            except WheellegError:  # a damaged run can still have a readable recording
+            except WheellegError:  # A damaged run directory can still contain a readable recording.
                 return None
     return None
-
-
-def _like(path: Path) -> str | None:
-    names = [p.name for p in path.parent.glob(f"*{_SUFFIX}")] if path.parent.is_dir() else []
-    found = nearest_name(path.name, names)
-    return str(path.with_name(found)) if found else None

@@ -1,11 +1,10 @@
-"""Videos of the robot, drawn by MuJoCo from a recording."""
+"""Draw videos of the robot with MuJoCo from a rerun recording."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rendering import video_file
 from wheelleg_exp.rendering.render_job import Order
-from wheelleg_exp.rendering.renderer import Drawing, drawing
+from wheelleg_exp.rendering.renderer import drawing
 
 _SAMPLES = 4
 _MOST_PICTURES = 200_000
@@ -28,7 +27,7 @@ _MOST_PICTURES = 200_000
 
 @dataclass(frozen=True)
 class Video:
-    """A written video: frames, their rate, 1/s, the codec's name, and the environment if there are several."""
+    """A written video: frames, frames per second, the codec's name, and the environment if there are several."""
 
     frames: int
     fps: float
@@ -37,7 +36,7 @@ class Video:
 
     @property
     def duration(self) -> float:
-        """Its duration, s."""
+        """The playing time of the video, s."""
         return self.frames / self.fps
 
 
@@ -53,22 +52,12 @@ def video(
     caption: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Video:
-    """Write a video of the robot (H.264 in an .mp4, which browsers play), complete or not at all.
+    """Write a video of the robot atomically, as H.264 in an .mp4 file, which browsers can play.
 
-    Args:
-        recording: the recording.
-        path: the file: .mp4, .mkv or .mov; it must not exist.
-        selection: the environment, by default the first, and the rows; by default a few samples of a training in
-            sequence, or the whole of another recording.
-        fps: pictures per second.
-        speed: simulated seconds per second: 0.25 is slow motion.
-        width: px, even.
-        height: px, even.
-        caption: whether to write time, command, and a legend into the picture.
-        progress: called with the number of finished frames and of all frames.
-
-    Raises:
-        WheellegError: an argument is wrong, or drawing is not possible on this machine.
+    By default, the video shows the first environment: a few samples of a training in sequence, or all frames of a play
+    or evaluation. ``speed`` is simulated seconds per second: 0.25 is slow motion. ``width`` and ``height`` are even
+    numbers of pixels. ``progress`` is called with the number of finished video frames and the total number of video
+    frames. A wrong argument raises WheellegError.
     """
     path = Path(path)
     _require(path, fps, speed, width, height)
@@ -85,39 +74,33 @@ def video(
 def _require(path: Path, fps: float, speed: float, width: int, height: int) -> None:
     if path.suffix.lower() not in video_file.KINDS:
         expected = "a name that ends with " + ", ".join(video_file.KINDS)
-        raise WheellegError(f"'{path}' is not a name of a video", expected=expected)
+        raise WheellegError(f"'{path}' is not a video file", expected=expected)
     require_new(path)
     require_size(width, height)
     if width % 2 or height % 2:
         raise WheellegError(f"a video of {width} x {height} cannot be encoded", expected="even numbers of pixels")
     if not (1 <= fps <= 240):
-        raise WheellegError(f"{fps:g} pictures a second", key="--fps", expected="1 to 240")
+        raise WheellegError(f"a video cannot have {fps:g} pictures a second", key="--fps", expected="1 to 240")
     if not (1e-3 <= speed <= 1e3):
-        raise WheellegError(f"a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
+        raise WheellegError(f"a video cannot have a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
 
 
 def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
-    """Return the frames of each uninterrupted piece."""
     motion = shown.motion
     is_whole = selection.begin is None and selection.end is None and selection.iterations is None
     samples = shown.source.shown_samples() if is_whole and shown.source.is_training else shown.samples
     chosen = chosen_rows(selection, motion.step, motion.time, motion.iteration)
     found = [rows for s in samples if len(rows := np.intersect1d(frames_of(motion, s), chosen))]
     if not found:
-        raise WheellegError(
-            "no selected frame was recorded",
-            expected=f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s" + _iterations(shown),
-        )
+        known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
+        iterations = f"; samples start at the iterations {', '.join(known)}" if known else ""
+        expected = f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s{iterations}"
+        raise WheellegError("no selected frame was recorded", expected=expected)
     return found
 
 
-def _iterations(shown: Scenery) -> str:
-    known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
-    return f"; samples start at the iterations {', '.join(known)}" if known else ""
-
-
 def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float) -> NDArray[np.intp]:
-    """Return the frame of each picture: the last recorded one at its time."""
+    """Return for each video frame the index of the last recorded frame at or before the video frame's time."""
     time = np.nan_to_num(shown.motion.time[rows])
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else speed / fps
     count = max(1, round((time[-1] - time[0] + spacing) * fps / speed))
@@ -126,7 +109,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
             f"the video would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
         )
     moments = time[0] + np.arange(count) * speed / fps
-    # The small offset makes up for rounding errors of the recorded times.
+    # The small offset compensates rounding errors of recorded simulated times.
     places = np.searchsorted(time, moments + 1e-9, side="right") - 1
     return np.asarray(rows[np.clip(places, 0, len(rows) - 1)])
 
@@ -134,22 +117,12 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
 def _pictures(
     shown: Scenery, takes: Sequence[NDArray[np.intp]], width: int, height: int, caption: bool
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures, with the camera at one distance."""
     cameras = [follow_robot(shown.scene, shown.motion, rows, width / height) for rows in takes]
     distance = max(camera.distance for camera in cameras)
     colours = recorded_scene.arrow_legend(shown.motion)
     with drawing(Order(shown.scene, width, height, _SAMPLES)) as process:
         for rows, camera in zip(takes, cameras, strict=True):
             for row, lookat in zip(rows.tolist(), camera.lookat, strict=True):
-                yield _picture(shown, process, row, lookat, distance, colours if caption else None)
-
-
-def _picture(shown: Scenery, process: Drawing, row: int, lookat: Any, distance: float, colours: Any) -> Any:
-    pixels = process.draw(view(shown, row, lookat, distance))
-    return (
-        pixels
-        if colours is None
-        else recorded_scene.write_caption(
-            pixels, recorded_scene.caption_lines(shown.motion, row, shown.env_id), colours
-        )
-    )
+                pixels = process.draw(view(shown, row, lookat, distance))
+                texts = recorded_scene.caption_lines(shown.motion, row, shown.env_id)
+                yield recorded_scene.write_caption(pixels, texts, colours) if caption else pixels

@@ -1,8 +1,8 @@
-"""Rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
+"""rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
 
-The viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
-other hosts: the server removes the fonts and usage statistics of rerun's page, and a content security policy stops
-the browser from requesting them.
+rerun's viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
+other hosts: the server removes the fonts and usage statistics of rerun's page, and a content security policy stops the
+browser from requesting them.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
 
-_CAUSES = ("adapter", "panic", "error", "failed")  # words of the line with the cause, best first
+_CAUSES = ("adapter", "panic", "error", "failed")  # Words in the line that explains a failure.
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Yield the process of rerun's viewer and the file with its output; the viewer sends nothing to other machines."""
+    """Yield the process of rerun's viewer and the file with the viewer's output. The viewer is offline."""
     command = [rerun_program(), "--bind", LOOPBACK, *arguments]
     with (
         tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
@@ -51,7 +51,7 @@ def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], 
 
 
 def failure_line(output: IO[bytes]) -> str:
-    """Return the output line that explains a viewer's failure best."""
+    """Return the line of the viewer's output that best explains why the viewer failed."""
     output.seek(0)
     text = output.read().decode(errors="replace")
     lines = [line for line in (_COLOUR.sub("", raw).strip() for raw in text.splitlines()) if line]
@@ -64,19 +64,17 @@ def failure_line(output: IO[bytes]) -> str:
 RECORDING = "/recording.rrd"
 _FILES = ("", "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico", "apple-touch-icon.png", "sw.js")
 _ELSEWHERE = re.compile(r"<link\b[^>]*https?://[^>]*>")
-_POLICY = "; ".join(
-    (
-        "default-src 'none'",
-        "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'",
-        "style-src 'self' 'unsafe-inline'",
-        "img-src 'self' data: blob:",
-        "connect-src 'self' data: blob:",
-        "worker-src 'self' blob:",
-        "base-uri 'none'",
-        "form-action 'none'",
-        "frame-ancestors 'none'",
-    )
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; connect-src 'self' data: blob:; worker-src 'self' blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 _WEB_START_S = 20.0
 _PIECE = 1 << 20
 
@@ -84,15 +82,7 @@ Files = Mapping[str, tuple[str, bytes]]
 
 
 class WebViewer:
-    """A server of the web viewer and one recording; ``with`` starts and stops it.
-
-    Args:
-        path: the recording.
-        port: port on the loopback address; 0 for a free one.
-
-    Raises:
-        WheellegError: the port is taken, or the viewer does not start.
-    """
+    """A web server of rerun's web viewer and one recording; port 0 means a free port."""
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
@@ -113,7 +103,7 @@ class WebViewer:
 
     @property
     def url(self) -> str:
-        """The address for a browser."""
+        """The URL of the server."""
         return f"http://{LOOPBACK}:{self.port}/"
 
     def __enter__(self) -> Self:
@@ -127,11 +117,7 @@ class WebViewer:
 
 
 def viewer_files() -> Files:
-    """Return the files of the web viewer by path, with their types, from rerun's own server.
-
-    Raises:
-        SimulationFailure: rerun's server does not start.
-    """
+    """Return the content and MIME type of each file of rerun's web viewer, by URL path."""
     port, grpc = free_port(), free_port()
     arguments = ["--serve-web", "--port", str(grpc), "--web-viewer-port", str(port)]
     with viewer(arguments) as (process, output):
@@ -146,7 +132,7 @@ def viewer_files() -> Files:
 
 
 def page_url(base: str) -> str:
-    """Return the address that shows the recording in the viewer."""
+    """Return the URL that shows the recording in rerun's web viewer."""
     return f"{base}?url={quote(base.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
 
 
@@ -164,7 +150,7 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore a browser that closes its connection."""
+        pass  # A browser can close the connection at any time.
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -175,80 +161,52 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*args)
 
     def do_GET(self) -> None:
-        """Send a file of the viewer, or the recording."""
         self._answer(with_body=True)
 
     def do_HEAD(self) -> None:
-        """Send the headers of GET without the content."""
         self._answer(with_body=False)
 
     def log_message(self, *_: Any) -> None:
-        """Do not log requests."""
+        pass
 
     def _answer(self, *, with_body: bool) -> None:
         _, port = cast("tuple[str, int]", self.server.server_address)
         if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
-            self._empty(HTTPStatus.FORBIDDEN)  # DNS rebinding: a foreign host name that resolves to this machine
+            self._reply(HTTPStatus.FORBIDDEN)  # This prevents DNS rebinding attacks.
             return
-        address = urlsplit(self.path)
+        address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            self._empty(HTTPStatus.FOUND, Location=page_url(f"http://{self.headers['Host']}/"))
-        elif address.path == RECORDING:
-            self._send_recording(with_body)
+            self._reply(HTTPStatus.FOUND, {"Location": page_url(f"http://{self.headers['Host']}/")})
+        elif address.path == RECORDING and self._recording.is_file():
+            with self._recording.open("rb") as file, suppress(ConnectionError):
+                # A training can append to the recording while the server sends the file.
+                left = file.seek(0, 2)
+                file.seek(0)
+                self._reply(ok, {"Content-Type": "application/octet-stream", **_HEADERS}, left)
+                while with_body and left and (piece := file.read(min(_PIECE, left))):
+                    self.wfile.write(piece)
+                    left -= len(piece)
         elif address.path in self._files:
             kind, body = self._files[address.path]
-            self._head(kind, len(body))
+            self._reply(ok, {"Content-Type": kind, **_HEADERS}, len(body))
             if with_body:
                 self.wfile.write(body)
         else:
-            self._empty(HTTPStatus.NOT_FOUND)
+            self._reply(HTTPStatus.NOT_FOUND)
 
-    def _send_recording(self, with_body: bool) -> None:
-        """Send the current content of the file. A run can be writing it."""
-        try:
-            file = self._recording.open("rb")
-        except OSError:
-            self._empty(HTTPStatus.NOT_FOUND)
-            return
-        with file, suppress(ConnectionError):
-            left = file.seek(0, 2)
-            file.seek(0)
-            self._head("application/octet-stream", left)
-            while with_body and left and (piece := file.read(min(_PIECE, left))):
-                self.wfile.write(piece)
-                left -= len(piece)
-
-    def _head(self, kind: str, length: int) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(length))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", _POLICY)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.end_headers()
-
-    def _empty(self, status: HTTPStatus, **headers: str) -> None:
+    def _reply(self, status: HTTPStatus, headers: Mapping[str, str] | None = None, length: int = 0) -> None:
         self.send_response(status)
-        for name, value in headers.items():
+        for name, value in {**(headers or {}), "Content-Length": str(length)}.items():
             self.send_header(name, value)
-        self.send_header("Content-Length", "0")
         self.end_headers()
 
 
 INSTALL = "a Vulkan driver; on Debian or Ubuntu: apt install mesa-vulkan-drivers libvulkan1"
 _START_S, _ENDING_S, _SETTLE_S, _STILL = 30.0, 2.0, 0.4, 3
 
-Say = Callable[[str], None]
-
 
 def open_window(path: Path) -> None:
-    """Show a recording in a window until the window is closed.
-
-    Raises:
-        WheellegError: there is no display.
-        SimulationFailure: the viewer fails.
-    """
+    """Show a recording in a window of rerun's viewer until the user closes the window."""
     if not has_display():
         raise WheellegError(
             "there is no display for a window",
@@ -261,24 +219,17 @@ def open_window(path: Path) -> None:
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened."""
+    """Return whether the machine has a display for a window."""
     if sys.platform.startswith("linux"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return True
 
 
-def serve(path: Path, say: Say, *, port: int = 0, browser: bool = True) -> None:
-    """Serve the web viewer with a recording on the loopback address until Ctrl-C.
+def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
+    """Serve rerun's web viewer and a recording on the loopback address until Ctrl-C raises KeyboardInterrupt.
 
-    Args:
-        path: the recording.
-        say: prints lines; the first line ends with the address.
-        port: the port; 0 for a free one.
-        browser: whether to open a browser, if there is one.
-
-    Raises:
-        WheellegError: the port is taken.
-        KeyboardInterrupt: the user pressed Ctrl-C.
+    ``say`` prints a line to the user; the first line ends with the URL. Port 0 means a free port. ``browser`` opens the
+    URL in a browser, if a browser is installed.
     """
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
@@ -289,21 +240,18 @@ def serve(path: Path, say: Say, *, port: int = 0, browser: bool = True) -> None:
 
 
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
-    """Write a screenshot of rerun's viewer with a recording, complete or not at all.
+    """Write a screenshot of rerun's viewer with a recording atomically.
 
-    ``time_s`` is the simulated time to show, s; None for the viewer's default.
-
-    Raises:
-        NoGraphics: there is no Vulkan driver; the message names the packages to install.
-        WheellegError: the path is wrong.
+    ``time_s`` is the simulated time to show, s; None for the viewer's default. Without a Vulkan driver, the function
+    raises NoGraphics, whose message names the packages to install.
     """
     if output.suffix.lower() != ".png":
-        raise WheellegError(f"'{output}' is not a name of a picture", expected="a name that ends with .png")
+        raise WheellegError(f"'{output}' is not an image file", expected="a name that ends with .png")
     require_new(output)
     port = free_port()
     arguments = ["--headless", "--port", str(port), "--window-size", f"{width}x{height}", "--hide-welcome-screen"]
     with viewer(arguments) as (process, log), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # rerun warns that its client is experimental
+        warnings.simplefilter("ignore")  # rerun warns that its ViewerClient class is experimental.
         try:
             client = _connected(port, process, log)
             client.open(str(path.absolute()))
@@ -311,7 +259,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # a viewer without a driver stops only after it has answered
+            with suppress(subprocess.TimeoutExpired):  # A viewer without a driver first answers and then stops.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error
@@ -339,7 +287,7 @@ def _no_graphics(output: IO[bytes]) -> NoGraphics:
 
 
 def _still(client: Any) -> bytes:
-    """Return a screenshot once two in a row are equal, because data and plots appear over several frames."""
+    """Wait until two consecutive screenshots are equal, because the viewer loads data over several frames."""
     before = bytes(client.take_screenshot())
     for _ in range(_STILL):
         time.sleep(_SETTLE_S)
@@ -351,7 +299,6 @@ def _still(client: Any) -> bytes:
 
 
 def _open_browser(url: str) -> bool:
-    """Open a browser if there is a display."""
     if not has_display():
         return False
     try:

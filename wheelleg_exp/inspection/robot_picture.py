@@ -24,28 +24,24 @@ from wheelleg_exp.rendering.scene_models import shape_of
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 720, 720  # px, of each of the two views
+_WIDTH, _HEIGHT = 720, 720  # Each of the two views of the robot is 720 px wide and high.
 _FINER = 2
 _SAMPLES = 4
 _GREY, _WHEEL, _INSIDE = (0.62, 0.65, 0.7, 0.45), (0.25, 0.28, 0.33, 0.75), (0.95, 0.5, 0.1, 0.6)
 _MASS, _SUPPORT, _CONTACT = (0.85, 0.1, 0.15, 1.0), (0.1, 0.55, 0.25, 1.0), (0.1, 0.35, 0.85, 1.0)
-_BALL, _ROD = 0.025, 0.006  # of the robot's size, radii
+_BALL, _ROD = 0.025, 0.006  # The radii of the markers' spheres and rods are shares of the robot's size.
 
 
 def require_picture(path: Path) -> None:
-    """Raise RunDirectoryError unless the name ends in .png and is free."""
+    """Raise RunDirectoryError if the path does not end in .png or the file exists already."""
     if path.suffix.lower() != ".png":
         expected = "a name that ends with .png"
-        raise RunDirectoryError(f"'{path}' is not a name of a picture", key="--screenshot", expected=expected)
+        raise RunDirectoryError(f"'{path}' is not an image file", key="--screenshot", expected=expected)
     require_new(path)
 
 
 def write_picture(robot: CompiledRobot, path: Path) -> None:
-    """Write a picture of a robot from the side and from the front, complete or not at all.
-
-    Raises:
-        WheellegError: the file exists, or drawing is not possible on this machine.
-    """
+    """Write a picture of a robot from the side and from the front atomically."""
     require_picture(path)
     buffer = io.BytesIO()
     Image.fromarray(_drawn(robot)).save(buffer, "PNG", optimize=True)
@@ -62,7 +58,8 @@ def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     distance = render_scene.camera_distance(cloud - lookat, _WIDTH / _HEIGHT)
     base = robot.model.body(robot.anatomy.base).id
     left = robot.data.xmat[base].reshape(3, 3) @ np.array(robot.anatomy.left or (0.0, 1.0, 0.0))
-    side = float(np.degrees(np.arctan2(left[1], left[0])))  # the camera looks left, so that forward is to the right
+    # The camera looks in the robot's left direction, so that the robot faces right in the picture.
+    side = float(np.degrees(np.arctan2(left[1], left[0])))
     pictures = []
     with drawing(Order(scene, _FINER * _WIDTH, _FINER * _HEIGHT, _SAMPLES)) as process:
         for azimuth, elevation in ((side, 0.0), (render_scene.AZIMUTH, render_scene.ELEVATION)):
@@ -91,7 +88,7 @@ def _colliders(robot: CompiledRobot) -> list[Shape]:
 
 
 def _marks(robot: CompiledRobot) -> list[Shape]:
-    """Return the centre of mass with its plumb line, the wheels' contacts, and the support polygon."""
+    """Return markers of the centre of mass, its plumb line, the wheels' contact points, and the support polygon."""
     model, data, anatomy = robot.model, robot.data, robot.anatomy
     base, size = model.body(anatomy.base).id, anatomy.size
     frame, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
@@ -100,17 +97,10 @@ def _marks(robot: CompiledRobot) -> list[Shape]:
     ground = min((float(contact[2]) for contact in contacts), default=0.0)
     shapes = [_ball(mass, _BALL * size, _MASS), _rod(mass, np.array([mass[0], mass[1], ground]), size, _MASS)]
     shapes += [_ball(contact, 0.7 * _BALL * size, _CONTACT) for contact in contacts]
-    around = _in_order(contacts)
+    middle = np.mean(contacts, axis=0) if contacts else np.zeros(3)
+    around = sorted(contacts, key=lambda point: float(np.arctan2(point[1] - middle[1], point[0] - middle[0])))
     ends = zip(around, around[1:] + around[:1], strict=True)
     return shapes + [_rod(a, b, size, _SUPPORT) for a, b in ends if np.linalg.norm(a - b) > 0]
-
-
-def _in_order(points: list[Array]) -> list[Array]:
-    """Return points on the ground in order around their centre."""
-    if not points:
-        return []
-    middle = np.mean(points, axis=0)
-    return sorted(points, key=lambda point: float(np.arctan2(point[1] - middle[1], point[0] - middle[0])))
 
 
 def _ball(place: Array, radius: float, rgba: tuple[float, ...]) -> Shape:

@@ -1,4 +1,4 @@
-"""Rows of a recording that a question uses, and lengths of time such as ``0.5s``, ``200ms``, ``30steps``."""
+"""Select rows of a recording, and parse lengths of time such as ``0.5s``, ``200ms``, ``30steps``."""
 
 from __future__ import annotations
 
@@ -16,26 +16,18 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 _WORDS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*")
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3}
 _STEPS = ("step", "steps")
+_CLOSE = 1e-6  # Recorded times are rounded to microseconds.
 
 
 @dataclass(frozen=True)
 class Length:
-    """A length of simulated time, or a number of control steps.
-
-    Attributes:
-        value: seconds, or steps.
-        is_steps: whether the value is in steps.
-    """
+    """A length of time in simulated seconds or in control steps."""
 
     value: float
     is_steps: bool
 
     def steps(self, step_dt: float | None) -> int:
-        """Return the nearest number of control steps of ``step_dt`` seconds.
-
-        Raises:
-            WheellegError: the value is in seconds, and the duration of a step is unknown.
-        """
+        """Return the length of time as a number of control steps of ``step_dt`` seconds, rounded."""
         if self.is_steps:
             return round(self.value)
         if not step_dt:
@@ -48,11 +40,7 @@ class Length:
 
 
 def parse_length(text: str, key: str) -> Length:
-    """Return the length of a text; without a unit, in seconds.
-
-    Raises:
-        WheellegError: the text is not a length.
-    """
+    """Parse a length of time; a number without a unit is in seconds."""
     match = _WORDS.fullmatch(text)
     if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
         value, unit = float(match.group(1)), match.group(2)
@@ -62,17 +50,12 @@ def parse_length(text: str, key: str) -> Length:
     )
 
 
-_CLOSE = 1e-6  # s: recorded times are whole microseconds
-
-
 @dataclass(frozen=True)
 class Selection:
-    """A selection of rows. An attribute that is None does not restrict it.
+    """A selection of a recording's rows by environment, training iterations, and moments, with inclusive bounds.
 
-    A time stands for the nearest control step, so that printed times can be typed.
-
-    ``iterations`` is the first and last training iteration. ``begin`` and ``end`` are the first and last moment,
-    both included.
+    An attribute that is None does not restrict the selection. A time selects the nearest control step, so that users
+    can enter rounded times.
     """
 
     env_id: int | None = None
@@ -82,26 +65,18 @@ class Selection:
 
     @property
     def is_all(self) -> bool:
-        """Whether every row is selected."""
+        """Whether the selection contains every row of the recording."""
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:
-        """Return the selected environments.
-
-        Raises:
-            RunDirectoryError: the selected one was not recorded.
-        """
+        """Return the indices of the selected environments."""
         if self.env_id is None:
             return list(recording.env_ids)
         recording.branch(self.env_id)
         return [self.env_id]
 
     def apply(self, table: pa.Table) -> pa.Table:
-        """Return the selected rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``.
-
-        Raises:
-            WheellegError: the table lacks a timeline.
-        """
+        """Return the selected rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``."""
         mask = np.ones(len(table), dtype=bool)
         if self.iterations is not None:
             values = _timeline(table, ITERATION, "--iteration")
@@ -114,22 +89,16 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether a moment is selected; an unknown moment is not."""
-        if self.iterations is not None:
-            first, last = self.iterations
-            if iteration is None or not first <= iteration <= last:
-                return False
-        lower = [(bound, +1) for bound in (self.begin,) if bound is not None]
-        for bound, sign in [*lower, *((bound, -1) for bound in (self.end,) if bound is not None)]:
-            value = step if bound.is_steps else time_s
-            room = 0.0 if bound.is_steps or not step or time_s is None else max(0.5 * time_s / step, _CLOSE)
-            if value is None or sign * (value - bound.value) < -room:
-                return False
-        return True
+        """Return whether the selection contains a moment; an unknown moment is not selected."""
+        columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
+        try:
+            return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
+        except WheellegError:  # The moment has no value on the timeline that the selection restricts.
+            return False
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return the error for a selection without rows. It names the recorded range."""
+    """Return the error for a selection without rows; the message names the recorded range."""
     spans = []
     for name, words in ((SIM_TIME, "times from {:.3f} to {:.3f} s"), (STEP, "steps {:.0f} to {:.0f}")):
         reach = recording.reach(name)
@@ -140,28 +109,24 @@ def nothing_chosen(recording: Recording) -> WheellegError:
 
 
 def require_order(selection: Selection) -> None:
-    """Raise WheellegError if a selection ends before its start."""
+    """Raise WheellegError if the end of a selection is before its start."""
     begin, end = selection.begin, selection.end
     if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
         raise WheellegError("the end is before --from", key="--to", expected=f"{begin.value:g} or later")
 
 
 def _half_step(table: pa.Table) -> float:
-    """Return half the duration of a control step, s, if all steps of the table have the same duration."""
     if STEP not in table.column_names or not len(table):
         return _CLOSE
     ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
     lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
-    is_regular = math.isclose(*lengths, rel_tol=1e-3)  # steps of another tool's recording can be irregular
+    # The control steps in another program's recording can have different durations.
+    is_regular = math.isclose(*lengths, rel_tol=1e-3)
     return max(0.5 * lengths[1], _CLOSE) if is_regular else _CLOSE
 
 
 def parse_iterations(text: str) -> tuple[int, int]:
-    """Return the first and last iteration of a text such as ``50`` or ``50-60``.
-
-    Raises:
-        WheellegError: the text is neither.
-    """
+    """Parse a range of training iterations such as ``50`` or ``50-60`` into its first and last iteration."""
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):

@@ -16,9 +16,10 @@ from wheelleg_exp.inspection.plot_style import BLUE, INK, MUTED, VERMILLION, Pan
 ITERATIONS = "iteration"
 _SMOOTHED_FROM = 60
 _WINDOWS = 40
-_LOG_FROM = 50.0  # ratio of the largest to the smallest value from which a curve needs a logarithmic scale
+_LOG_FROM = 50.0  # A curve is drawn on a logarithmic axis if its largest value exceeds 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The scalars with curves. The curves of the commands' errors follow the second one.
+# The report draws one curve for each of these training scalars. The tracking errors of commands follow the second
+# curve.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -29,7 +30,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# Kinds of errors of commands. Only the first kind that a training has is drawn.
+# Training scalars with these prefixes are tracking errors of commands. The report draws only the first prefix that the
+# training logged.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -42,7 +44,7 @@ def learning(scalars: Scalars) -> list[Panel]:
 
 
 def endings(scalars: Scalars) -> list[Panel]:
-    """Return the shares of terminations over the training: of the last episode of every environment."""
+    """Return plot panels of the share of episodes that ended by each termination term, over training iterations."""
     causes = _below(scalars, "Episode_Termination")
     if not causes:
         return []
@@ -50,7 +52,8 @@ def endings(scalars: Scalars) -> list[Panel]:
     shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
 
     def draw(axes: Axes) -> None:
-        for i, name in enumerate(shown):  # not stacked, because an episode with two terminations is in both
+        # The shares are not stacked, because an episode with two simultaneous terminations counts for both terms.
+        for i, name in enumerate(shown):
             draw_curve(axes, *causes[name], colour(i), name)
         over_iterations(axes)
         axes.set_ylim(0, 1.02)
@@ -61,10 +64,10 @@ def endings(scalars: Scalars) -> list[Panel]:
 
 
 def reward_course(scalars: Scalars) -> list[Panel]:
-    """Return panels of the weighted reward terms over the training, and of their values at its end.
+    """Return plot panels of the weighted reward terms over the training, and of their last values.
 
-    These scalars are an episode's sum over the duration of the longest possible episode, not over its own duration. As
-    long as episodes end early, they are smaller than the recorded reward per second.
+    The training scalars of reward terms are an episode's sum divided by the maximum episode duration. If episodes end
+    early, these scalars are smaller than the recorded reward per second.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -78,10 +81,7 @@ def reward_course(scalars: Scalars) -> list[Panel]:
 
 
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
-    """Return bars of the mean weighted reward of each term, with its share of the sum of absolute values.
-
-    ``unit`` is the unit, or empty.
-    """
+    """Return bars of each reward term's mean weighted value, with its share of the sum of absolute values."""
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0
 
@@ -89,7 +89,8 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
         values = [means[name] for name in order]
         axes.barh(order, values, color=[BLUE if v >= 0 else VERMILLION for v in values], height=0.68)
         for row, v in enumerate(values):
-            text = f"{v:+.3g}  ({_percent(abs(v) / total)})" if v else "0"
+            share = abs(v) / total
+            text = f"{v:+.3g}  ({f'{share:.0%}' if share >= 0.005 else '<1%'})" if v else "0"
             place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
             axes.annotate(text, (max(v, 0.0), row), fontsize=8, color=INK, **place)
         axes.axvline(0.0, color=MUTED, linewidth=0.8)
@@ -103,7 +104,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean over a fortieth of the rows; the windows at both ends are shorter."""
+    """Return a centred moving mean over windows of a fortieth of the rows; the windows at both ends are shorter."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
@@ -114,12 +115,8 @@ def smooth(values: Numbers) -> Numbers:
     return np.where(inside > 0, (sums[high] - sums[low]) / np.maximum(inside, 1), np.nan)
 
 
-def _percent(part: float) -> str:
-    return f"{part:.0%}" if part >= 0.005 else "<1%"
-
-
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
-    """Draw a curve over iterations. A long curve is pale, with its moving mean on top."""
+    """Draw a curve over iterations. A curve with many points is drawn pale, with its moving mean on top."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
         axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)
@@ -129,7 +126,7 @@ def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None,
 
 
 def over_iterations(axes: Axes, label: str = "") -> None:
-    """Label the axes of a panel over iterations."""
+    """Label the axes of a plot panel over training iterations."""
     axes.set_xlabel(ITERATIONS)
     axes.set_ylabel(label)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
@@ -157,7 +154,6 @@ def _below(scalars: Scalars, group: str) -> dict[str, tuple[Any, Any]]:
 
 
 def _stacker(terms: Mapping[str, tuple[Any, Any]], order: Sequence[str]) -> Any:
-    """Return a function that stacks terms, with negative values below zero."""
     shown = [name for name in order if np.any(np.asarray(terms[name][1]) != 0)] or list(order[:1])
 
     def draw(axes: Axes) -> None:
@@ -173,7 +169,7 @@ def _stacker(terms: Mapping[str, tuple[Any, Any]], order: Sequence[str]) -> Any:
 
 
 def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> None:
-    """Stack named rows over ``x``: positive numbers up, negative ones down."""
+    """Stack named rows over ``x``: positive numbers up, negative numbers down."""
     for sign in (1.0, -1.0):
         parts = [(shade, np.clip(sign * np.nan_to_num(v), 0, None) * sign) for _, v, shade in rows]
         if any(np.any(part) for _, part in parts):
@@ -187,7 +183,6 @@ def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> N
 
 
 def _on(x: Numbers, points: tuple[Any, Any]) -> Numbers:
-    """Return a term's values at ``x``; 0 where the term was not logged."""
     own, values = np.asarray(points[0]), drawable(points[1])
     if len(own) == len(x) and np.array_equal(own, x):
         return np.nan_to_num(values)

@@ -3,8 +3,8 @@
 ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers import SceneEntityCfg``.
 ``docs/isaaclab.md`` describes the differences.
 
-Only ``managers`` and ``utils`` have code of their own. The other modules of Isaac Lab contain existing classes under
-Isaac Lab's names. They are created here from a table when the package is imported, instead of one file for each.
+Only ``managers`` and ``utils`` contain code. The remaining modules only give Isaac Lab's names to existing classes.
+These modules are created from a table when the package is imported.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ _TERMS = ("actions", "commands", "curriculums", "events", "observations", "rewar
 
 
 def _public(module: ModuleType) -> dict[str, Any]:
-    """Return the public names that a module or its submodules define."""
     own = f"{module.__name__}."
     names = {n: v for n, v in vars(module).items() if not n.startswith("_") and not isinstance(v, ModuleType)}
     return {n: v for n, v in names.items() if f"{getattr(v, '__module__', module.__name__)}.".startswith(own)}
@@ -49,7 +48,7 @@ _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
-# Path: docstring, members. A package comes before its modules.
+# The docstring and the members of each module by path. A package comes before its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuators": ("The actuator models.", _public(actuators)),
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),

@@ -8,7 +8,7 @@ import torch
 
 from wheelleg_exp import managers
 from wheelleg_exp.isaaclab.utils.configclass import configclass
-from wheelleg_exp.managers import (
+from wheelleg_exp.managers import (  # noqa: F401  # Isaac Lab's module also exports these names
     ActionManager,
     CommandManager,
     CurriculumManager,
@@ -21,29 +21,8 @@ from wheelleg_exp.managers import (
     Term,
     TerminationManager,
 )
+from wheelleg_exp.managers.manager_base import OfEnv
 from wheelleg_exp.sim.ids import fill_rows, ids_where
-
-__all__ = [
-    "ActionManager",
-    "ActionTerm",
-    "ActionTermCfg",
-    "CommandManager",
-    "CommandTerm",
-    "CommandTermCfg",
-    "CurriculumManager",
-    "CurriculumTermCfg",
-    "EventManager",
-    "EventTermCfg",
-    "ManagerTermBase",
-    "ManagerTermBaseCfg",
-    "ObservationManager",
-    "ObservationTermCfg",
-    "RewardManager",
-    "RewardTermCfg",
-    "SceneEntityCfg",
-    "TerminationManager",
-    "TerminationTermCfg",
-]
 
 ManagerTermBaseCfg = Term
 RewardTermCfg = ObservationTermCfg = TerminationTermCfg = EventTermCfg = CurriculumTermCfg = Term
@@ -51,12 +30,12 @@ RewardTermCfg = ObservationTermCfg = TerminationTermCfg = EventTermCfg = Curricu
 
 @configclass
 class ActionTermCfg:
-    """The config of an action: the YAML node's parameters as attributes.
+    """The config of an action: the parameters of the YAML node as attributes.
+
+    ``class_type`` and ``debug_vis`` are unused, because ``_target_`` of the node is the class.
 
     Attributes:
-        class_type: unused, because the node's ``_target_`` is the class.
         asset_name: the robot's name in the scene.
-        debug_vis: unused.
         clip: bounds by joint expression, which the term applies.
     """
 
@@ -68,12 +47,12 @@ class ActionTermCfg:
 
 @configclass
 class CommandTermCfg:
-    """The config of a command: the YAML node's parameters as attributes.
+    """The config of a command: the parameters of the YAML node as attributes.
+
+    ``class_type`` and ``debug_vis`` are unused, because ``_target_`` of the node is the class.
 
     Attributes:
-        class_type: unused, because the node's ``_target_`` is the class.
         resampling_time_range: shortest and longest time between two draws, s.
-        debug_vis: unused.
     """
 
     class_type: Any = None
@@ -81,30 +60,11 @@ class CommandTermCfg:
     debug_vis: bool = False
 
 
-class _OfEnv:
-    """The attributes of a term that Isaac Lab's terms read from ``self``."""
-
-    _env: Env
-
-    @property
-    def num_envs(self) -> int:
-        """Number of environments, N."""
-        return self._env.num_envs
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the tensors."""
-        return self._env.device
-
-
-class ActionTerm(_OfEnv, managers.ActionTerm):
+class ActionTerm(OfEnv, managers.ActionTerm):
     """An action term with the constructor ``(cfg, env)``.
 
-    A subclass defines ``action_dim``, ``raw_actions`` and ``processed_actions``.
-
-    Args:
-        cfg: the parameters of the YAML node, as the class that annotates ``cfg`` in the subclass's ``__init__``.
-        env: the environment.
+    A subclass defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` holds the parameters of the
+    YAML node, as the class that annotates ``cfg`` in the constructor of the subclass.
     """
 
     def __init__(self, cfg: ActionTermCfg, env: Env) -> None:
@@ -113,24 +73,18 @@ class ActionTerm(_OfEnv, managers.ActionTerm):
         self._asset = env.scene[cfg.asset_name]
 
 
-class CommandTerm(_OfEnv, managers.CommandTerm):
-    """A command term with the constructor ``(cfg, env)``.
+class CommandTerm(OfEnv, managers.CommandTerm):
+    """A command term with the constructor ``(cfg, env)``; see ``ActionTerm``.
 
-    A subclass defines ``_resample_command``, ``_update_command`` and ``_update_metrics``.
-
-    Args:
-        cfg: the parameters of the YAML node, as the class that annotates ``cfg`` in the subclass's ``__init__``.
-        env: the environment.
-
-    Attributes:
-        metrics: log entries of the episodes that end, (N,) by name, which the subclass fills.
+    A subclass defines ``_resample_command``, ``_update_command``, and ``_update_metrics``, and fills ``metrics``: the
+    log entries of the episodes that end, (N,) by name.
     """
 
     metrics: Any
 
     def __init__(self, cfg: CommandTermCfg, env: Env) -> None:
         self.cfg = cfg
-        # The term has no generator: it draws from torch's global generator, which is the term's stream while it runs.
+        # Pass no generator, because torch's global generator is the term's stream while the term runs.
         super().__init__(env, cfg.resampling_time_range, (), None)  # type: ignore[arg-type]
         self.metrics: dict[str, torch.Tensor] = {}
 

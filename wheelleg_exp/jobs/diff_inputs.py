@@ -11,9 +11,9 @@ from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose
 from wheelleg_exp.config.composing.provenance import Mount
-from wheelleg_exp.config.config_tree import line_table
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.config_diff import Side
+from wheelleg_exp.config.tree_lookup import line_table
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import read_json, require_mapping
 from wheelleg_exp.jobs.train.source_roots import source_roots
@@ -26,24 +26,16 @@ from wheelleg_exp.run.source_changes import changed_states
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
-# Sections that decide the numbers of a run; its folder and silenced findings do not.
+# These config sections decide the numbers of a run. The run directory and silenced findings do not.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
 _CODE = ("commit", "tree", "dirty", "patch_sha256")
 
 
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
-    """Return both sides of a comparison.
+    """Return both sides of a comparison of two training inputs.
 
-    If only one side is a run, the other gets the facts of this machine and checkout.
-
-    Args:
-        a: a run (path, id, ``latest``), a task, or overrides; overrides may follow a run or a task.
-        b: likewise.
-        root: the folder of all runs.
-        config_dirs: the user's config folders.
-
-    Raises:
-        WheellegError: a side is none of these, or does not compose.
+    Each side is a run (path, id, ``latest``), a task, or overrides; overrides may follow a run or a task. If only one
+    side is a run, the other side gets the facts of this machine and checkout.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -54,7 +46,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
 
 
 def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
-    """Return a side, and its composed config unless it is a run."""
+    """Return a side of the comparison, and its composed config unless the side is a run."""
     words = split_words(text)
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
@@ -65,15 +57,12 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
             return _run(_open(first, root, tasks), rest), None
         words = [f"task={first}", *rest]
     composed = compose(words, config_dirs=config_dirs)
-    return _composed(text or "(no overrides)", composed), composed
+    tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
+    return Side(text or "(no overrides)", tree, partial(_who, composed, composed.mounts)), composed
 
 
 def split_words(text: str) -> list[str]:
-    """Return the words of a line. Spaces inside quotes and brackets do not split, because Hydra reads those itself.
-
-    Raises:
-        WheellegError: a quote or a bracket is not closed.
-    """
+    """Split a command line into words; spaces inside quotes and brackets belong to Hydra overrides and do not split."""
     words, quote, depth = [""], "", 0
     for letter in text:
         if letter.isspace() and not quote and not depth:
@@ -87,7 +76,7 @@ def split_words(text: str) -> list[str]:
         else:
             depth += (letter in "([{") - (letter in ")]}")
     if quote or depth > 0:
-        raise WheellegError("cannot be split into words", key=text, expected="closed quotes and brackets")
+        raise WheellegError("the text cannot be split into words", key=text, expected="closed quotes and brackets")
     return [word for word in words if word]
 
 
@@ -103,13 +92,8 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
         ) from error
 
 
-def _composed(label: str, composed: Composed) -> Side:
-    tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
-    return Side(label, tree, partial(_who, composed, composed.mounts))
-
-
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return who set a key, removed it, or selected the terms of a list without it."""
+    """Return the source that set or deleted a config key, or that selected a list of terms without the key."""
     places, keys = composed.provenance, split_path(path)
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
@@ -126,15 +110,22 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     typed = [*recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:
-        last = next((text for text in reversed(typed) if _sets(text, path)), None)
-        return f"override {last}" if last is not None else _line(run, path)
+        for text in reversed(typed):
+            keys = split_path(text.lstrip("+~").split("=", 1)[0])
+            if keys and split_path(path)[: len(keys)] == keys:  # The override sets ``path`` or its section.
+                return f"override {text}"
+        part, *inside = split_path(path)
+        if part not in PARTS:
+            return CONFIG
+        line = line_table(run.params / f"{part}.yaml").get(tuple(inside))
+        return None if line is None else f"params/{part}.yaml:{line}"
 
     label = f"{run.path.parent.name}/{run.id}"
     return Side(" ".join([label, *overrides]), {key: tree[key] for key in SECTIONS if key in tree}, where, _facts(run))
 
 
 def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
-    """Return what ``params`` lacks, from Hydra's own file if the run has it."""
+    """Return the config sections that ``params`` lacks, from Hydra's config file if the run has this file."""
     manifest = run.manifest()
     sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):
@@ -144,22 +135,8 @@ def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return sections  # a config that does not resolve is not compared
+        return sections  # A config that does not resolve is not compared.
     return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
-
-
-def _sets(override: str, path: str) -> bool:
-    """Return whether an override writes a key, or a section that contains the key."""
-    keys = split_path(override.lstrip("+~").split("=", 1)[0])
-    return bool(keys) and split_path(path)[: len(keys)] == keys
-
-
-def _line(run: RunDirectory, path: str) -> str | None:
-    part, *inside = split_path(path)
-    if part not in PARTS:
-        return CONFIG
-    line = line_table(run.params / f"{part}.yaml").get(tuple(inside))
-    return None if line is None else f"params/{part}.yaml:{line}"
 
 
 def _facts(run: RunDirectory) -> dict[str, dict[str, Any]]:
@@ -180,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies the source; the user's further repositories carry numbers."""
+    """Return the facts that identify the source; the user's further repositories carry numbers."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
@@ -189,22 +166,15 @@ def _code(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
-    """Return the facts of this machine and checkout that need no build."""
-    with tempfile.TemporaryDirectory() as folder:
-        record = snapshot_source(source_roots(composed), Path(folder))
-    return {
-        "code": _code(record),
-        "versions": dict(environment.versions()),
-        "hardware": environment.hardware(),
-        "asset": _layers(composed),
-    }
-
-
-def _layers(composed: Composed) -> dict[str, str]:
+    """Return the facts of this machine and checkout that need no build of the robot."""
     from wheelleg_exp.asset.conversion_cache import find_beside, source_digest
 
+    with tempfile.TemporaryDirectory() as folder:
+        record = snapshot_source(source_roots(composed), Path(folder))
     try:
         env, roots = composed.config["env"], composed.asset_roots
-        return source_digest(find_asset(env["robot"]["asset"], roots), beside=find_beside(env, roots))
+        layers = source_digest(find_asset(env["robot"]["asset"], roots), beside=find_beside(env, roots))
     except WheellegError:
-        return {}
+        layers = {}
+    facts = {"code": _code(record), "versions": dict(environment.versions()), "hardware": environment.hardware()}
+    return {**facts, "asset": layers}

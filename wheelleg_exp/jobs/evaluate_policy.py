@@ -1,6 +1,6 @@
 """Evaluate a run's policy, or the reference controller, in the scenarios of a protocol, and save the result.
 
-Each evaluation is a folder ``evaluation/<time>/`` below the run. ``compare`` compares saved evaluations over
+Each evaluation is a folder ``evaluation/<time>/`` in the run directory. ``compare`` compares saved evaluations over
 training seeds, with other runs, and with the reference.
 """
 
@@ -64,15 +64,9 @@ _ALTERNATIVES = {
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Any]:
-    """Return ``env``, ``agent``, ``protocol`` and ``seed``, plain: the run's own, with the overrides.
+    """Return ``env``, ``agent``, ``protocol`` and ``seed`` of a run's evaluation, with the overrides applied.
 
-    Args:
-        run: the run.
-        overrides: those of ``protocol`` and ``seed`` change the protocol, all others the run's parameters.
-        config_dirs: folders of the user's own protocols.
-
-    Raises:
-        WheellegError: an override, the run, or the protocol is wrong.
+    Overrides of ``protocol`` and ``seed`` change the protocol, all other overrides the run's parameters.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
@@ -90,7 +84,7 @@ def evaluation_settings(
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
-    """Return what an evaluation reads of ``env`` and ``agent``."""
+    """Return the part of ``env`` and ``agent`` that an evaluation reads."""
     env = tree["env"]
     height = rewarded_height(env) if protocol.target_height is None else None
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
@@ -107,7 +101,8 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-Draw = Callable[[Evaluation, Path], list[Path]]  # draws plots of an evaluation into a folder, and returns the files
+# A function that draws plots of an evaluation into a folder, and returns the files.
+Draw = Callable[[Evaluation, Path], list[Path]]
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
@@ -116,12 +111,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 class Evaluated:
     """The result of an evaluation.
 
-    Attributes:
-        run: the run of the policy.
-        checkpoint: the checkpoint; None for the reference controller.
-        folder: the written folder below the run.
-        evaluation: the measured values.
-        content: the content of ``evaluation.json``.
+    ``checkpoint`` is None for the reference controller. ``content`` is the content of ``evaluation.json``.
     """
 
     run: RunDirectory
@@ -142,23 +132,13 @@ def evaluate_run(
 ) -> Evaluated:
     """Evaluate the mean action of a run's policy, and save the result under the run.
 
-    Args:
-        run: the run.
-        checkpoint: one of its checkpoints; None means the last.
-        overrides: the protocol, changes to it, and changes to the run's parameters.
-        command: the command line, for the manifest.
-        tell: receives the test, its finished steps, and its number of steps.
-        config_dirs: folders of the user's own protocols.
-        draw: draws plots of the result.
-
-    Raises:
-        WheellegError: the run, the checkpoint, or an override is wrong.
+    Without ``checkpoint``, evaluate the last checkpoint. ``tell`` is called with the name of the protocol's test, the
+    finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
     found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
-    about = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides)}
-    content = {**about, **found.as_dict()}
+    content = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides), **found.as_dict()}
     return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
 
 
@@ -172,10 +152,7 @@ def evaluate_reference(
 ) -> Evaluated:
     """Evaluate the reference controller on a run's robot and task, and save the result under the run.
 
-    The arguments are those of ``evaluate_run``.
-
-    Raises:
-        WheellegError: an override is wrong, or the reference cannot balance the robot with its actions.
+    The arguments are those of ``evaluate_run``. ConfigError means that the reference cannot balance the robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -190,19 +167,17 @@ def evaluate_reference(
 
 
 def _save(
-    run: RunDirectory,
-    kind: str,
-    content: dict[str, Any],
-    found: Evaluation,
-    command: Sequence[str],
-    draw: Draw | None,
+    run: RunDirectory, kind: str, content: dict[str, Any], found: Evaluation, command: Sequence[str], draw: Draw | None
 ) -> Path:
-    """Write the result below the run, whole or not at all, and return the folder."""
+    """Write the evaluation into the run directory, atomically, and return the folder."""
     with dated_folder(run.evaluation) as folder:
         write_text(folder / EPISODES, episodes_text(found.episodes))
         write_json(folder / RESULT, content)
-        drawn = [] if draw is None else draw(found, folder)
-        run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
+        files = [folder / RESULT, folder / EPISODES, *([] if draw is None else draw(found, folder))]
+        keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
+        results = {"protocol": content["protocol"]["name"], **{key: content[key] for key in keys if key in content}}
+        results["metrics"] = {name: figure["value"] for name, figure in content["metrics"].items()}
+        run.manifest().add(kind, files, results, command=command)
     return folder
 
 
@@ -229,16 +204,8 @@ def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
     return make
 
 
-def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the manifest's entry of an evaluation."""
-    keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
-    values = {name: figure["value"] for name, figure in content["metrics"].items()}
-    facts = {key: content[key] for key in keys if key in content}
-    return {"protocol": content["protocol"]["name"], **facts, "metrics": values}
-
-
 def episodes_text(episodes: Mapping[str, Any]) -> str:
-    """Return the episodes as CSV, one row each; Python's number format makes reading exact."""
+    """Return the episodes as CSV with one row per episode, in Python's number format, which preserves every bit."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(episodes)
@@ -257,35 +224,27 @@ _EXPECTED = "an evaluation that wheelleg evaluate has written"
 
 
 def read_content(folder: Path) -> dict[str, Any]:
-    """Return the content of a saved ``evaluation.json``.
-
-    Raises:
-        RunDirectoryError: the file is missing or damaged, or has another version.
-    """
+    """Return the content of a saved ``evaluation.json``."""
     path = folder / RESULT
     try:
         with for_people(path, "read"):
             content = json_value(path.read_bytes())
     except Unreadable as error:
-        raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
+        raise RunDirectoryError(f"the file is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise RunDirectoryError(f"is no evaluation of format {FORMAT}", key=str(path), expected=_EXPECTED)
+        raise RunDirectoryError(f"the file is not an evaluation of format {FORMAT}", key=str(path), expected=_EXPECTED)
     return content
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """Return a saved evaluation with its episodes.
-
-    Raises:
-        RunDirectoryError: one of its files is missing or damaged.
-    """
+    """Load a saved evaluation with its episodes."""
     content = read_content(folder)
     try:
         metrics = {name: _figure(value) for name, value in content["metrics"].items()}
         facts = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
         return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **facts)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunDirectoryError(f"is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
+        raise RunDirectoryError(f"the evaluation is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
 
 
 def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
@@ -293,18 +252,15 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     with for_people(path, "read"):
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
     if not rows:
-        raise RunDirectoryError("is empty", key=str(path), expected=_EXPECTED)
+        raise RunDirectoryError("the file is empty", key=str(path), expected=_EXPECTED)
     return {name: _column([row[i] for row in rows[1:]]) for i, name in enumerate(rows[0])}
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the newest saved evaluation of a checkpoint under a protocol, or None.
+    """Return the folder of the newest saved evaluation of a checkpoint under a protocol, or None.
 
-    Args:
-        run: the run.
-        checkpoint: the checkpoint's sha256.
-        tree: the result of ``evaluation_settings``: different words can give the same protocol.
-        overrides: of the run's parameters and of the protocol.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Overrides cannot
+    identify a protocol, because different overrides can give equal protocols.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -317,7 +273,7 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
 
 
 def load_evaluated(run: RunDirectory, checkpoint: Path, folder: Path) -> Evaluated:
-    """Return a saved evaluation in the form of a new one."""
+    """Return a saved evaluation as ``Evaluated``."""
     return Evaluated(run, checkpoint, folder, read_evaluation(folder), read_content(folder))
 
 
@@ -339,15 +295,10 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """The result of a comparison.
+    """The result of a comparison: every metric over the runs, and the differences from the other side.
 
-    Attributes:
-        folder: the written folder below the first run.
-        seeds: every metric over the runs.
-        differences: the differences from the other side; empty without another side.
-        verdict: the differences in words; empty without another side.
-        push_verdict: the verdict on push recovery; also empty if no pushes were measured.
-        content: the content of ``comparison.json``.
+    If no other method is compared, ``differences`` and ``verdict`` are empty. ``content`` is the content of
+    ``comparison.json``.
     """
 
     folder: Path
@@ -365,22 +316,15 @@ def compare(
     command: Sequence[str],
     name: str | None = None,
 ) -> Compared:
-    """Compare evaluated runs, and save the result under the first of them.
+    """Compare evaluated runs, and save the result in the run directory of the first run.
 
-    Args:
-        runs: of one method, trained with different seeds.
-        against: of another method; may be empty.
-        reference: the reference controller, reported next to the runs.
-        command: the command line, for the manifest.
-        name: the name of the runs as a group; by default the id of the first.
-
-    Raises:
-        RunDirectoryError: the evaluations have different scenarios.
+    ``runs`` are runs of one method with different seeds; ``against`` are runs of another method, or empty. ``name`` is
+    the name of the group ``runs``, by default the id of its first run.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # The reference was not trained.
+    # The reference controller has no training seeds, so this condition counts only trained runs.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)
@@ -406,7 +350,7 @@ def compare(
 
 
 def group_name(made: Sequence[Evaluated]) -> str:
-    """Return the name of evaluated runs in a sentence."""
+    """Return the name of a group of evaluated runs in a sentence."""
     names = [display_name(one) for one in made]
     return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
 

@@ -1,6 +1,6 @@
 """Displays of a job's progress: the interface, one that shows nothing, and one that sends events to a parent process.
 
-The commands define the displays that people see.
+The modules of the commands define the displays for users.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 
 class Display(Protocol):
-    """Receives what happens during a job."""
+    """Receives the progress and the results of a job."""
 
     def environment(self, description: str) -> None:
-        """Show the managers' tables."""
+        """Show the tables of the environment's managers."""
 
     def note(self, text: str) -> None:
         """Show one line."""
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show that a training iteration is done."""
+        """Show that a training iteration has finished."""
 
     def steps(self, done: int, total: int) -> None:
         """Show how many steps of a rollout are done."""
@@ -46,15 +46,13 @@ class SilentDisplay:
 
 
 class PipeDisplay(SilentDisplay):
-    """Sends notes and iterations as events; its parent has no use for tables and rollouts."""
+    """Sends notes and iterations as events to the parent process, which does not use tables and rollouts."""
 
     def __init__(self, pipe: EventPipe) -> None:
         self._pipe = pipe
 
     def note(self, text: str) -> None:
-        """Send one line."""
         self._pipe.send("note", text=text)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Send that a training iteration is done."""
         self._pipe.send("iteration", done=iteration.index + 1, total=total, scalars=iteration.scalars)

@@ -19,7 +19,7 @@ from wheelleg_exp.config.composing.compose import apply_overrides, compose, plac
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.files import write_json
+from wheelleg_exp.files import dump_json, write_json
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter, StandFigures, StandMeter
 from wheelleg_exp.jobs.rollout_files import (
@@ -29,7 +29,7 @@ from wheelleg_exp.jobs.rollout_files import (
     command_document,
     config_document,
     dated_folder,
-    json_document,
+    fenced,
     run_documents,
 )
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_model_digest
@@ -52,15 +52,10 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A policy, and an environment for it.
+    """A trained policy, and an environment in which the policy can act.
 
-    Attributes:
-        run: the run.
-        checkpoint: the checkpoint of the policy.
-        tree: ``env`` and ``agent`` of the run and the settings of ``configs/play.yaml``, with the overrides.
-        adapter: the environment as rsl_rl sees it.
-        policy: returns the policy's mean action.
-        about: the checkpoint's name, relative to the run, and its sha256.
+    ``tree`` holds ``env`` and ``agent`` of the run and the settings of ``configs/play.yaml``, with the overrides.
+    ``policy`` returns the mean action. ``about`` holds the name and the sha256 of the checkpoint.
     """
 
     run: RunDirectory
@@ -80,13 +75,8 @@ class RunPolicy:
             self.tree["recording"],
             purpose="play",
             name=folder.name,
-            about={
-                "run_id": self.run.id,
-                "task": None if task is None else str(task),
-                "agent": "policy",
-                **self.about,
-            },
-            documents=documents | json_document("checkpoint", self.about),
+            about={"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about},
+            documents=documents | {"checkpoint": fenced(dump_json(self.about), "json")},
         )
 
 
@@ -97,25 +87,22 @@ def prepare_policy(
     display: Display,
     change: Callable[[Tree], Tree] | None = None,
 ) -> RunPolicy:
-    """Load a run's policy and build an environment for it.
+    """Load a run's policy, and build an environment from the run's config.
 
-    Args:
-        run: the run.
-        checkpoint: one of its checkpoints; None means the last.
-        overrides: changes to the run's parameters.
-        display: receives a note if the compiled model differs from the training's.
-        change: changes the tree after the overrides.
-
-    Raises:
-        WheellegError: the run, the checkpoint, or an override is wrong.
+    Without ``checkpoint``, load the last checkpoint. The function ``change`` changes the config tree after the
+    overrides are applied.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    recorded = {**_play_settings(), "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
+    settings = compose(primary="play").config
+    settings = {key: settings[key] for key in ("seed", "play", "drive", "recording")}
+    recorded = {**settings, "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
     tree = apply_overrides(recorded, overrides)
     with placing(overrides):
         tree = tree if change is None else change(tree)
-        _require_playable(recorded, tree)
+        if errors := check_tree(tree, schema.PlayRoot):
+            raise_all(errors)
+        require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
         require_read(recorded, overrides, _settings_read, _ALTERNATIVES)
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
@@ -126,38 +113,15 @@ def prepare_policy(
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
-def _play_settings() -> Tree:
-    composed = compose(primary="play").config
-    return {key: composed[key] for key in ("seed", "play", "drive", "recording")}
-
-
 def _settings_read(tree: Mapping[str, Any]) -> Any:
-    """Return what a play reads: of ``agent``, the policy's network and the number of accepted failures."""
+    """Return the settings that a play reads: of ``agent``, the policy's network and the number of accepted failures."""
     agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
     return {**tree, "agent": agent}
 
 
-def _require_playable(recorded: Tree, tree: Tree) -> None:
-    """Check the amended tree before anything is built."""
-    errors = check_tree(tree, schema.PlayRoot)
-    if errors:
-        raise_all(errors)
-    require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
-
-
 @dataclass(frozen=True)
 class Played:
-    """The result of a play.
-
-    Attributes:
-        run: the run of the policy.
-        checkpoint: the checkpoint.
-        folder: the written folder below the run.
-        recording: the recording, or None.
-        figures: how well the policy stood.
-        motion: how the policy moved, and the load of its motors.
-        failures: the episodes that ended because a number was not finite.
-    """
+    """The result of a play: its files, how well the policy stood, how it moved, and the failed episodes."""
 
     run: RunDirectory
     checkpoint: Path
@@ -169,23 +133,11 @@ class Played:
 
 
 def play(
-    run: RunDirectory,
-    checkpoint: Path | None,
-    overrides: Sequence[str],
-    command: Sequence[str],
-    display: Display,
+    run: RunDirectory, checkpoint: Path | None, overrides: Sequence[str], command: Sequence[str], display: Display
 ) -> Played:
     """Play the mean action of a run's policy for one episode of each environment, with the task's own events.
 
-    Args:
-        run: the run.
-        checkpoint: one of its checkpoints; None means the last.
-        overrides: changes to the run's parameters for this play.
-        command: the command line, for the manifest.
-        display: receives progress.
-
-    Raises:
-        WheellegError: the run, the checkpoint, or an override is wrong.
+    Without ``checkpoint``, play the last checkpoint.
     """
     prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env

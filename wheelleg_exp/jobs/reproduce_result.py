@@ -32,10 +32,9 @@ _COMMAND = ("wheelleg", "results")
 class Reproduction:
     """The result of a reproduction.
 
-    Attributes:
-        differences: in words, the numbers that differ; empty if all are equal to the bit.
-        machine: differences of machine, versions, and threads that may change bits.
-        other_code: whether other source files trained the runs.
+    ``differences`` names the numbers that differ from the record; empty if all numbers are bitwise equal. ``machine``
+    contains the differences in hardware, versions, and threads that may change bits. ``other_code`` is true if the
+    source files differ from the source files of the recorded trainings.
     """
 
     differences: list[str]
@@ -44,7 +43,7 @@ class Reproduction:
 
     @property
     def verdict(self) -> str:
-        """The outcome in words."""
+        """A text about the outcome of the reproduction."""
         if not self.differences:
             return "reproduced to the bit" + (", on another machine" if self.machine else "")
         why = ["with other source files"] if self.other_code else []
@@ -65,20 +64,11 @@ def reproduce(
 ) -> Reproduction:
     """Train and evaluate the runs of a record, and compare every number of the record.
 
-    Args:
-        record: of the result.
-        manifests: of its runs.
-        root: a folder for the runs, with those of ``trained`` and no others.
-        say: receives progress.
-        config_dirs: the user's config folders, for runs and protocol.
-        trained: runs that were trained before, by recipe; new runs are added.
-
-    Raises:
-        WheellegError: a training failed.
+    ``trained`` maps recipes to finished runs, which are not trained again; new runs are added. ``say`` receives
+    progress.
     """
-    differs = _fact_lines(
-        _machine_differences(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True)
-    )
+    here = [{"versions": versions(), "hardware": hardware()}]
+    differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
     for line in differs:
         say(f"differs: {line}")
     if differs:
@@ -100,7 +90,7 @@ def reproduce(
 
 
 def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
-    """Yield in words the differences of an evaluation."""
+    """Yield texts that describe how an evaluation differs from the recorded evaluation."""
     now = evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
         if now[key] != recorded[key]:
@@ -110,11 +100,11 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # unit and direction, not the value
+            yield from _leaf_differences(was, is_now, name)  # The metric's unit or direction may differ.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
-    """Yield differences of networks and evaluations; if there are none, differences of computed values."""
+    """Yield the differences of networks and evaluations; if both are equal, the differences of the comparisons."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)
@@ -134,7 +124,7 @@ def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference
 
 
 def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
-    """Yield every leaf in which two plain values differ."""
+    """Yield a text for every leaf in which two plain values differ."""
     for change in plain_changes(was, now, keys):
         yield f"{change.key} is {shorten(change.b)}, and was {shorten(change.a)}"
 
@@ -142,7 +132,7 @@ def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
-    """Return differences between the machines that may change bits; ``early`` skips what is still unknown."""
+    """Return differences between machines that may change bits; ``early`` skips facts that are unknown before torch."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
     sides = zip(was, now, strict=True)
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
@@ -164,7 +154,6 @@ def _trained_run(
     say: Callable[[str], None],
     config_dirs: Sequence[Path] = (),
 ) -> RunDirectory:
-    """Return the run of a recipe, trained if necessary."""
     if repr(recipe) in trained:
         return trained[repr(recipe)]
     words = list(recipe["overrides"])
@@ -178,7 +167,10 @@ def _trained_run(
 
 
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
-    """Train in a child process, and return the run directory. Recorded words are overrides, never options."""
+    """Train a recorded recipe in a child process, and return the run directory.
+
+    Recorded words are overrides, never options.
+    """
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
     folders = [str(folder) for folder in config_dirs]
     request = JobRequest("train", words, folders, ["wheelleg", "train", *words], digest)

@@ -1,6 +1,6 @@
 """Write a result: the record with all numbers, the page in Markdown, and the manifests of its runs.
 
-The record also names what is needed to reproduce the numbers (see ``reproduce_result``).
+The record also contains the data to reproduce the result's numbers (see ``reproduce_result``).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return the verdict, with a mark if the runs support it but other seeds may not."""
+    """Return the verdict, with a mark if the verdict holds for these runs but possibly not for new training seeds."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -122,7 +122,7 @@ def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
     before = recipe["begins_with"]
     if before is not None:
         yield from _commands(before)
-    tail = " init_from=" + "the-run-above" if before is not None else ""
+    tail = " init_from=the-run-above" if before is not None else ""
     yield f"wheelleg train {shlex.join(recipe['overrides'])}{tail}"
 
 
@@ -136,7 +136,8 @@ _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH = "agent.max_iterations="
-_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # overrides that name places, not settings
+_EXPECTED = "what wheelleg results has written"
+_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # These overrides set folders, not the training.
 
 
 def write_results(
@@ -147,22 +148,10 @@ def write_results(
     reference: Evaluated | None,
     words: Sequence[str],
 ) -> list[Path]:
-    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the files.
+    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    They replace an earlier result of this name, whose manifests are removed.
-
-    Args:
-        name: the name of the result.
-        folder: the folder of all results.
-        compared: the comparison of the runs.
-        runs: the evaluated runs.
-        reference: the evaluated reference controller.
-        words: the overrides of the evaluations.
-
-    Raises:
-        RunDirectoryError: a run was not trained in one go, or started with a run that is missing; or the existing file
-            of
-            this name is not a result.
+    The files replace an earlier result with this name, whose manifests are removed. ``words`` are the overrides that
+    were given to the evaluations.
     """
     record = build_record(name, compared, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -181,33 +170,30 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifests in ``NAME/`` that belong to an earlier record of this name.
-
-    Raises:
-        RunDirectoryError: the file is not a record, so that its manifests are unknown.
-    """
+    """Return the manifests in ``NAME/`` that belong to an earlier record of this name."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
     try:
         found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     except (LookupError, TypeError) as error:
-        expected = "what wheelleg results has written, or no such file"
-        raise RunDirectoryError("names no runs", key=str(path), expected=expected) from error
+        raise RunDirectoryError(
+            "the record names no runs", key=str(path), expected=f"{_EXPECTED}, or no such file"
+        ) from error
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
 
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Return the comparison of the runs with the reference, if there is one."""
+    """Return the comparison of the runs with the reference controller, or None without a reference evaluation."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the record of a result; ``write_results`` explains arguments and errors."""
+    """Return the record of a result, from the arguments of ``write_results``."""
     return {
         "format": FORMAT,
         "name": name,
@@ -234,58 +220,46 @@ def build_record(
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return a record that ``write_results`` has written.
-
-    Raises:
-        RunDirectoryError: the file is not a record.
-    """
+    """Return a record that ``write_results`` has written."""
     try:
         with for_people(path, "read"):
             record = json_value(path.read_bytes())
     except Unreadable as error:
-        raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected="a result's record") from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError(
-            "is not the record of a result", key=str(path), expected="what wheelleg results has written"
-        )
+            f"the file is damaged: {error.problem}", key=str(path), expected="a result's record"
+        ) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise RunDirectoryError("the file is not a result record", key=str(path), expected=_EXPECTED)
     return record
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Return the manifests of a record's runs, from the folder with its name.
-
-    Raises:
-        RunDirectoryError: a manifest is missing or damaged.
-    """
+    """Return the manifests of a record's runs, from the folder with the record's name."""
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
 def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a result's record and the manifests of its runs, after a check against its page.
-
-    Raises:
-        RunDirectoryError: a file is missing or damaged, or was not written by ``write_results``.
-    """
+    """Return a result's record and its runs' manifests; raise an error unless the result's page shows the record."""
     path = folder / f"{name}.json"
     record = read_record(path)
     try:
         if record["name"] != name:
-            raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
+            raise RunDirectoryError(
+                f"the record is of '{record['name']}'", key=str(path), expected="a record of its own name"
+            )
         if not record["runs"]:
-            raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
-        require_overrides(
-            [*record["words"], *(word for run in record["runs"] for word in _recipe_overrides(run["train"]))], path
-        )
+            raise RunDirectoryError("the record names no runs", key=str(path), expected=_EXPECTED)
+        trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
+        require_overrides([*record["words"], *trained], path)
         manifests = read_manifests(record, folder)
         require_matching_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:
-        expected = "what wheelleg results has written"
-        raise RunDirectoryError(f"lacks a key of a record: {error}", key=str(path), expected=expected) from error
+        raise RunDirectoryError(f"the record lacks a key: {error}", key=str(path), expected=_EXPECTED) from error
     return record, manifests
 
 
 def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
-    """Return the overrides of a recipe, and of the recipe of the run with which it starts."""
+    """Return the overrides of a recipe, and the overrides of the recipe that trained its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
@@ -294,7 +268,7 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
         raise RunDirectoryError(
-            "does not show its record",
+            "the page does not show its record",
             key=str(path),
             expected="the page that wheelleg results wrote: only one of page and record was changed",
         )
@@ -303,25 +277,22 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run with exact resumes, even longer ones, equals one training of the final length. So does a run that was resumed
-    on
-    another machine, as far as both machines compute alike: the page names both.
-
-    Raises:
-        RunDirectoryError: no single training gives the run, or it started with a run that is missing.
+    A run with exact resumes equals an uninterrupted training with the final number of iterations. A run that was
+    resumed on another machine also equals one training, if both machines compute alike: the page names both machines.
+    RunDirectoryError means that an uninterrupted training cannot reproduce the run.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         raise RunDirectoryError(
-            "was not trained in one go",
+            "the run was not trained in one go",
             key=run.id,
             expected="a finished run whose resumes changed nothing but its length or the machine",
         )
     if (run.asset / TEACHER).is_file():
         raise RunDirectoryError(
-            "learned from another run's policy", key=run.id, expected="a run that its own commands reproduce"
+            "the run learned from another run's policy", key=run.id, expected="a run that its own commands reproduce"
         )
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
@@ -340,7 +311,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether a resume is inexact only because of its machine: not of versions, threads, or variables."""
+    """Return whether a resume is inexact only because of hardware, not because of versions, threads, or variables."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
@@ -350,7 +321,7 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
             raise RunDirectoryError(
-                f"was trained differently from {runs[0].id}: {_describe_difference(other, first)}",
+                f"the run was trained differently from {runs[0].id}: {_describe_difference(other, first)}",
                 key=run.id,
                 expected="runs that differ only in their seed (see wheelleg diff)",
             )
@@ -362,7 +333,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return how the commands of two trainings differ, or the commands of the runs with which they start."""
+    """Return a text about how the commands of two trainings, or of their initial policies' trainings, differ."""
     words = set(one["overrides"]), set(other["overrides"])
     parts = [
         f"{side} {word}"
@@ -384,13 +355,13 @@ def parameters(run: RunDirectory) -> str:
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return the numbers of an evaluation that a reproduction must give again."""
+    """Return the numbers of an evaluation that a reproduction must reproduce."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:
-    """Return the part of a run's manifest that a result keeps."""
+    """Return the part of a run's manifest that a result stores."""
     data = run.manifest().data
     source = data.get("source") or {}
     result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}

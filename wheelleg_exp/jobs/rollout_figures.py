@@ -1,6 +1,6 @@
 """Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
 
-The meters observe an environment after each step, before resets. ``definitions.rollout`` defines each figure.
+The meters read an environment after each control step, before resets. ``definitions.rollout`` defines each figure.
 """
 
 from __future__ import annotations
@@ -19,23 +19,11 @@ from wheelleg_exp.sim.sensors import ContactSensor
 
 @dataclass(frozen=True)
 class StandFigures:
-    """How well a policy stood, over the first episode of each environment; see ``definitions.rollout``.
+    """Metrics of standing, over the first episode of each environment; see ``definitions.rollout``.
 
-    Attributes:
-        episodes: number of episodes.
-        unfinished: episodes that had not ended when the rollout did.
-        survival: share of the ended episodes that reached the time-out; None if none ended.
-        settle_s: seconds at the start of each episode that height and pitch exclude.
-        settled_episodes: episodes that lasted longer.
-        settled_steps: control steps over which height and pitch are computed.
-        height_rmse_m: root mean square of base height minus target; None without target.
-        height_mean_m: mean base height.
-        pitch_rms_deg: root mean square of the pitch against upright.
-        pitch_mean_deg: mean pitch: the lean.
-        mean_return: mean of the rewards summed over each ended episode with finite numbers; None without such an
-            episode.
-        ended_by: number of episodes by their end; an episode that two terminations ended counts for their combination.
-        non_finite: number of episodes that ended because a number was not finite, by config key.
+    ``survival`` is the fraction of the ended episodes that reached the time-out. Height and pitch are computed over
+    ``settled_steps``, after the first ``settle_s`` of each episode; the pitch is measured against upright. ``ended_by``
+    counts an episode that two terminations ended for their combination.
     """
 
     episodes: int
@@ -54,11 +42,11 @@ class StandFigures:
 
     @property
     def ended(self) -> int:
-        """The number of episodes that have ended."""
+        """The number of first episodes that have ended."""
         return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as plain values."""
+        """Return the metrics as plain values."""
         found = asdict(self)
         return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
 
@@ -66,9 +54,7 @@ class StandFigures:
 class StandMeter:
     """Measures standing over the first episode of each of the N environments.
 
-    Args:
-        env: the environment.
-        settle_s: seconds at the start of each episode that height and pitch exclude.
+    Height and pitch exclude the first ``settle_s`` of each episode.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
@@ -86,9 +72,12 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Measure one step, before resets."""
+        """Measure one control step, before environments are reset."""
         env, now = self._env, self.running
-        self._note_failures()
+        for env_id, keys in env.extras.get("non_finite", {"keys": {}})["keys"].items():
+            if now[env_id]:
+                self._failed[env_id] = True
+                self._non_finite.update(keys)
         self._return += env.reward_buf * now
         settled = now & ~self._failed & (env.episode_length_buf > self._settle_steps)
         self._settled |= settled
@@ -100,14 +89,8 @@ class StandMeter:
         self._ended.update(env.termination_manager.endings(done))
         self.running = now & ~done
 
-    def _note_failures(self) -> None:
-        for env_id, keys in self._env.extras.get("non_finite", {"keys": {}})["keys"].items():
-            if self.running[env_id]:
-                self._failed[env_id] = True
-                self._non_finite.update(keys)
-
     def figures(self) -> StandFigures:
-        """Return the figures of the episodes so far."""
+        """Return the metrics of the episodes measured so far."""
         heights, pitches = torch.cat(self._heights), torch.rad2deg(torch.cat(self._pitches))
         error = None if self._target is None else heights - self._target
         ended = ~self.running
@@ -131,14 +114,10 @@ class StandMeter:
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """Contact forces of one link: the normal force at the end of each step between landing and tipping over.
+    """Contact forces of one link, N: the normal force at the end of each step between landing and tipping over.
 
-    Attributes:
-        body: the link.
-        mean_n: mean force, N.
-        max_n: largest force, N.
-        contact_share: share of the steps with contact.
-        steps: number of steps, summed over the environments.
+    ``contact_share`` is the fraction of control steps with contact. ``steps`` is the sum of control steps over the
+    environments.
     """
 
     body: str
@@ -149,15 +128,9 @@ class ContactFigures:
 
 
 class ContactMeter:
-    """Sums the contact forces of each link while its robot stands.
+    """Accumulates the contact forces of each link while the link's robot stands.
 
     A robot stands from ``settle_s`` after its reset on, as long as its tilt is less than ``upright_rad``.
-
-    Args:
-        env: the environment.
-        sensor: name of the contact sensor.
-        settle_s: seconds from a reset until the robot has landed.
-        upright_rad: tilt at which it starts to fall, rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
@@ -169,7 +142,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Measure one step, before resets."""
+        """Measure one control step, before environments are reset."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -181,7 +154,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return the figures of each link, in the sensor's order; empty if no robot stood."""
+        """Return the contact figures of each link, in the sensor's order; empty if no robot stood."""
         count = self._count
         if count == 0:
             return []
@@ -202,22 +175,15 @@ def _rms(values: torch.Tensor) -> float:
     return float(values.square().mean().sqrt()) if len(values) else float("nan")
 
 
-SATURATION = 0.99  # share of the effort limit that counts as at the limit
-DEADBAND = 0.001  # share of the effort limit below which the sign of a torque does not count
+SATURATION = 0.99  # A torque above this fraction of the effort limit counts as saturated.
+DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit is ignored.
 
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """How a policy moved, over the first episode of each environment; see ``definitions.rollout``.
+    """Metrics of motion, over the first episode of each environment; see ``definitions.rollout``.
 
-    Attributes:
-        drift_m: largest horizontal distance from the settled position of the base, mean over the settled episodes.
-        yaw_drift_deg: largest turn of the base from its settled heading, mean over the settled episodes.
-        action_rate_per_s: mean change of an action's component per second.
-        power_net_w: mean mechanical power, absolute values summed over all joints, without the power of the armature.
-        torque_rms_nm: root mean square of the torque, by actuator group.
-        at_limit: share of the physics steps at the effort limit, by actuator group.
-        sign_changes_per_s: sign changes of a joint's torque per second, by actuator group.
+    Torque metrics are by actuator group. ``at_limit`` is the fraction of physics steps at the effort limit.
     """
 
     drift_m: float | None
@@ -229,16 +195,14 @@ class MotionFigures:
     sign_changes_per_s: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as plain values."""
+        """Return the metrics as plain values."""
         return asdict(self)
 
 
 class MotionMeter:
     """Measures motion over the first episode of each of the N environments.
 
-    Args:
-        env: the environment.
-        settle_s: seconds at the start of each episode that all figures exclude.
+    All metrics exclude the first ``settle_s`` of each episode.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
@@ -260,7 +224,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Measure one step, before resets."""
+        """Measure one control step, before environments are reset."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)
@@ -295,7 +259,7 @@ class MotionMeter:
         self._work += torch.where(now, self._effort.net.double(), 0.0)
 
     def figures(self) -> MotionFigures:
-        """Return the figures of the episodes so far."""
+        """Return the metrics of the episodes measured so far."""
         dt, steps, pairs = self._env.step_dt, float(self._steps.sum()), float(self._pairs.sum())
         none = {} if steps == 0.0 else self._groups
 

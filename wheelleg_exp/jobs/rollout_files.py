@@ -1,7 +1,7 @@
 """Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
-``EpisodeRecording`` records a play or an agent as one segment. A dataset holds the episodes that recorder terms
-noted, as ``.npz`` archives (`docs/datasets.md`).
+``EpisodeRecording`` records a play or an agent as one segment. A dataset contains the episodes that recorder terms
+recorded, as ``.npz`` archives (`docs/datasets.md`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -32,11 +31,11 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # more would be too long for a viewer
+_MAX_CHARACTERS = 400_000  # A longer text would be too long for the viewer.
 
 
 def fenced(text: str, language: str) -> str:
-    """Return a text as a markdown block."""
+    """Return a text as a markdown code block."""
     if len(text) > _MAX_CHARACTERS:
         text = f"{text[:_MAX_CHARACTERS]}\n… ({len(text)} characters in all)"
     return f"```{language}\n{text.rstrip()}\n```"
@@ -45,42 +44,29 @@ def fenced(text: str, language: str) -> str:
 def run_documents(directory: RunDirectory) -> dict[str, str]:
     """Return the documents of a run directory: manifest, source state, command line, config.
 
-    A file that is missing or unreadable has no document.
+    Missing and unreadable files are skipped.
     """
     found = {}
-    manifest = _read_text_or_none(directory, MANIFEST_NAME)
-    if manifest is not None:
-        found["manifest"] = fenced(manifest, "json")
-        found |= command_document(_command(manifest))
-    source = _read_text_or_none(directory, "source/git.json")
-    if source is not None:
-        found["git"] = fenced(source, "json")
-    config = _read_text_or_none(directory, CONFIG)
-    if config is not None:
-        found["config"] = fenced(config, "yaml")
+    files = (("manifest", MANIFEST_NAME, "json"), ("git", "source/git.json", "json"), ("config", CONFIG, "yaml"))
+    for title, name, language in files:
+        try:
+            text = read_text(directory.path / name)
+        except RunDirectoryError:
+            continue
+        found[title] = fenced(text, language)
+        if title == "manifest":
+            found |= command_document(_command(text))
     return found
 
 
 def command_document(command: Sequence[str]) -> dict[str, str]:
-    """Return the command line as a document; empty for an empty command line."""
+    """Return the command line as a document of the recording; empty for an empty command line."""
     return {"command": fenced(shlex.join(command), "sh")} if command else {}
 
 
 def config_document(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return a composed config as a document."""
+    """Return a composed config as a document of the recording."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
-
-
-def json_document(name: str, value: Any) -> dict[str, str]:
-    """Return a value as a JSON document."""
-    return {name: fenced(dump_json(value), "json")}
-
-
-def _read_text_or_none(directory: RunDirectory, name: str) -> str | None:
-    try:
-        return read_text(directory.path / name)
-    except RunDirectoryError:
-        return None
 
 
 def _command(manifest: str) -> list[str]:
@@ -91,10 +77,9 @@ def _command(manifest: str) -> list[str]:
 
 
 class ObservingRecording:
-    """Captures every control step while entered, and can show the recording in a viewer meanwhile.
+    """Records every control step while entered, and can show the recording live in a viewer.
 
-    Attributes:
-        notes: warnings about the recording.
+    ``notes`` are warnings about the recording.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
@@ -110,9 +95,7 @@ class ObservingRecording:
             self._live = LiveView(self._recorder)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._env.observers.remove(self._recorder.capture)
         try:
             self._recorder.close()
@@ -121,28 +104,20 @@ class ObservingRecording:
                 self._live.close()
 
     def warn(self, report: Callable[[str], None]) -> None:
-        """Pass each note to ``report`` as a warning."""
+        """Pass each note of the recording to ``report`` as a warning."""
         for note in self.notes:
             report(f"warning: {note}")
 
     def _begin_recording(self) -> None:
-        """Start the first segment."""
         raise NotImplementedError
 
 
 class EpisodeRecording(ObservingRecording):
     """Records every control step while entered, up to the limit on the file's size.
 
-    The file holds each simulated second as soon as it is over.
-
-    Args:
-        path: the file.
-        env: the environment.
-        options: ``env_ids``, ``max_mb`` and ``live`` of the config's ``recording``.
-        purpose: decides the layout.
-        name: the identity of the recording, which the viewer shows.
-        about: further facts about the recording.
-        documents: texts for the recording, by name.
+    Each simulated second is written to the recording file as soon as the second has ended. ``options`` are ``env_ids``,
+    ``max_mb`` and ``live`` of the config's ``recording``. ``purpose`` decides the layout of the viewer, which shows
+    ``name``.
     """
 
     def __init__(
@@ -176,13 +151,12 @@ class EpisodeRecording(ObservingRecording):
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """The recording file."""
         return self._recorder.path
 
     def figures(self, value: Any) -> None:
-        """Write the final figures into the recording."""
-        for name, text in json_document(FIGURES, value).items():
-            self._recorder.document(name, text)
+        """Write the final metrics into the recording."""
+        self._recorder.document(FIGURES, fenced(dump_json(value), "json"))
 
     def _begin_recording(self) -> None:
         words = f"the limit of {self._bound:g} MB is reached; later steps are not recorded"
@@ -203,7 +177,10 @@ _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
 
 @contextmanager
 def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
-    """Yield a new folder named by the time; an error or interrupt removes it, so that it never looks finished."""
+    """Yield a new folder that is named after the current time.
+
+    An error or interrupt removes the folder, so that no unfinished folder looks finished.
+    """
     folder = create_exclusively(parent, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + suffix)
     try:
         with while_running():
@@ -223,10 +200,7 @@ def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
 def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
     """Write the episodes that ended since the last call, one file for each group; return the files.
 
-    Args:
-        folder: the folder of the dataset; groups other than ``episodes`` have their own folders below it.
-        env: the environment.
-        iteration: the number of the file.
+    Each group except ``episodes`` has a subfolder of ``folder``.
     """
     return _write_groups(folder, env, f"{iteration:06d}.npz")
 
@@ -234,17 +208,14 @@ def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
     """Write the remaining episodes, including unfinished ones if ``env.dataset.export_in_close`` is set.
 
-    Args:
-        folder: the folder of the dataset.
-        env: the environment.
-        iteration: the last iteration; None if nothing was written before: then the file is ``episodes.npz``.
+    Without ``iteration`` the file is ``episodes.npz``, for a rollout that has not written any file.
     """
     env.recorder_manager.close()
     return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the files of ``iteration`` and later, and those of episodes that a resume continues."""
+    """Return the dataset files from ``iteration`` on, and the files of the episodes that a resume continues."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 

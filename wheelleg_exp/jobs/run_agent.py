@@ -33,14 +33,11 @@ UPRIGHT_RAD = 0.2
 
 @dataclass(frozen=True)
 class AgentRun:
-    """The result of an agent's run.
+    """The result of a rollout with zero or random actions.
 
-    Attributes:
-        folder: holds the recording and the figures.
-        recording: the recording, or None.
-        contacts: contact forces of each link while the robot stood, by sensor.
-        figures: duration and ends of the first episodes.
-        failures: the episodes that ended because a number was not finite.
+    ``contacts`` contains the contact forces of each link while the robot stood, by sensor. ``figures`` contains the
+    durations and terminations of the first episodes. ``failures`` lists the episodes that ended because a number was
+    not finite.
     """
 
     folder: Path
@@ -51,16 +48,9 @@ class AgentRun:
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
-    """Run zero or random actions, and record the rollout.
+    """Run zero actions or uniform random actions in [-1, 1], and record the rollout.
 
-    Args:
-        kind: ``zero``: all actions 0; ``random``: uniform in [-1, 1].
-        composed: the composed task.
-        steps: control steps; None means one episode.
-        display: receives progress.
-
-    Raises:
-        WheellegError: the config is wrong; nothing was written.
+    ``steps`` counts control steps; None means one episode.
     """
     config = composed.config
     with composed.placing():
@@ -71,50 +61,34 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     name = "_".join(part for part in (kind, run.get("name")) if part)
     directory = RunDirectory.create(run["root"], task, seed, name=name, section="agents")
     with while_running():
-        return _run(kind, config, env, directory, steps, display)
-
-
-def _run(
-    kind: AgentKind,
-    config: dict[str, Any],
-    env: ManagerBasedRLEnv,
-    directory: RunDirectory,
-    steps: int | None,
-    display: Display,
-) -> AgentRun:
-    write_yaml(directory.path / "config.yaml", config)
-    sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
-    meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
-    stand = StandMeter(env, settle_s=0.0)
-    env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
-    options = config["recording"]
-    recording = _recording(directory, kind, env, config) if options["enabled"] else None
-    if recording is not None:
-        recording.warn(display.note)
-    with recording or nullcontext():
-        failures = _roll(env, _actor(kind, env), steps or env.max_episode_length, config["agent"], display)
-        contacts = {name: meter.figures() for name, meter in meters.items()}
-        content = {"agent": kind, "figures": stand.figures().as_dict()}
-        content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
-        if recording is not None:
-            recording.figures(content)
-    close_dataset(directory.dataset, env)
-    write_json(directory.path / "figures.json", content)
-    return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
-
-
-def _recording(
-    directory: RunDirectory, kind: AgentKind, env: ManagerBasedRLEnv, config: dict[str, Any]
-) -> EpisodeRecording:
-    return EpisodeRecording(
-        directory.recording,
-        env,
-        config["recording"],
-        purpose="play",
-        name=f"{directory.id} {kind} agent",
-        about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
-        documents=config_document(config),
-    )
+        write_yaml(directory.path / "config.yaml", config)
+        sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
+        meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
+        stand = StandMeter(env, settle_s=0.0)
+        env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
+        options = config["recording"]
+        recording = None
+        if options["enabled"]:
+            recording = EpisodeRecording(
+                directory.recording,
+                env,
+                options,
+                purpose="play",
+                name=f"{directory.id} {kind} agent",
+                about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
+                documents=config_document(config),
+            )
+            recording.warn(display.note)
+        with recording or nullcontext():
+            failures = _roll(env, _actor(kind, env), steps or env.max_episode_length, config["agent"], display)
+            contacts = {name: meter.figures() for name, meter in meters.items()}
+            content = {"agent": kind, "figures": stand.figures().as_dict()}
+            content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+            if recording is not None:
+                recording.figures(content)
+        close_dataset(directory.dataset, env)
+        write_json(directory.path / "figures.json", content)
+        return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
 
 
 def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:
@@ -128,11 +102,7 @@ def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor
 @ending_as(SimulationFailure)
 @torch.inference_mode()
 def _roll(
-    env: ManagerBasedRLEnv,
-    actor: Callable[[], torch.Tensor],
-    steps: int,
-    agent: Mapping[str, Any],
-    display: Display,
+    env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, agent: Mapping[str, Any], display: Display
 ) -> FailureCount:
     env.reset()
     failures = FailureCount(env.num_envs, agent)

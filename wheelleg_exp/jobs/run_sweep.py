@@ -1,19 +1,21 @@
-"""Run the jobs of a sweep, each in its own process, and keep the index of the sweep up to date."""
+"""Run each job of a sweep in a child process, and update the index of the sweep.
+
+A launcher starts the jobs: on this machine, or through a queue (see ``sweep_queue``).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any, Protocol, cast
 
-from wheelleg_exp.child_process import Event
+from wheelleg_exp.child_process import Child, Event, listen
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import while_running
-from wheelleg_exp.jobs.sweep_launchers import Job, Launcher, LocalLauncher
-from wheelleg_exp.jobs.training_job import JobRequest
+from wheelleg_exp.jobs.training_job import JobRequest, job_program
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import JobStatus, SweepIndex, SweepStatus
@@ -23,57 +25,89 @@ _WAIT_S = 0.2
 _PATIENCE_S = 10.0
 
 
-def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher that Hydra's group ``hydra/launcher`` names.
+class Job(Protocol):
+    """A job that was started.
 
-    Args:
-        name: the option of the group.
-        settings: its settings, plain.
-        folder: the folder of the sweep, which all machines must see.
-
-    Raises:
-        WheellegError: the library of the launcher is not installed, or its queue cannot be reached.
+    ``ended`` is the last event of the job; None while the job runs, and if the job died.
     """
-    if name.startswith("submitit"):
-        from wheelleg_exp.jobs.sweep_queue import SubmititLauncher
 
-        return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
-    if name == "ray":
-        from wheelleg_exp.jobs.sweep_queue import RayLauncher
+    ended: Event | None
 
-        return RayLauncher(settings, folder)
-    return LocalLauncher()
+    def over(self) -> bool:
+        """Return whether the job has ended, successfully or not."""
+
+    def ask_to_stop(self) -> None:
+        """Ask the job to stop at its next whole iteration."""
+
+    def interrupt(self) -> None:
+        """Stop the job without waiting for the end of its iteration."""
+
+    def kill(self) -> None:
+        """Kill the job."""
+
+    def close(self) -> None:
+        """Close the connection to the job."""
+
+    def describe_death(self) -> str:
+        """Return a phrase about how a job ended that sent no last event."""
+
+
+class Launcher(Protocol):
+    """Starts the jobs of a sweep, and receives the jobs' events.
+
+    If ``queued`` is true, a started job can wait in a queue, and sends the event ``began`` when it runs.
+    """
+
+    queued: bool
+
+    def start(self, number: int, request: JobRequest) -> Job:
+        """Start the job with this number in the index of the sweep."""
+
+    def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
+        """Yield the events that jobs have sent; wait at most ``wait_s`` for the first one."""
+
+
+class LocalLauncher:
+    """Runs jobs as child processes on this machine. The child processes stop when this process is killed."""
+
+    queued = False
+
+    def __init__(self, program: Sequence[str] | None = None) -> None:
+        self._program = program or job_program()
+
+    def start(self, number: int, request: JobRequest) -> Job:
+        """Start the process of a job."""
+        del number  # The pipes identify the process.
+        # Libraries may have changed the C environment of this process; ``os.environ`` does not show such changes.
+        return Child(self._program, request.line(), os.environ)
+
+    def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
+        """Yield the events that the processes have written to their pipes."""
+        return listen(cast(Collection[Child], jobs), wait_s)
 
 
 class SweepDisplay(Protocol):
-    """Receives what happens during a sweep. Each job is its entry in the index."""
+    """Shows the events of a sweep. Each ``job`` argument is the entry of a job in the index of the sweep."""
 
     def started(self, job: Mapping[str, Any]) -> None:
         """Show that a job started."""
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show the iterations that a job has done."""
+        """Show the number of finished iterations of a job."""
 
     def ended(self, job: Mapping[str, Any]) -> None:
         """Show how a job ended."""
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show one line of a job."""
+        """Show a line of text about a job."""
 
 
 class SweepRunner:
-    """Runs jobs, a fixed number at once, until all have ended or a stop is requested.
+    """Runs a fixed number of jobs in parallel, until all jobs have ended or a stop is requested.
 
     Each job has its own process: it computes the same bytes as ``wheelleg train`` with its overrides, and a job that
-    dies does not affect the others.
-
-    Args:
-        index: the index of the sweep, which this object keeps up to date.
-        requests: what each job of the index trains.
-        at_once: how many jobs run at the same time.
-        display: receives what happens.
-        stop: requests a stop; every job stops at its next whole iteration, with a checkpoint.
-        launcher: runs the jobs, by default as processes of this machine.
+    dies does not affect the others. After a stop request, every job stops at its next whole iteration, with a
+    checkpoint.
     """
 
     def __init__(
@@ -93,15 +127,11 @@ class SweepRunner:
         self._display = display
         self._stop = stop
         self._launcher: Launcher = launcher or LocalLauncher()
-        self._running: dict[Job, dict[str, Any]] = {}  # with the entry in the index
+        self._running: dict[Job, dict[str, Any]] = {}
 
     @while_running()
     def run(self) -> SweepStatus:
-        """Run all jobs, and return the status of the sweep.
-
-        Raises:
-            SimulationFailure: the index cannot be written; the jobs were stopped.
-        """
+        """Run all jobs, and return the status of the sweep."""
         status: SweepStatus = "failed"
         try:
             self._run()
@@ -153,7 +183,10 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record the jobs that have ended. A job that left its queue before it started is still waiting."""
+        """Record the ended jobs in the index of the sweep.
+
+        A job that was removed from its queue before the start counts as waiting.
+        """
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)
@@ -176,13 +209,13 @@ class SweepRunner:
         return "failed", {}, {"type": "error", "message": f"its process {job.describe_death()}"}
 
     def _end_all(self) -> None:
-        """End the jobs that still run when the sweep itself fails or is interrupted for the second time."""
+        """Stop the jobs that still run when the sweep itself fails or is interrupted for the second time."""
         try:
             self._end(lambda job: job.ask_to_stop(), 0.0)
             self._end(lambda job: job.interrupt(), _PATIENCE_S)
             self._end(lambda job: job.kill(), _PATIENCE_S)
         finally:
-            for job in self._running:  # a third interrupt ends the waiting
+            for job in self._running:  # A third interrupt stops waiting for the jobs.
                 job.kill()
                 job.close()
 
@@ -192,5 +225,5 @@ class SweepRunner:
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()
-            with contextlib.suppress(WheellegError):  # the index reported a full disk before
+            with contextlib.suppress(WheellegError):  # The index has already reported a full disk.
                 self._reap()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -32,7 +33,7 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
-    """Copy the converted robot into ``asset/``, and write the identity of its source."""
+    """Copy the converted robot into ``asset/``, and write the digests of the robot's source files."""
     directory.asset.mkdir(parents=True, exist_ok=True)
     for part in (*asset.meshes, *asset.beside):
         target = directory.asset / part.relative_to(asset.output.parent)
@@ -45,88 +46,70 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
-    """Return the run's MJCF.
+    """Return the path of the MJCF in a run directory.
 
-    Raises:
-        RunDirectoryError: the MJCF is missing, or holds an element that no conversion writes: one that makes MuJoCo
-            read
-            other files, load libraries, or allocate any amount of memory.
+    Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load libraries,
+    or allocate any amount of memory.
     """
     path = directory.asset / MJCF
     if not path.is_file():
-        raise RunDirectoryError("the run has no robot", key=str(path), expected="the MJCF that it was trained on")
+        raise RunDirectoryError(
+            "the run directory contains no MJCF of the robot", key=str(path), expected="the MJCF that it was trained on"
+        )
     try:
         elements = list(ElementTree.fromstring(read_bytes(path)).iter())
     except ElementTree.ParseError as error:
-        raise RunDirectoryError(f"is not an MJCF: {error}", key=str(path)) from error
+        raise RunDirectoryError(f"the file is not an MJCF: {error}", key=str(path)) from error
     for element in elements:
         if element.tag in _FORBIDDEN_TAGS:
-            raise RunDirectoryError(f"holds <{element.tag}>, which no conversion writes", key=str(path))
+            raise RunDirectoryError(f"the file holds <{element.tag}>, which no conversion writes", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
                 raise RunDirectoryError(
-                    f"names {value!r}, outside its folder", key=str(path), expected="files in its folder"
+                    f"the file names {value!r}, outside its folder", key=str(path), expected="files in its folder"
                 )
     return path
 
 
 def saved_model_digest(directory: RunDirectory) -> str:
-    """Return the digest of the scene that the run compiled, or raise RunDirectoryError."""
+    """Return the digest of the MuJoCo model that the run compiled."""
     return str(recorded_robot(directory)["model_sha256"])
 
 
 def saved_sources(directory: RunDirectory) -> dict[str, str]:
-    """Return the sha256 of each source file of the run's robot, by path relative to its source's folder."""
+    """Return the sha256 of each source file of the run's robot, by the path relative to the robot's source folder."""
     return dict(recorded_robot(directory)["sources"])
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the saved networks of other runs, by their paths beside the robot."""
+    """Return the saved networks of other runs, by their paths next to the robot."""
     named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
     return {name: path for name, path in named.items() if path.is_file()}
 
 
-def _report(path: Path) -> Report:
-    try:
-        return Report.from_json(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise RunDirectoryError(f"is not a conversion report: {error}", key=str(path)) from error
-
-
 def load_saved_robot(directory: RunDirectory) -> CachedConversion:
-    """Return the run's conversion, in the run directory.
-
-    Raises:
-        RunDirectoryError: a part of it is missing.
-    """
-    report = _report(directory.asset / REPORT)
+    """Return the converted robot that a run directory holds."""
+    path = directory.asset / REPORT
+    try:
+        report = Report.from_json(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise RunDirectoryError(f"the file is not a conversion report: {error}", key=str(path)) from error
     return CachedConversion(saved_mjcf(directory), report, saved_sources(directory), key="", fresh=False)
 
 
 def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
-    """Copy the run's conversion into a new folder, in the form of a new conversion.
-
-    Raises:
-        RunDirectoryError: a part of it is missing.
-        SimulationFailure: the disk is full.
-    """
-    mjcf = saved_mjcf(directory)
+    """Copy the converted robot of a run into a new folder, with the layout of a conversion's folder."""
+    saved = load_saved_robot(directory)
     with for_people(folder):
         shutil.copytree(directory.asset, folder)
-    output = folder / MODEL
-    with for_people(output):
-        (folder / mjcf.name).rename(output)
-    report = _report(output.with_name(REPORT))
-    return CachedConversion(output, report, saved_sources(directory), key="", fresh=False)
+        (folder / saved.output.name).rename(folder / MODEL)
+    return replace(saved, output=folder / MODEL)
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
     """Raise ConfigError if overrides changed the robot of a run.
 
-    Args:
-        recorded: the run's own tree.
-        tree: the tree with overrides.
-        rule: the violated rule, for the message.
+    ``rule`` is the violated rule, for the error message.
     """
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:

@@ -1,8 +1,8 @@
 """Run sweep jobs through a queue: Slurm's (submitit), or a Ray cluster.
 
 The machine of the sweep and the machine of a job exchange files in the job's folder, which both must see:
-``request.json`` is written before the job is submitted, ``events.jsonl`` grows while the job runs, and ``stop`` asks
-the job to stop. submitit and Ray are optional and imported only when their launcher is made.
+``request.json`` is written before the job is submitted, ``events.jsonl`` grows while the job runs, and the file
+``stop`` requests a stop of the job. submitit and Ray are optional and imported only when their launcher is made.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Protocol, cast
 from wheelleg_exp.child_process import Child, Event, listen, parse_event
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import write_json, write_text
-from wheelleg_exp.jobs.sweep_launchers import Job
+from wheelleg_exp.jobs.run_sweep import Job, Launcher, LocalLauncher
 from wheelleg_exp.jobs.training_job import JobRequest, job_program
 from wheelleg_exp.run.environment import replay_environ, variables
 
@@ -28,41 +28,41 @@ REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
 _FOLDER = "jobs"
 _WAIT_S = 0.3
-_PATIENCE_S = 90.0  # Slurm kills a job 120 s after its warning
-# The import path before a queue's library changes it.
+_PATIENCE_S = 90.0  # Slurm kills a job 120 s after its warning.
+# The import path, read before a queue's library changes ``sys.path``.
 _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 
 
-# --- on the machine of the job ---
-
-
 class QueueWorker:
-    """Runs one job on another machine. The queue pickles this object; it holds nothing.
+    """Runs one job on another machine. The queue pickles the ``QueueWorker``, which has no attributes.
 
-    The process of the job gets the environment variables of the sweep's machine that change numbers, so that it
-    computes what it would compute there.
+    The job's process gets those environment variables of the sweep's machine that change numbers, so that the numbers
+    do not depend on the environment of the job's machine.
     """
 
     _child: Child | None = None
     _relayed: Future[str] | None = None
 
     def __call__(self, folder: str) -> str:
-        """Run the job of a folder, and return its status."""
+        """Run the job that the folder's ``request.json`` describes, and return the status of the job."""
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
             raise RuntimeError("the job has run already, and does not run again")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # without a shared installation, this machine's own one
+        path = request["path"] if same else sys.path  # The machines may have different installations.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
-        with ThreadPoolExecutor(1) as reader:  # a signal interrupts only the main thread
+        with ThreadPoolExecutor(1) as reader:  # A signal interrupts only the main thread.
             self._relayed = reader.submit(self._relay, self._child, place)
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Stop the job with a checkpoint when its time is over (submitit calls this); it is not started again."""
+        """Stop the job with a checkpoint when its time is over (submitit calls this method).
+
+        The queue does not restart the job.
+        """
         del folder
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
@@ -70,7 +70,7 @@ class QueueWorker:
                 self._child.kill()
 
     def _relay(self, child: Child, place: Path) -> str:
-        """Write the events of the process to the folder, and pass stop requests on, until the process ends."""
+        """Write the events of the job's process to a folder and forward stop requests until the process ends."""
         asked = ""
         while not child.over():
             self._write_events(child, place, _WAIT_S)
@@ -80,11 +80,7 @@ class QueueWorker:
                 asked = wanted
         self._write_events(child, place, 0.0)
         message = f"its process on {socket.gethostname()} {child.describe_death()}"
-        ended = child.ended or {
-            "event": "ended",
-            "status": "failed",
-            "error": {"type": "error", "message": message},
-        }
+        ended = child.ended or {"event": "ended", "status": "failed", "error": {"type": "error", "message": message}}
         child.close()
         self._write(place, ended)
         return str(ended["status"])
@@ -105,29 +101,23 @@ def _read_or_empty(path: Path) -> str:
         return ""
 
 
-# --- on the machine of the sweep ---
-
-
 class Ticket(Protocol):
-    """The queue's handle of a submitted job."""
+    """The handle of a job in a queue."""
 
     def gone(self) -> bool:
-        """Return whether the job has left the queue, in whatever way."""
+        """Return whether the job has left the queue for any reason."""
 
     def cancel(self) -> None:
-        """Remove the job from the queue, or end it."""
+        """Remove the job from the queue, or end the job."""
 
     def why(self) -> str:
         """Return the queue's reason for the end of a job that sent no last event."""
 
 
 class QueuedJob:
-    """A job in a queue. Its events come from the file that its ``QueueWorker`` writes.
+    """A job in a queue. The events of the job come from the file that the job's ``QueueWorker`` writes.
 
-    Attributes:
-        folder: absolute path of the folder.
-        ticket: the queue's handle once the job is submitted.
-        ended: the event with which the job ended, or None.
+    ``ticket`` is None until the job is submitted, and ``ended`` is the event with which the job ended, or None.
     """
 
     def __init__(self, folder: Path, request: JobRequest) -> None:
@@ -144,7 +134,7 @@ class QueuedJob:
         write_json(self.folder / REQUEST, facts)
 
     def events(self) -> Iterator[Event]:
-        """Yield the events since the last call."""
+        """Yield the events of the job since the last call."""
         try:
             with (self.folder / EVENTS).open("rb") as file:
                 file.seek(self._read)
@@ -179,7 +169,7 @@ class QueuedJob:
             self.kill()
 
     def interrupt(self) -> None:
-        """Stop the job at once."""
+        """Stop the job without waiting for the end of its iteration."""
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
@@ -188,7 +178,7 @@ class QueuedJob:
             self.ticket.cancel()
 
     def close(self) -> None:
-        """Keep the folder of the job, because users may read its events."""
+        """Keep the events in the job's folder, because users may read them."""
 
     def describe_death(self) -> str:
         """Return the queue's reason for the end of the job."""
@@ -205,7 +195,7 @@ class Queue:
         self._pending: list[QueuedJob] = []
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Prepare a job; ``listen`` submits all prepared jobs together."""
+        """Write the request of a job; ``listen`` submits all prepared jobs together."""
         job = QueuedJob(self._folder / str(number), request)
         self._pending.append(job)
         return job
@@ -215,7 +205,7 @@ class Queue:
         raise NotImplementedError
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield what the jobs have written."""
+        """Submit the prepared jobs, and yield the events that the jobs have written."""
         waiting, self._pending = [job for job in self._pending if not job.over()], []
         if waiting:
             for job, ticket in zip(waiting, self.submit(waiting), strict=True):
@@ -228,9 +218,7 @@ class Queue:
         yield from found
 
 
-# --- submitit ---
-
-# Settings that submitit takes without the name of its executor as a prefix.
+# Settings that submitit accepts without an executor name as a prefix.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -242,13 +230,7 @@ _OTHER_SETTINGS = ("_target_", "submitit_folder", *_EXECUTOR_SETTINGS)
 class SubmititLauncher(Queue):
     """Submits jobs through submitit, as hydra-submitit-launcher does: the jobs of one sweep are one Slurm array.
 
-    Args:
-        cluster: ``slurm`` or ``local``.
-        settings: of ``hydra.launcher``, plain.
-        folder: the folder of the sweep.
-
-    Raises:
-        ConfigError: submitit refuses a setting, or this machine has no Slurm.
+    ``cluster`` is ``slurm`` or ``local``, and ``settings`` are the plain settings of ``hydra.launcher``.
     """
 
     def __init__(self, cluster: str, settings: Mapping[str, Any], folder: Path) -> None:
@@ -299,27 +281,17 @@ class _SubmititTicket:
     def why(self) -> str:
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
-        # submitit's local executor reports FINISHED for every end.
+        # submitit's local executor reports FINISHED for every ended job.
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
 
-# --- Ray ---
-
-_OBJECT_STORE = 78_643_200  # bytes, Ray's minimum: only the name of a folder passes through it
+_OBJECT_STORE = 78_643_200  # Ray's minimum in bytes, because tasks exchange only folder names.
 _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
 
 class RayLauncher(Queue):
-    """Submits each job as one Ray task, with the settings of hydra-ray-launcher's option ``ray``.
-
-    Args:
-        settings: of ``hydra.launcher``, plain: ``ray.init`` and ``ray.remote``.
-        folder: the folder of the sweep.
-
-    Raises:
-        ConfigError: the cluster cannot be reached, or Ray refuses a setting.
-    """
+    """Submits each job as one Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
 
     def __init__(self, settings: Mapping[str, Any], folder: Path) -> None:
         import ray
@@ -327,12 +299,12 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts its own cluster
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts a local cluster.
             init.setdefault("object_store_memory", _OBJECT_STORE)
         try:
             if not ray.is_initialized():
                 ray.init(**init)
-            options = {"max_retries": 0, **chosen["remote"]}  # a job that dies is reported, not restarted
+            options = {"max_retries": 0, **chosen["remote"]}  # A job that dies is reported, not restarted.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
             raise ConfigError(
@@ -342,7 +314,7 @@ class RayLauncher(Queue):
             ) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit each job as a task."""
+        """Submit each job as a Ray task."""
         return [_RayTicket(self._task.remote(str(job.folder))) for job in jobs]
 
 
@@ -374,3 +346,13 @@ class _RayTicket:
 
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
+
+
+def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
+    """Return the launcher that Hydra's group ``hydra/launcher`` names.
+
+    All machines must see the folder of the sweep.
+    """
+    if name.startswith("submitit"):
+        return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
+    return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

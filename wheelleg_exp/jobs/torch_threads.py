@@ -17,7 +17,7 @@ from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
-# MKL's numbers of its code branches (mkl_types.h, MKL_CBWR_*).
+# MKL numbers its code branches (mkl_types.h, MKL_CBWR_*).
 _BRANCHES = {
     1: "off",
     2: "auto",
@@ -33,37 +33,25 @@ _BRANCHES = {
     13: "avx512_mic_e1",
     14: "avx512_e1",
 }
-_in_time: list[bool] = []  # the results of prepare_threads; one late call makes the process late
+_in_time: list[bool] = []  # One late call of prepare_threads marks the process for its lifetime.
 
 _STRICT = 0x10000
 _EVERYTHING = -1
-_VECTOR_STEP = 32  # numbers per step of torch's vector loops: two AVX-512 vectors of sixteen
-# In these branches the number of threads changes matrix products, even in strict mode.
+_VECTOR_STEP = 32  # A step of torch's vector loops has 32 numbers: two AVX-512 vectors.
+# In these MKL branches, the number of threads changes matrix products, even in strict mode.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
     """Set torch's threads from ``agent.torch_threads``, and return what a run records about threads and arithmetic.
 
-    Args:
-        agent: the composed ``agent`` section, plain.
-        physics_threads: the threads of the physics.
-        samples: environment steps of one rollout of a training; None without training.
-
-    Returns:
-        ``torch``, ``interop`` and ``physics`` threads; ``cpu_capability`` and ``device`` of torch; whether the
-        variables of
-        ``prepare_threads`` were set before torch was imported; MKL's mode ``mkl``; the choice ``matmul`` of
-        ``agent.matmul``; ``numerics``; and whether the results are ``independent`` of torch's threads, else
-        ``dependent_because``.
-
-    Raises:
-        ConfigError: the number is not a whole number of at least 1, or this CPU cannot compute ``agent.matmul``.
+    ``samples`` is the number of environment steps of one rollout of a training, None without training. The result says
+    whether the numbers are ``independent`` of torch's threads, and otherwise ``dependent_because``.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import
+    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import.
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(
@@ -87,13 +75,9 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the changes to the record of threads if bfloat16 products depend on the number of threads; else nothing.
+    """Return changes to the record of threads; empty unless bfloat16 matrix products depend on the number of threads.
 
-    Args:
-        networks: the trained networks.
-        agent: the composed ``agent`` section, plain.
-        samples: environment steps of one rollout.
-        threads: the result of ``set_threads``.
+    ``samples`` is the number of environment steps of one rollout, ``threads`` the result of ``set_threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
@@ -113,9 +97,10 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 
 
 def mkl_in_force() -> dict[str, Any] | None:
-    """Return MKL's code branch and whether it is strict, as MKL reports them; None if torch has no MKL.
+    """Return MKL's code branch and whether MKL is strict; None if torch has no MKL.
 
-    Both are None if MKL does not answer. The question fixes the mode: variables that are set later have no effect.
+    The branch and the strict mode are None if MKL does not return them. The query fixes the mode of MKL: environment
+    variables that are set later have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None
@@ -152,17 +137,16 @@ def _libraries() -> list[str]:
 
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
-    """Return the number of samples over which the update computes a mean."""
+    """Return the number of samples over which the PPO update computes a mean."""
     algorithm = agent.get("algorithm") or {}
     return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
-    """Return the activations whose rounding depends on the threads.
+    """Return a warning about activations whose rounding depends on the number of threads.
 
-    torch gives each thread a part of the numbers. Other code, with other rounding, computes the end of a part that is
-    not
-    a whole step of the vector loop.
+    torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are computed
+    by scalar code, which rounds differently.
     """
     if samples is None or str(agent["device"]) != "cpu":
         return []
@@ -186,7 +170,7 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
 
 
 def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch splits so many numbers at a place that is not a whole step of its vector loop."""
+    """Return whether torch splits so many numbers into chunks whose size is not a multiple of ``_VECTOR_STEP``."""
     parts = min(threads, -(-numbers // SPLIT_ABOVE))
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 

@@ -20,7 +20,7 @@ from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.machine import own_environ
 from wheelleg_exp.stop_request import StopRequest
 
-# The child imports from the folders of its parent, whatever folder it is called from.
+# The child process imports from the parent's folders, whatever the working folder is.
 _BOOT = (
     "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
     "from wheelleg_exp.jobs.training_job import main; sys.exit(main())"
@@ -29,17 +29,10 @@ _BOOT = (
 
 @dataclass(frozen=True)
 class JobRequest:
-    """What a job does.
+    """A request to train a new run, or to resume or evaluate a run.
 
-    Attributes:
-        kind: train a new run, resume a run, or evaluate a run.
-        overrides: of the training, the resume, or the protocol.
-        config_dirs: the user's config folders.
-        command: the command line that does the same alone, for the manifest.
-        digest: the digest of the checked config of a training.
-        run: the run that is resumed or evaluated.
-        checkpoint: the name of the evaluated checkpoint.
-        root: the folder of all runs.
+    ``command`` is the equivalent command line, for the manifest. ``digest`` is the digest of the checked
+    config of a training, and ``root`` the folder of all runs.
     """
 
     kind: Literal["train", "resume", "evaluate"]
@@ -52,15 +45,14 @@ class JobRequest:
     root: str = "runs"
 
     def line(self) -> bytes:
-        """Return the request as one line."""
+        """Return the request as one line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command that serves a job with this interpreter.
+    """Return the command of a child process that serves a job, with this Python interpreter.
 
-    Args:
-        path: the folders to import from; by default those of this process.
+    ``path`` is the import path of the child process, by default ``sys.path``.
     """
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
@@ -76,7 +68,7 @@ def main() -> int:
 
 
 def serve(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
-    """Do what a request says."""
+    """Do the job that one request line describes."""
     request = JobRequest(**json.loads(line))
     {"train": _train, "resume": _resume, "evaluate": _evaluate}[request.kind](pipe, request, stop)
 

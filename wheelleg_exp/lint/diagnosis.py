@@ -1,7 +1,7 @@
 """The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
 
-The robot is that of a task, or a file alone with its own pose, drives, and limits on level ground. A task is also
-run for a short trial under random actions.
+``doctor`` inspects the robot of a task, or a robot file with its own pose, drives, and limits on level ground. For a
+task, ``doctor`` also simulates a short trial with random actions.
 """
 
 from __future__ import annotations
@@ -42,12 +42,9 @@ _ENVS, _SECONDS = 32, 2.0
 
 
 def random_rewards(composed: Composed) -> Mapping[str, float]:
-    """Return the mean of each reward term under standard normal actions, by name, per second.
+    """Return the mean of each reward term with standard normal actions, by name, per second.
 
-    The config, which must be free of mistakes, runs with 32 environments for two seconds.
-
-    Raises:
-        WheellegError: the environment cannot be built.
+    The means are those of a trial of two seconds in 32 environments. The config must be free of mistakes.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -64,16 +61,12 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
 
 _MJCF = (".xml", ".mjcf")
-_ENDLESS = 1e6  # larger limits mean unlimited
+_ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
 def case_of_file(source: Path) -> Case:
-    """Return the case of a robot's USD, URDF, or MJCF file, with its own default pose and drives, on level ground.
-
-    Raises:
-        AssetError: the file cannot be read, or contains no robot with joints.
-    """
+    """Return the case of a robot file (USD, URDF, MJCF): the robot in its default pose with its own drives."""
     stock = compose(["task=stand"]).config["env"]
     env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
     with tempfile.TemporaryDirectory(prefix="wheelleg-doctor-") as folder:
@@ -106,33 +99,25 @@ def _file_case(
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, at_default(model, scene.robot), bodies)
-    # Put the robot on the ground: a file has no spawn height.
+    # Put the robot on the ground, because a robot file contains no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
     found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)
     wheels = set(facts.wheels)
-    joints = {
-        name: replace(joint, drive=_grouped(drives.get(name), wheels, name)) for name, joint in facts.joints.items()
-    }
+    joints = {}
+    for name, joint in facts.joints.items():
+        drive, group = drives.get(name), "wheels" if name in wheels else "legs"
+        joints[name] = replace(joint, drive=None if drive is None else replace(drive, group=group))
     return Case(config, replace(facts, joints=joints), found)
 
 
-def _grouped(drive: Drive | None, wheels: set[str], name: str) -> Drive | None:
-    return None if drive is None else replace(drive, group="wheels" if name in wheels else "legs")
-
-
 def _drive(dof: Dof) -> Drive | None:
-    """Return a joint's drive from its file; missing values mean unlimited."""
+    """Return a joint's drive from the robot file. A missing limit means unlimited."""
     effort = effort_of(dof)
     if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
-    return Drive(
-        "",
-        dof.drive.stiffness if dof.drive is not None else 0.0,
-        dof.drive.damping if dof.drive is not None else 0.0,
-        _limit(effort),
-        _limit(dof.max_velocity),
-    )
+    stiffness, damping = (dof.drive.stiffness, dof.drive.damping) if dof.drive is not None else (0.0, 0.0)
+    return Drive("", stiffness, damping, _limit(effort), _limit(dof.max_velocity))
 
 
 def _limit(value: float | None) -> float:
@@ -145,11 +130,11 @@ def _model(source: Path) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_path(str(source))
     except ValueError as error:
-        raise AssetError(f"MuJoCo cannot read it: {' '.join(str(error).split())}", where=str(source)) from None
+        raise AssetError(f"MuJoCo cannot read the file: {' '.join(str(error).split())}", where=str(source)) from None
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Return an ``env.robot`` section for an MJCF in its first saved state, or at zero."""
+    """Return an ``env.robot`` section for an MJCF file. The pose is the first keyframe, or the zero pose."""
     qpos = model.key_qpos[0] if model.nkey else model.qpos0
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     scalar = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
@@ -166,7 +151,7 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
-    """Return the drives of joints with actuators: their efforts add up, and the joint can limit the sum."""
+    """Return the drive of each joint with actuators: the sums of their gains and efforts, limited by the joint."""
     drives: dict[str, Drive | None] = {}
     for joint in range(model.njnt):
         own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
@@ -182,68 +167,38 @@ def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
 
 
 def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
-    """Return an actuator's stiffness, N·m/rad, damping, N·m·s/rad, and largest torque, N·m, at its joint."""
+    """Return the stiffness (N·m/rad), damping (N·m·s/rad), and largest torque (N·m) of an actuator at its joint."""
     gear = abs(float(model.actuator_gear[index, 0]))
     limits = [math.inf]
     if model.actuator_forcelimited[index]:
         limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
     bias = model.actuator_biasprm[index]
-    if model.actuator_ctrllimited[index] and not bias.any():  # a motor's control is its torque
+    if model.actuator_ctrllimited[index] and not bias.any():  # The control of a motor is a torque.
         gain = gear * float(model.actuator_gainprm[index, 0])
         limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# The most urgent rules come first: later findings are unreliable before earlier ones are fixed.
+# The order of urgency. The findings of a later rule are unreliable until those of the earlier rules are fixed.
 OF_ROBOT = (
-    "no_colliders",
-    "missing_files",
-    "lost_in_conversion",
-    "assumed_masses",
-    "robot_size",
-    "link_masses",
-    "wheels_that_do_not_roll",
-    "rolling_direction",
-    "overlapping_bodies",
-    "mirror_images",
-    "wheel_senses",
-    "joint_limits",
-    "balance_pose",
-    "placeholder_limits",
-    "effort_against_load",
-    "weak_wheels",
-    "gains_against_time_step",
-    "armature_ratio",
-)
+    "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
+    "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
+    "joint_limits", "balance_pose", "placeholder_limits", "effort_against_load", "weak_wheels",
+    "gains_against_time_step", "armature_ratio",
+)  # fmt: skip
 OF_TASK = (
     *OF_ROBOT,
-    "effort_against_traction",
-    "lopsided_pose",
-    "contact_at_start",
-    "spawn_height",
-    "reset_into_ground",
-    "episode_end",
-    "target_height",
-    "contact_threshold",
-    "action_scale",
-    "command_reach",
-    "drive_bandwidth",
-    "control_rate",
-    "falling_pays",
-    "reward_outweighs",
-)
+    "effort_against_traction", "lopsided_pose", "contact_at_start", "spawn_height", "reset_into_ground",
+    "episode_end", "target_height", "contact_threshold", "action_scale", "command_reach", "drive_bandwidth",
+    "control_rate", "falling_pays", "reward_outweighs",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The diagnosis of one robot.
+    """The diagnosis of one robot: the findings, most urgent first, and facts worth knowing.
 
-    Attributes:
-        subject: the file or the task.
-        case: the inspected case.
-        findings: the most urgent first, without those that the task silences.
-        silenced: findings that the task silences, with its reasons.
-        notes: facts that are not faults and worth knowing.
+    ``silenced`` contains the findings that the task accepts, with the reasons.
     """
 
     subject: str
@@ -254,7 +209,7 @@ class Diagnosis:
 
     @property
     def first(self) -> str:
-        """The most urgent finding on one line."""
+        """Return the most urgent finding on one line."""
         if not self.findings:
             return f"{self.subject}: nothing to fix"
         finding = self.findings[0]
@@ -279,26 +234,18 @@ class Diagnosis:
 
 
 def diagnose_file(source: Path) -> Diagnosis:
-    """Diagnose a robot's USD, URDF, or MJCF file.
-
-    Raises:
-        AssetError: the file cannot be read, or contains no robot with joints.
-    """
+    """Diagnose a robot's USD, URDF, or MJCF file. An unreadable file raises AssetError."""
     return diagnose_case(str(source), case_of_file(source))
 
 
 def diagnose_case(subject: str, case: Case) -> Diagnosis:
-    """Diagnose a robot without a task; see ``case_of_file``."""
+    """Diagnose a robot without a task, as ``case_of_file`` returns it."""
     found = [finding for name in OF_ROBOT for finding in RULES[name](case)]
     return Diagnosis(subject, case, tuple(found), (), tuple(notes_on(case)))
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, its start, and its drives. The config must be free of mistakes.
-
-    Raises:
-        WheellegError: the robot cannot be read, or the scene cannot be built.
-    """
+    """Diagnose a task's robot, its start pose, and its drives. The config must be free of mistakes."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]
@@ -311,13 +258,13 @@ def diagnose_task(composed: Composed) -> Diagnosis:
 
 
 def known_by(finding: Finding) -> str:
-    """Return the source that a rule's text names."""
+    """Return the source of knowledge that the docstring of a rule names."""
     _, _, source = " ".join(RULES[finding.rule].text.split()).partition("Source: ")
     return source.rstrip(".")
 
 
 def notes_on(case: Case) -> list[str]:
-    """Return facts of a robot that are not faults and worth knowing."""
+    """Return facts about a robot that are worth knowing but are not faults."""
     robot = case.robot
     if robot is None:
         return []
@@ -370,7 +317,7 @@ def _self_collisions(robot: CompiledRobot) -> list[str]:
 
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:
-    """Return findings as text: rule, key, place, message, hint, and source (or why it is silenced)."""
+    """Return findings as rows of text: rule, key, place, message, hint, and source (or the reason of the silence)."""
     return [
         (f.rule, f.key, f.where or "", f.message, f.hint, (reasons or {}).get(f.rule) or known_by(f)) for f in findings
     ]

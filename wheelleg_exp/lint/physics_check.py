@@ -1,10 +1,10 @@
-"""The report of ``check --physics``: facts of the robot, value of each reward, findings, and which are silenced."""
+"""The report of ``check --physics``: facts about the robot, the value of each reward, and the findings of the rules."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, RobotFacts, compiled_robot
@@ -13,64 +13,22 @@ from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.config.checking.check_robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import PHYSICS_RULES
-from wheelleg_exp.lint import (
-    rules_drives,
-    rules_episode,
-    rules_interface,
-    rules_learning,
-    rules_links,
-    rules_shape,
-)
-from wheelleg_exp.lint import (
-    rules_learning as rules_curriculum,
-)
-from wheelleg_exp.lint import (
-    rules_learning as rules_rewards,
-)
-from wheelleg_exp.lint import (
-    rules_links as rules_conversion,
-)
-from wheelleg_exp.lint import (
-    rules_shape as rules_balance,
-)
-from wheelleg_exp.lint import (
-    rules_shape as rules_symmetry,
-)
+
+# The import of these modules registers the lint rules.
+from wheelleg_exp.lint import rules_drives, rules_episode, rules_interface, rules_learning, rules_links, rules_shape  # noqa: F401
 from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
 from wheelleg_exp.lint.rule import RULES as _RULES
 from wheelleg_exp.lint.rule import Case, Finding, Rule
 from wheelleg_exp.managers import SceneManager
 
-_MODULES = (
-    rules_episode,
-    rules_interface,
-    rules_rewards,
-    rules_drives,
-    rules_interface,
-    rules_episode,
-    rules_episode,
-    rules_learning,
-    rules_curriculum,
-    rules_balance,
-    rules_conversion,
-    rules_links,
-    rules_episode,
-    rules_shape,
-    rules_symmetry,
-)
-
-# In alphabetical order, as in the schema.
 RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """The report of ``check --physics``.
+    """The report of ``check --physics`` on one config.
 
-    Attributes:
-        case: the config and the robot's facts.
-        findings: all findings, by rule.
-        reasons: why a rule is silenced, by rule.
+    ``reasons`` maps each silenced rule to the reason in ``check.silence``.
     """
 
     case: Case
@@ -79,22 +37,22 @@ class PhysicsReport:
 
     @property
     def open(self) -> list[Finding]:
-        """The findings that are not silenced."""
+        """Findings of the rules that ``check.silence`` does not contain."""
         return [finding for finding in self.findings if finding.rule not in self.reasons]
 
     @property
     def silenced(self) -> list[Finding]:
-        """The findings that are silenced."""
+        """Findings of the rules that ``check.silence`` contains."""
         return [finding for finding in self.findings if finding.rule in self.reasons]
 
     @property
     def unused(self) -> list[str]:
-        """The silences without a finding."""
+        """Rules in ``check.silence`` that have no finding."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
     def facts_table(self) -> list[tuple[str, str, str]]:
-        """Return the robot's facts as text: name, value, unit."""
+        """Return the rows of the table of the robot's facts: name, value, unit."""
         return facts_rows(self.case.facts)
 
     def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
@@ -104,7 +62,7 @@ class PhysicsReport:
         return [_reward_row(self.case, item, best) for item in found]
 
     def document(self) -> dict[str, Any]:
-        """Return the report for scripts."""
+        """Return the report as a mapping for JSON."""
         return {
             "findings": [asdict(finding) for finding in self.open],
             "silenced": [{**asdict(finding), "reason": self.reasons[finding.rule]} for finding in self.silenced],
@@ -115,11 +73,7 @@ class PhysicsReport:
 
 
 def examine(composed: Composed) -> PhysicsReport:
-    """Convert and compile the robot, measure it, and run every rule. The config must be free of mistakes.
-
-    Raises:
-        WheellegError: the robot cannot be read, or the scene cannot be built.
-    """
+    """Compile and measure the robot of a config, and run every rule. The config must be free of mistakes."""
     with composed.placing():
         robot, facts = task_robot(composed)
         case = Case(composed.config, facts, robot)
@@ -131,28 +85,25 @@ def examine(composed: Composed) -> PhysicsReport:
 
 
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
-    """Return a config's robot, compiled as for training, and its facts."""
+    """Return the robot of a config, compiled as for training, and the robot's facts."""
     env = composed.config["env"]
-    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}  # the model is not stepped
+    # The check only measures the model and does not simulate it.
+    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene
-    return compiled_robot(scene.spec.compile(), scene.robot, _report(mjcf))
-
-
-def _report(mjcf: Path) -> Report | None:
-    try:
-        return Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
+    report = None
+    with suppress(OSError, ValueError):
+        report = Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
+    return compiled_robot(scene.spec.compile(), scene.robot, report)
 
 
 def robot_facts(composed: Composed) -> RobotFacts:
-    """Return the facts of a config's robot, compiled as for training."""
+    """Return the facts about the robot of a config."""
     return task_robot(composed)[1]
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
-    """Return a robot's facts: name, value, unit."""
+    """Return facts about a robot as rows of text: name, value, unit."""
     rows = [
         ("mass", f"{facts.mass:.4g}", "kg"),
         ("weight on each wheel", f"{facts.wheel_load:.3g}", "N"),

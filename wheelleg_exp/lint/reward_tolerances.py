@@ -1,4 +1,4 @@
-"""The value of each reward term if the robot is off by a stated tolerance."""
+"""Compute the value of each reward term for a robot whose error equals a stated tolerance."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # of a natural size: height, speed, effort, command
-ACTION = 0.5  # change of a raw action
+SHARE = 0.1  # The tolerance is this share of the height, speed, effort, or command.
+ACTION = 0.5  # The tolerated change of a raw action.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -25,15 +25,10 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one reward term adds at its tolerance.
+    """The reward of one term for a robot whose error equals the tolerance.
 
-    Attributes:
-        term: the term.
-        weight: its weight.
-        tolerance: the error in words; empty if the term is unknown.
-        value: the term's value at the tolerance, before weight; None if unknown.
-        cost: difference of the value from that of a perfect robot, before weight.
-        once: whether it counts once per episode instead of at each step.
+    ``value`` is the value of the term at the tolerance, before weight; None if unknown. ``cost`` is the difference to
+    the value of a perfect robot. A term with ``once`` counts once per episode instead of at each control step.
     """
 
     term: TermView
@@ -45,11 +40,11 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The term's value, before weight, for a perfect robot."""
+        """The value of the term for a perfect robot, before weight."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
-        """Return the reward of one control step: weight times value times the control step."""
+        """Return the reward of one control step: the product of weight, value, and control time step."""
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
@@ -58,12 +53,12 @@ class Contribution:
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return the contribution of every reward term, in order."""
+    """Return the contribution of every reward term of the config."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 
 def earned_per_second(found: list[Contribution]) -> float:
-    """Return the reward of a perfect robot: the sum of the terms with positive weight at their best value."""
+    """Return the reward of a perfect robot per second: the terms with positive weight at their best value."""
     return sum(c.weight * c.best for c in found if c.weight > 0.0 and not c.once)
 
 
@@ -99,13 +94,12 @@ def _kernel(case: Case, term: TermView, weight: float) -> Contribution:
 
 
 def _bell(error: float, term: TermView) -> float:
-    """Return exp(-(error / std)^2); 0 if the square overflows."""
     ratio = error / float(term.node["std"])
     return math.exp(-ratio * ratio)
 
 
 def tracking_tolerance(case: Case, term: TermView) -> tuple[float, str]:
-    """Return a tenth of the largest command, as number and in words."""
+    """Return a tenth of the largest command, as a number and as a text."""
     unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
     error = SHARE * command_size(case, term)
     return error, f"{error:.3g} {unit}, a tenth of the command"
@@ -119,18 +113,8 @@ def command_size(case: Case, term: TermView) -> float:
     return max((largest(ranges.get(axis)) for axis in axes), default=0.0) if isinstance(ranges, Mapping) else 0.0
 
 
-def _speed(case: Case) -> float:
-    """Return the natural speed sqrt(g h) of a body at height h, m/s."""
-    return math.sqrt(case.facts.gravity * _body_height(case))
-
-
-def _rate(case: Case) -> float:
-    """Return the natural rate sqrt(g / h), rad/s."""
-    return math.sqrt(case.facts.gravity / _body_height(case))
-
-
 def _body_height(case: Case) -> float:
-    """Return the standing height, m; at least 1 cm, because an arm's base can be on the ground."""
+    """Return the standing height, m, but at least 1 cm, because the base of an arm can be on the ground."""
     return max(case.facts.standing_height, 0.01)
 
 
@@ -140,12 +124,12 @@ def _height(_case: Case, term: TermView) -> tuple[str, float]:
 
 
 def _vertical(case: Case, _term: TermView) -> tuple[str, float]:
-    error = SHARE * _speed(case)
+    error = SHARE * math.sqrt(case.facts.gravity * _body_height(case))
     return f"{error:.2g} m/s, a tenth of sqrt(g h)", error**2
 
 
 def _rocking(case: Case, _term: TermView) -> tuple[str, float]:
-    error = SHARE * _rate(case)
+    error = SHARE * math.sqrt(case.facts.gravity / _body_height(case))
     return f"{error:.2g} rad/s, a tenth of sqrt(g/h)", error**2
 
 
@@ -178,11 +162,7 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
-def _one(_case: Case, _term: TermView) -> tuple[str, float]:
-    return "one body", 1.0
-
-
-# exp(-square / std²) of a square.
+# The value of these reward terms is exp(-error² / std²).
 _KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.base_height_exp": _height,
     "rewards.flat_orientation_exp": _tilt,
@@ -202,10 +182,10 @@ _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.action_rate_l2": _action_rate,
     "rewards.action_l2": _action_rate,
     "rewards.action_acceleration_l2": _action_rate,
-    **dict.fromkeys(CONTACTS, _one),
+    **dict.fromkeys(CONTACTS, lambda _case, _term: ("one body", 1.0)),
 }
 
 
 def tracked(case: Case) -> Iterator[TermView]:
-    """Yield the terms that reward following a command."""
+    """Yield the reward terms that reward the tracking of a command."""
     yield from case.terms("rewards", *TRACKING)

@@ -1,4 +1,4 @@
-"""What a rule inspects and what it finds: the case, the finding, the registry of rules, and rounding of advice."""
+"""The case that a rule inspects, the findings of a rule, the registry of rules, and the rounding of advice."""
 
 from __future__ import annotations
 
@@ -22,12 +22,8 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    Attributes:
-        name: its name.
-        path: its key.
-        kind: its target below the library's ``mdp``, such as ``rewards.is_alive``, for every alias; a target of another
-            package has its full name.
-        node: its settings.
+    ``kind`` is the target below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``, also for an alias of the target.
+    For a target of another package, ``kind`` is the full name.
     """
 
     name: str
@@ -38,13 +34,10 @@ class TermView:
 
 @dataclass(frozen=True)
 class Case:
-    """A config and its robot.
+    """A config without mistakes, and its robot.
 
-    Attributes:
-        config: the composed tree, plain and free of mistakes.
-        facts: the robot's facts.
-        robot: the robot itself; None if only its facts are known.
-        trial: the mean of each reward under random actions, by name, per second; None without a trial.
+    ``robot`` is None if only the facts about the robot are known. ``trial`` is the mean of each reward with random
+    actions by name, per second; None without a trial.
     """
 
     config: Mapping[str, Any]
@@ -54,38 +47,38 @@ class Case:
 
     @property
     def env(self) -> Mapping[str, Any]:
-        """The ``env`` section."""
+        """The ``env`` section of the config."""
         section: Mapping[str, Any] = self.config["env"]
         return section
 
     @property
     def agent(self) -> Mapping[str, Any]:
-        """The ``agent`` section."""
+        """The ``agent`` section of the config."""
         section: Mapping[str, Any] = self.config["agent"]
         return section
 
     @property
     def physics_dt(self) -> float:
-        """Physics step, s."""
+        """The physics time step, s."""
         return float(self.env["sim"]["dt"])
 
     @property
     def step_dt(self) -> float:
-        """Control step, s."""
+        """The control time step, s."""
         return self.physics_dt * int(self.env["decimation"])
 
     @property
     def episode_s(self) -> float:
-        """Longest episode, s."""
+        """The length of the longest episode, s."""
         return float(self.env["episode_length_s"])
 
     @property
     def episode_steps(self) -> int:
-        """Longest episode, control steps."""
+        """The length of the longest episode in control steps."""
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a section, of all kinds or of some."""
+        """Yield the terms of a section; with ``kinds``, only terms of these kinds."""
         for found, path, node in term_nodes(self.config):
             if found != section:
                 continue
@@ -94,7 +87,7 @@ class Case:
                 yield view
 
     def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:
-        """Return the joints of a term: those of its entity, or of its ``joint_names``, or all."""
+        """Return the joints of a term: those of its scene entity, or of its ``joint_names``, or all joints."""
         entity = node.get(name)
         expressions = entity.get("joint_names") if isinstance(entity, Mapping) else node.get("joint_names")
         joints = self.facts.joints
@@ -104,13 +97,13 @@ class Case:
         return {joint: joints[joint] for joint in found}
 
     def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
-        """Return a value for each joint, from one value or a mapping of joint expressions to values."""
+        """Return the value of each joint, from one value or from a mapping of joint expressions to values."""
         spread = values_by_name(values, list(names), default, key="values", what="joint")
         return dict(zip(names, spread, strict=True))
 
 
 def kind_of(target: str, path: str) -> str:
-    """Return a target's own name, without the library's prefix and inner modules, for every alias."""
+    """Return the kind of a target: its module and name, without the library's prefix and inner modules."""
     found = resolve_target(target, path)
     module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
     if module.startswith(_LIBRARY):
@@ -119,22 +112,16 @@ def kind_of(target: str, path: str) -> str:
 
 
 def largest(pair: Any) -> float:
-    """Return the largest absolute value of a range [low, high]; 0 without a range."""
+    """Return the largest absolute value of a range [low, high]; 0 if the range is None."""
     return max((abs(float(value)) for value in pair), default=0.0) if pair is not None else 0.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding.
+    """One implausible number in a config, with the problem and what to do.
 
-    Attributes:
-        key: the config key that it is about.
-        message: the problem, with its figures.
-        hint: what to do.
-        figures: the figures by name, SI units.
-        advice: settings, values by config key, each of which removes the finding; empty if the hint names no number.
-        rule: the rule's name, set by the registry.
-        where: the file and line, or the override, that set the key.
+    ``figures`` are in SI units. ``advice`` contains alternative settings, values by config key, each of which removes
+    the finding. ``where`` is the file and line, or the override, that set the key.
     """
 
     key: str
@@ -146,18 +133,18 @@ class Finding:
     where: str | None = None
 
     def line(self) -> str:
-        """Return the finding on one line, with its place and how to silence it."""
+        """Return the finding on one line, with its place and the key that silences its rule."""
         place = f" ({self.where})" if self.where else ""
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
+# A rule takes the case, or the case and the robot. A rule with a robot is skipped for a case without a robot.
 RuleFunction = Callable[..., Iterator[Finding]]
-"""A function of the case, or of the case and its robot; the second kind is skipped for a case without robot."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule: its name and the first line of its docstring as summary; ``text`` is the whole docstring."""
+    """A registered rule; ``summary`` is the first line of its docstring, ``text`` the whole docstring."""
 
     name: str
     summary: str
@@ -166,7 +153,6 @@ class Rule:
     takes_robot: bool
 
     def __call__(self, case: Case) -> list[Finding]:
-        """Return the rule's findings."""
         if self.takes_robot and case.robot is None:
             return []
         arguments = (case, case.robot) if self.takes_robot else (case,)
@@ -177,11 +163,11 @@ RULES: dict[str, Rule] = {}
 
 
 def rule(function: RuleFunction) -> RuleFunction:
-    """Register a rule under its function's name, which ``check.silence`` uses."""
+    """Register a rule under the name of its function, which ``check.silence`` uses."""
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
-    text = inspect.getdoc(function) or name.replace("_", " ")  # python -OO has no docstrings
+    text = inspect.getdoc(function) or name.replace("_", " ")  # Python with -OO has no docstrings.
     takes_robot = len(inspect.signature(function).parameters) == 2
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
     return function
@@ -190,28 +176,34 @@ def rule(function: RuleFunction) -> RuleFunction:
 DIGITS = 2
 
 
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """Return a text with the first ``most`` names in quotes and the number of omitted names."""
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def at_least(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest number with this many digits that is not below ``value``."""
+    """Return the smallest number with ``digits`` digits that is not below ``value``."""
     return float(_rounded(value, digits, ROUND_CEILING))
 
 
 def at_most(value: float, digits: int = DIGITS) -> float:
-    """Return the largest number with this many digits that is not above ``value``."""
+    """Return the largest number with ``digits`` digits that is not above ``value``."""
     return float(_rounded(value, digits, ROUND_FLOOR))
 
 
 def above(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest number with this many digits above ``value``, or the next one."""
+    """Return the smallest, or the next larger, number with ``digits`` digits that is above ``value``."""
     return float(_rounded(value, digits, ROUND_FLOOR) + _last_place(value, digits))
 
 
 def below(value: float, digits: int = DIGITS) -> float:
-    """Return the largest number with this many digits below ``value``, or the next one."""
+    """Return the largest, or the next smaller, number with ``digits`` digits that is below ``value``."""
     return float(_rounded(value, digits, ROUND_CEILING) - _last_place(value, digits))
 
 
 def _rounded(value: float, digits: int, rounding: str) -> Decimal:
-    exact = Decimal(repr(float(value)))  # 0.03 becomes exactly three hundredths
+    exact = Decimal(repr(float(value)))  # Decimal(0.03) would not equal 0.03 exactly, but Decimal(repr(0.03)) does.
     return exact.quantize(_last_place(value, digits), rounding=rounding) if exact.is_finite() else exact
 
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
-_ARMATURE = 10.0  # largest armature, as multiple of the load's inertia
-_TRACTION = 10.0  # largest effort, as multiple of the torque at which a wheel slips
-_PUSH = 0.1  # share of the weight: smallest force of the wheels
-_RESERVE = 1.5  # smallest effort, as multiple of the torque that holds the default pose
-_SAG = 0.1  # rad: largest static error under the robot's own weight
-_SAMPLES = 5.0  # control steps in one time constant of the fall
+_ARMATURE = 10.0  # The largest plausible ratio of armature to load inertia.
+_TRACTION = 10.0  # The largest plausible ratio of effort to the torque at which a wheel slips.
+_PUSH = 0.1  # The wheels must push with at least this share of the robot's weight.
+_RESERVE = 1.5  # The smallest ratio of effort to the torque that holds the default pose.
+_SAG = 0.1  # The largest accepted position error of a leg joint that carries the robot's weight, rad.
+_SAMPLES = 5.0  # A fall's time constant must contain this many control steps.
 _IMPLICIT = ("implicit", "implicitfast")
 
 
@@ -26,7 +26,6 @@ def _groups(case: Case) -> dict[str, dict[str, Joint]]:
 
 
 def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> tuple[str, Joint, Drive, float]:
-    """Return the driven joint for which ``size`` is largest."""
     rows = [(name, joint, joint.drive, size(joint, joint.drive)) for name, joint in joints.items() if joint.drive]
     return max(rows, key=lambda row: row[3])
 
@@ -35,9 +34,9 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 def armature_ratio(case: Case) -> Iterator[Finding]:
     """An armature far beyond the inertia that it moves.
 
-    A rotor behind a gear of ratio n acts at the joint as n² times its inertia. For motors of legged robots this is
-    about the link's inertia, rarely ten times as much. A robot with more cannot be built: it is slow and stable, and
-    its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
+    A rotor behind a gear of ratio n acts at the joint as n² times its inertia. For motors of legged robots, the rotor's
+    inertia at the joint is about that of the link, and rarely ten times larger. A robot with more cannot be built: it
+    is slow and stable, and its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
         name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
@@ -61,12 +60,11 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
 
 
 def wheel_friction(case: Case) -> float:
-    """Return the largest friction of the wheels: of randomised materials, else of the model."""
-    found: list[float] = []
+    """Return the largest friction coefficient of the wheels: of the randomised materials, or else of the model."""
     source = str(case.env["robot"].get("friction_source", "static"))
     ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
-    for term in case.terms("events", "events.randomize_rigid_body_material"):
-        found.append((float(term.node[f"{source}_friction_range"][1]) + ground) / 2)
+    materials = case.terms("events", "events.randomize_rigid_body_material")
+    found = [(float(term.node[f"{source}_friction_range"][1]) + ground) / 2 for term in materials]
     return max(found, default=case.facts.friction)
 
 
@@ -128,25 +126,21 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
         slow, fast = min(speeds, default=math.inf), _PUSH * facts.balance.height * facts.balance.pole
         if slow * facts.wheel_radius < fast:
             key, least = f"env.robot.actuators.{group}.velocity_limit", at_least(fast / facts.wheel_radius)
-            yield Finding(
-                key,
-                f"{slow:g} rad/s on wheels of {1e3 * facts.wheel_radius:.3g} mm is "
-                f"{slow * facts.wheel_radius:.2g} m/s: "
-                f"a lean of {_PUSH:g} rad grows faster than the wheels can follow",
-                f"at least {least:g} rad/s",
-                {"velocity": slow, "needed": fast / facts.wheel_radius},
-                ({key: least},),
-            )
+            message = f"{slow:g} rad/s on wheels of {1e3 * facts.wheel_radius:.3g} mm is "
+            message += f"{slow * facts.wheel_radius:.2g} m/s: "
+            message += f"a lean of {_PUSH:g} rad grows faster than the wheels can follow"
+            hint = f"at least {least:g} rad/s"
+            yield Finding(key, message, hint, {"velocity": slow, "needed": fast / facts.wheel_radius}, ({key: least},))
 
 
 @rule
 def effort_against_load(case: Case) -> Iterator[Finding]:
-    """A leg drive that cannot hold the robot up, or sags under it.
+    """A leg drive that cannot carry the robot's weight, or sags under the weight.
 
-    At rest a joint carries the weight on its wheel, minus the weight of the leg below. The drive needs a reserve of
-    half of that. Its stiffness must hold the joint within 0.1 rad of its target at an action of 0: the error is
-    gravity's torque over kp, minus the action's offset. Joints of closed loops are not checked, because they share the
-    load. Source: statics, tau = -J^T F.
+    At rest a joint carries the weight on its wheel, minus the weight of the leg below. The effort limit should be 1.5
+    times the torque that holds the pose. The drive's stiffness must hold the joint within 0.1 rad of the joint's target
+    at an action of 0: the error is gravity's torque over kp, minus the action's offset. Joints of closed loops are not
+    checked, because several joints share the load. Source: statics, tau = -J^T F.
     """
     for group, joints in _groups(case).items():
         joints = {name: joint for name, joint in joints.items() if name not in _in_loops(case)}
@@ -156,13 +150,9 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
         name, joint, drive, _ = _worst(joints, lambda j, d: abs(j.hold) / d.effort if d.effort else 0.0)
         if 0.0 < drive.effort < _RESERVE * abs(joint.hold):
             key, effort, load = f"env.robot.actuators.{group}.effort_limit", at_least(_RESERVE * largest), joint.hold
-            yield Finding(
-                key,
-                f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest",
-                f"at least {effort:g} N·m",
-                {"effort": drive.effort, "load": abs(load)},
-                ({key: effort},),
-            )
+            message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
+            hint = f"at least {effort:g} N·m"
+            yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
         shifts = _shifts(case)
         sags = {
             other: abs(found.hold / found.drive.stiffness - shifts.get(other, 0.0))
@@ -189,14 +179,13 @@ def _in_loops(case: Case) -> set[str]:
 
 
 def _shifts(case: Case) -> dict[str, float]:
-    """Return the offset between joint targets and defaults at an action of 0, rad."""
+    """Return the difference between the target at an action of 0 and the default position of each joint, rad."""
     shifts: dict[str, float] = {}
     for term in case.terms("actions", "actions.JointPositionAction"):
-        if term.node.get("use_default_offset", True):
-            continue
-        joints = case.joints(term.node)
-        offsets = case.by_joint(term.node.get("offset", 0.0), list(joints), 0.0)
-        shifts |= {name: float(offsets[name]) - joint.default for name, joint in joints.items()}
+        if not term.node.get("use_default_offset", True):
+            joints = case.joints(term.node)
+            offsets = case.by_joint(term.node.get("offset", 0.0), list(joints), 0.0)
+            shifts |= {name: float(offsets[name]) - joint.default for name, joint in joints.items()}
     return shifts
 
 
@@ -214,18 +203,17 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
         a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
         explicit = drive.explicit or integrator not in _IMPLICIT
-        if math.isnan(b):  # a learned drive has no gains
+        if math.isnan(b):  # A learned drive has no gains.
             continue
         if (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a:
             continue
         criterion = "kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I" if explicit else "kp·dt²/I < 4 + 2·kd·dt/I"
         key = "damping" if explicit and a >= 2.0 else "stiffness"
+        message = f"on '{name}' (I = {joint.effective:.3g} kg·m², dt = {dt:.4g} s) kd·dt/I is {a:.3g} and kp·dt²/I is "
+        message += f"{b:.3g}: unstable, {'explicit' if explicit else 'implicit'} drives need {criterion}"
+        hint = "an implicit drive, a finer env.sim.dt, more armature or smaller gains"
         yield Finding(
-            f"env.robot.actuators.{group}.{key}",
-            f"on '{name}' (I = {joint.effective:.3g} kg·m², dt = {dt:.4g} s) kd·dt/I is {a:.3g} and kp·dt²/I is "
-            f"{b:.3g}: unstable, {'explicit' if explicit else 'implicit'} drives need {criterion}",
-            "an implicit drive, a finer env.sim.dt, more armature or smaller gains",
-            {"a": a, "b": b, "inertia": joint.effective, "dt": dt},
+            f"env.robot.actuators.{group}.{key}", message, hint, {"a": a, "b": b, "inertia": joint.effective, "dt": dt}
         )
 
 

@@ -20,7 +20,7 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-_FIXED = ("resampling_time_range", "restitution_range")  # a fixed period is normal, and MuJoCo has no restitution
+_FIXED = ("resampling_time_range", "restitution_range")  # A fixed period is normal, and MuJoCo has no restitution.
 
 
 @rule
@@ -61,28 +61,21 @@ def zero_width_range(case: Case) -> Iterator[Finding]:
             if name in _FIXED or not _is_range(str(name), value) or _has_width(value):
                 continue
             shown = next(iter(value.values())) if isinstance(value, Mapping) else value
-            yield Finding(
-                f"{term.path}.{name}",
-                f"every draw is {float(shown[0]):g}: the range has no width",
-                "a range with a width, or no random value",
-                {"low": float(shown[0]), "high": float(shown[1])},
-            )
+            message = f"every draw is {float(shown[0]):g}: the range has no width"
+            hint = "a range with a width, or no random value"
+            yield Finding(f"{term.path}.{name}", message, hint, {"low": float(shown[0]), "high": float(shown[1])})
 
 
 def _is_range(name: str, value: Any) -> bool:
     if name == "ranges" or (name.endswith("_range") and isinstance(value, Mapping)):
-        return bool(_pairs(value))
+        return any(pair is not None for pair in value.values())
     ranged = name.endswith("_range") or name == "mass_distribution_params"
     return ranged and isinstance(value, list) and len(value) == 2
 
 
-def _pairs(value: Mapping[str, Any]) -> list[Any]:
-    return [pair for pair in value.values() if pair is not None]
-
-
 def _has_width(value: Any) -> bool:
-    pairs = _pairs(value) if isinstance(value, Mapping) else [value]
-    return any(pair[0] != pair[1] for pair in pairs)
+    pairs = value.values() if isinstance(value, Mapping) else [value]
+    return any(pair is not None and pair[0] != pair[1] for pair in pairs)
 
 
 @rule
@@ -140,17 +133,13 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
         low, high = term.node["restitution_range"]
         if low != high:
             key = f"{term.path}.restitution_range"
-            yield Finding(
-                key,
-                f"restitution U({low:g}, {high:g}) has no effect, because MuJoCo has no such coefficient",
-                "[0.0, 0.0], or vary the contact softness of the model",
-                {"low": low, "high": high},
-                ({key: [0.0, 0.0]},),
-            )
+            message = f"restitution U({low:g}, {high:g}) has no effect, because MuJoCo has no such coefficient"
+            hint = "[0.0, 0.0], or vary the contact softness of the model"
+            yield Finding(key, message, hint, {"low": low, "high": high}, ({key: [0.0, 0.0]},))
 
 
-_MARGIN = 1.2  # a good policy catches somewhat larger pushes than the pendulum's limit
-_WEAK = 0.2  # share of the largest push: weaker pushes do not test a policy
+_MARGIN = 1.2  # A good policy survives slightly larger pushes than the pendulum model predicts.
+_WEAK = 0.2  # Pushes below this share of the largest push do not test a policy.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 
@@ -207,7 +196,7 @@ def push_size(case: Case) -> Iterator[Finding]:
 
 @rule
 def wrench_size(case: Case) -> Iterator[Finding]:
-    """A lasting force or torque that tilts the robot too far.
+    """A permanent force or torque that tilts the robot too far.
 
     A force F at the body tilts a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
     episode. Source: statics of the inverted pendulum.
@@ -232,13 +221,14 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             )
 
 
-_DROP = 0.1  # share of the standing height
-_GROUND = 1e-4  # m: allowed depth of a start inside the ground, because contacts are soft
-_HEIGHT = 0.05  # share of the standing height: allowed difference of the reward's target
-_FALLS = 5.0  # smallest length of an episode, in time constants of the fall
+_DROP = 0.1  # The allowed drop at the start, as a share of the standing height.
+_GROUND = 1e-4  # Soft contacts allow a start this deep inside the ground, m.
+_HEIGHT = 0.05  # The target height may differ by this share of the standing height.
+_FALLS = 5.0  # The shortest useful episode, in time constants of the fall.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
-_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # their threshold is in seconds
+# The threshold of these reward terms is in seconds.
+_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")
 _ON_WHEELS = (
     "rewards.no_contact_count",
     "rewards.no_desired_contact",
@@ -284,13 +274,9 @@ def target_height(case: Case) -> Iterator[Finding]:
         target = float(term.node["target_height"])
         if abs(target - standing) > _HEIGHT * standing:
             key, right = f"{term.path}.target_height", at_least(standing, 3)
-            yield Finding(
-                key,
-                f"{1e3 * target:.4g} mm, and the default pose stands {1e3 * standing:.4g} mm high",
-                f"{right:g} m, or another default pose",
-                {"target_m": target, "standing_m": standing},
-                ({key: right},),
-            )
+            message = f"{1e3 * target:.4g} mm, and the default pose stands {1e3 * standing:.4g} mm high"
+            hint = f"{right:g} m, or another default pose"
+            yield Finding(key, message, hint, {"target_m": target, "standing_m": standing}, ({key: right},))
 
 
 @rule
@@ -311,22 +297,18 @@ def contact_threshold(case: Case) -> Iterator[Finding]:
             limit = 0.5 * load if wheels else 0.1 * weight
             if threshold > limit:
                 key, most = f"{term.path}.threshold", at_most(limit)
-                yield Finding(
-                    key,
-                    f"{threshold:g} N is {100 * threshold / weight:.0f} % of the robot's weight of {weight:.3g} N",
-                    f"at most {most:g} N",
-                    {"threshold": float(threshold), "weight": weight},
-                    ({key: most},),
-                )
+                message = f"{threshold:g} N is {100 * threshold / weight:.0f} % of the robot's weight of {weight:.3g} N"
+                hint = f"at most {most:g} N"
+                yield Finding(key, message, hint, {"threshold": float(threshold), "weight": weight}, ({key: most},))
 
 
 @rule
 def episode_end(case: Case) -> Iterator[Finding]:
     """An episode that has no time-out, ends at once, or is too short for a fall.
 
-    Without a time-out the value of later rewards is cut off. A limit that the start already exceeds ends every episode
-    in its first step. A robot that falls with a time constant of 1/p needs several of them to fail. Source: the theory
-    of truncation, Pardo et al., "Time limits in reinforcement learning", 2018.
+    Without a time-out, the critic does not bootstrap the rewards after the end of an episode. A limit that the start
+    already exceeds ends every episode in its first step. A robot that falls with a time constant of 1/p needs several
+    of them to fail. Source: the theory of truncation, Pardo et al., "Time limits in reinforcement learning", 2018.
     """
     terms = list(case.terms("terminations"))
     if not any(term.node.get("time_out", False) for term in terms):
@@ -355,34 +337,26 @@ def _ends_at_once(case: Case, term: TermView) -> Iterator[Finding]:
         limit, start = float(term.node["minimum_height"]), case.facts.standing_height
         if limit >= start:
             key, lower = f"{term.path}.minimum_height", below(start, 3)
-            yield Finding(
-                key,
-                f"the robot stands {1e3 * start:.4g} mm high, below the limit of {1e3 * limit:.4g} mm",
-                f"at most {lower:g} m",
-                {"limit_m": limit, "standing_m": start},
-                ({key: lower},),
-            )
+            message = f"the robot stands {1e3 * start:.4g} mm high, below the limit of {1e3 * limit:.4g} mm"
+            hint = f"at most {lower:g} m"
+            yield Finding(key, message, hint, {"limit_m": limit, "standing_m": start}, ({key: lower},))
     if term.kind == "terminations.bad_orientation":
         limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
         if limit >= _UPRIGHT or limit <= tilt:
             key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
             why = "has no effect" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
-            yield Finding(
-                key,
-                f"a limit of {limit:.3g} rad {why}",
-                f"between {bounds[0]:g} and {bounds[1]:g} rad",
-                {"limit_rad": limit, "drawn_rad": tilt},
-                tuple({key: bound} for bound in bounds),
-            )
+            message = f"a limit of {limit:.3g} rad {why}"
+            hint = f"between {bounds[0]:g} and {bounds[1]:g} rad"
+            figures = {"limit_rad": limit, "drawn_rad": tilt}
+            yield Finding(key, message, hint, figures, tuple({key: bound} for bound in bounds))
 
 
 def _drawn_tilt(case: Case) -> float:
-    """Return the largest tilt that resets draw, rad: of roll and pitch together."""
     ranges = [term.node["pose_range"] for term in case.terms("events", "events.reset_root_state_uniform")]
     return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
 
 
-_DEPTH = 0.01  # share of the robot's size: soft contacts correct a smaller depth without throwing the robot
+_DEPTH = 0.01  # Soft contacts correct a depth below this share of the robot's size without throwing the robot.
 
 
 @rule
@@ -401,20 +375,16 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # the rule spawn_height reports this depth
+        start = -case.facts.clearance  # The rule spawn_height reports this depth.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
-            yield Finding(
-                f"{term.path}.pose_range",
-                f"random starts reach {1e3 * depth:.3g} mm into the ground",
-                f"narrower ranges of z, roll and pitch, or env.robot.init_state.pos with a height of {right:g} m",
-                {"depth_m": depth},
-            )
+            message = f"random starts reach {1e3 * depth:.3g} mm into the ground"
+            hint = f"narrower ranges of z, roll and pitch, or env.robot.init_state.pos with a height of {right:g} m"
+            yield Finding(f"{term.path}.pose_range", message, hint, {"depth_m": depth})
 
 
 def _drawn_joints(case: Case, robot: CompiledRobot) -> Iterator[dict[str, float]]:
-    """Yield the default joint positions, and the extremes that resets draw."""
     yield {}
     for kind in ("scale", "offset"):
         for term in case.terms("events", f"events.reset_joints_by_{kind}"):
@@ -434,7 +404,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # about fixed axes, as in resets
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Resets also rotate about fixed axes.
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

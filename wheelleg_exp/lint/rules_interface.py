@@ -13,7 +13,7 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # smallest share of a joint's range that one unit of action should move
+_TINY = 0.01  # One unit of action should move a joint by at least this share of its range.
 
 
 @rule
@@ -38,11 +38,11 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # one joint per term is enough
+                break  # Report only one joint of each action term.
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return the problem, what to do (empty: another scale), and the figures."""
+    """Return the problem, the hint (empty if another scale is the solution), and the figures."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -71,7 +71,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the scale nearest to ``unit`` that fits every joint of a term; None if none does."""
+    """Return the scale nearest to ``unit`` that fits every joint of a term; None if no scale fits."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -104,13 +104,11 @@ def action_clip_never_acts(case: Case) -> Iterator[Finding]:
             joint, clip = joints[idle[0]], clips[idle[0]]
             unit = "rad/s" if term.kind in _VELOCITY else "rad"
             low, high = _reach(term, joint)
-            yield Finding(
-                f"{term.path}.clip",
-                f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{idle[0]}' reaches "
-                f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect",
-                "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions",
-                {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high},
-            )
+            message = f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{idle[0]}' reaches "
+            message += f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect"
+            hint = "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions"
+            figures = {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high}
+            yield Finding(f"{term.path}.clip", message, hint, figures)
 
 
 def _reach(term: TermView, joint: Joint) -> tuple[float, float]:
@@ -143,18 +141,14 @@ def command_reach(case: Case) -> Iterator[Finding]:
             if size > limit:
                 key, most = f"{term.path}.ranges.{axis}", at_most(limit)
                 reach = f"the wheels reach {limit:.3g} {unit}" if limit else "wheels cannot move sideways"
-                yield Finding(
-                    key,
-                    f"up to {size:g} {unit} is commanded, and {reach}",
-                    f"a range within ±{most:g}",
-                    {"command": size, "limit": limit},
-                    ({key: [-most, most]},),
-                )
+                message = f"up to {size:g} {unit} is commanded, and {reach}"
+                hint = f"a range within ±{most:g}"
+                yield Finding(key, message, hint, {"command": size, "limit": limit}, ({key: [-most, most]},))
 
 
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
-_SMALLEST, _LARGEST = 0.01, 10.0  # useful range of a network's inputs
-_LOUD = 0.5  # noise, as a share of the signal's size
+_SMALLEST, _LARGEST = 0.01, 10.0  # The useful range of a network's inputs.
+_LOUD = 0.5  # Noise above this share of the signal's size hides the signal.
 # The parameters of a noise's size, with defaults: half-widths, or a standard deviation.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
@@ -172,18 +166,17 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
             continue
         speed = max((joint.drive.velocity for joint in endless.values() if joint.drive), default=0.0)
         angle = speed * case.episode_s
+        message = f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
+        message += f"{speed:g} rad/s, and more in a longer run"
+        hint = "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip"
         yield Finding(
-            term.path,
-            f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
-            f"{speed:g} rad/s, and more in a longer run",
-            "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip",
-            {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s},
+            term.path, message, hint, {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s}
         )
 
 
 @rule
 def observation_scale(case: Case) -> Iterator[Finding]:
-    """An observation that reaches the network much larger or smaller than 1.
+    """An observation whose size at the network's input is much larger or smaller than 1.
 
     Networks are initialised for inputs of size 1. The largest value of each component, from the robot's limits and the
     config's ranges, should be between 0.01 and 10. An actor or critic that normalises its input is exempt. Source:
@@ -196,17 +189,14 @@ def observation_scale(case: Case) -> Iterator[Finding]:
         if size is None or size == 0.0 or _SMALLEST <= size * scale <= _LARGEST:
             continue
         fitting = at_most(1.0 / size)
-        yield Finding(
-            term.path,
-            f"values of up to {size:.3g} times a scale of {scale:g} reach the network as {size * scale:.3g}",
-            f"a scale near {fitting:g}, so that the largest value is near 1",
-            {"largest": size, "scale": scale, "seen": size * scale},
-            ({f"{term.path}.scale": fitting},),
-        )
+        message = f"values of up to {size:.3g} times a scale of {scale:g} reach the network as {size * scale:.3g}"
+        hint = f"a scale near {fitting:g}, so that the largest value is near 1"
+        figures = {"largest": size, "scale": scale, "seen": size * scale}
+        yield Finding(term.path, message, hint, figures, ({f"{term.path}.scale": fitting},))
 
 
 def largest_scale(scale: Any) -> float:
-    """Return the largest factor of a term's ``scale``; 1 without one."""
+    """Return the largest factor of a term's ``scale``; 1 if the term has no ``scale``."""
     if scale is None:
         return 1.0
     return largest(scale) if isinstance(scale, list) else abs(float(scale))
@@ -234,13 +224,9 @@ def signal_size(case: Case, term: TermView) -> float | None:
     if term.kind == "observations.base_ang_vel":  # falling through one radian
         return case.facts.balance.pole if case.facts.balance is not None else None
     if term.kind == "observations.generated_commands":
-        return _command_size(case, str(term.node["command_name"]))
+        ranges = case.env["commands"].get(str(term.node["command_name"]), {}).get("ranges")
+        return max((largest(pair) for pair in ranges.values()), default=None) if isinstance(ranges, Mapping) else None
     return None
-
-
-def _command_size(case: Case, name: str) -> float | None:
-    ranges = case.env["commands"].get(name, {}).get("ranges")
-    return max((largest(pair) for pair in ranges.values()), default=None) if isinstance(ranges, Mapping) else None
 
 
 @rule
@@ -255,12 +241,9 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
         terms = [t for t in case.terms("observations") if t.path.startswith(f"{path}.terms.")]
         noisy = [term for term in terms if term.node.get("noise") is not None]
         if corrupt and not noisy:
-            yield Finding(
-                f"{path}.enable_corruption",
-                f"none of the {len(terms)} terms has noise, so enable_corruption has no effect",
-                "a noise for the terms that a sensor measures, or enable_corruption: false",
-                {"terms": len(terms)},
-            )
+            message = f"none of the {len(terms)} terms has noise, so enable_corruption has no effect"
+            hint = "a noise for the terms that a sensor measures, or enable_corruption: false"
+            yield Finding(f"{path}.enable_corruption", message, hint, {"terms": len(terms)})
         for term in noisy:
             yield from _noise_findings(case, term, corrupt)
 
@@ -288,7 +271,6 @@ def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Findi
 
 
 def _noise_sizes(noise: Any, path: str) -> dict[str, float]:
-    """Return the parameters of an added noise's size; empty if unknown."""
     kind = kind_of(str(noise[TARGET]), f"{path}.noise") if isinstance(noise, Mapping) and TARGET in noise else ""
     if kind not in _NOISES or noise.get("operation", "add") != "add":
         return {}

@@ -17,9 +17,9 @@ from wheelleg_exp.lint.reward_tolerances import (
 )
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # smallest cost of an error, as share of a perfect robot's reward
-_OUTWEIGHS = 4.0  # largest cost, as multiple of all rewards
-_STILL = 0.5  # largest score of a robot that does not move
+_AUDIBLE = 0.01  # An error must cost at least this share of a perfect robot's reward.
+_OUTWEIGHS = 4.0  # The largest plausible ratio of one cost to all rewards.
+_STILL = 0.5  # A robot that does not move may earn at most this share of a tracking reward.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
@@ -38,8 +38,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     """A tracking reward so wide that a robot that does not follow earns most of it.
 
     With commands uniform in ±V, a robot that stands still earns sqrt(pi)/2 · erf(V/std) · std/V of the reward, shares
-    of standing commands excluded. If only zero is commanded, a drift of one unit of wheel action must not earn the
-    reward. Source: the integral of the reward's own formula.
+    of standing commands excluded. If all commands are zero, a robot that drifts at one unit of wheel action must not
+    earn the reward. Source: the integral of the reward's own formula.
     """
     for term in tracked(case):
         std, size = float(term.node["std"]), command_size(case, term)
@@ -52,8 +52,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 def reward_outweighs(case: Case) -> Iterator[Finding]:
     """A cost that outweighs all rewards under random actions, as at the start of training.
 
-    The policy first learns to lower this cost, even by ending the episode. Only `wheelleg doctor task=…` runs this
-    trial. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
+    The policy first learns to lower this cost, for example by ending the episode. Only `wheelleg doctor task=…` runs
+    this trial. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
     """
     trial = case.trial or {}
     earned = sum(value for value in trial.values() if value > 0.0)
@@ -64,12 +64,9 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
         weight = float(term.node["weight"])
         key, right = f"{term.path}.weight", at_most(abs(weight) * _OUTWEIGHS * earned / cost, 2)
         times = f"{cost / earned:.2g} times" if earned > 0.0 else "above"
-        yield Finding(
-            key,
-            f"costs {cost:.3g} per second under random actions, {times} the {earned:.3g} of all rewards",
-            f"a weight near {math.copysign(right, weight):g}, or smaller scales of actions",
-            {"cost_per_s": cost, "earned_per_s": earned},
-        )
+        message = f"costs {cost:.3g} per second under random actions, {times} the {earned:.3g} of all rewards"
+        hint = f"a weight near {math.copysign(right, weight):g}, or smaller scales of actions"
+        yield Finding(key, message, hint, {"cost_per_s": cost, "earned_per_s": earned})
 
 
 def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
@@ -181,9 +178,9 @@ def horizon_steps(case: Case) -> float:
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # rounding error of 1 - gamma
-_FALLS = 5.0  # time constants of the fall that the discount should cover
-_EARLY = 0.25  # largest share of early iterations in a mean of weights
+_DUST = 1e-9  # The tolerance for rounding errors of 1 - gamma.
+_FALLS = 5.0  # The discount should cover this many time constants of the fall.
+_EARLY = 0.25  # Early iterations may have at most this share in a mean of weights.
 
 
 @rule
@@ -196,21 +193,19 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
     batch = int(case.env["num_envs"]) * int(case.agent["num_steps_per_env"])
     parts = int(case.agent["algorithm"].get("num_mini_batches", 1))
     if batch % parts:
-        yield Finding(
-            "agent.algorithm.num_mini_batches",
-            f"{batch} samples in {parts} mini-batches of {batch // parts} leave {batch % parts} unused",
-            "a number of environments or steps that the mini-batches divide",
-            {"batch": batch, "mini_batches": parts, "unused": batch % parts},
-        )
+        message = f"{batch} samples in {parts} mini-batches of {batch // parts} leave {batch % parts} unused"
+        hint = "a number of environments or steps that the mini-batches divide"
+        figures: dict[str, float] = {"batch": batch, "mini_batches": parts, "unused": batch % parts}
+        yield Finding("agent.algorithm.num_mini_batches", message, hint, figures)
 
 
 @rule
 def discount_horizon(case: Case) -> Iterator[Finding]:
     """A discount with a horizon longer than an episode, or shorter than a fall.
 
-    A reward 1/(1 - gamma) steps ahead counts 1/e. With a longer horizon than the episode, the agent learns of rewards
-    that never come. With a horizon below some five time constants of the fall, it does not see the effect of its
-    actions. Source: the discounted return.
+    A reward 1/(1 - gamma) steps ahead counts 1/e. With a horizon longer than the episode, the agent optimises rewards
+    that it cannot receive. With a horizon below about five time constants of the fall, the agent does not see the
+    effect of its actions. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -244,8 +239,9 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 def late_average(case: Case) -> Iterator[Finding]:
     """A mean of the policy's weights that depends too much on the start of the training.
 
-    The mean is that of all n iterations at first, then m += (w - m) / n. After i iterations, the first n still count
-    (1 - 1/n)^(i - n), and these are noise or the policy of ``init_from``. Source: the weights of an exponential mean.
+    The mean m covers all iterations during the first n iterations, and is then updated by m += (w - m) / n. After i
+    iterations, the first n iterations still have the share (1 - 1/n)^(i - n), although their weights are noise or the
+    policy of ``init_from``. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
@@ -254,13 +250,9 @@ def late_average(case: Case) -> Iterator[Finding]:
     if early > _EARLY:
         few = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
         enough = few if few > 1 else 0  # 0 disables the mean
-        yield Finding(
-            _AVERAGE,
-            f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}",
-            f"at most {enough}, or more iterations",
-            {"early_share": early},
-            ({_AVERAGE: enough},),
-        )
+        message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"
+        hint = f"at most {enough}, or more iterations"
+        yield Finding(_AVERAGE, message, hint, {"early_share": early}, ({_AVERAGE: enough},))
 
 
 @rule
@@ -275,12 +267,9 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
         reward, weight, start = term.node["term_name"], float(term.node["weight"]), int(term.node["num_steps"])
         before = float(case.env["rewards"][reward]["weight"])
         if weight == before:
-            yield Finding(
-                f"{term.path}.weight",
-                f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} has no effect",
-                "another weight of the reward or of the curriculum, or no curriculum",
-                {"before": before, "after": weight},
-            )
+            message = f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} has no effect"
+            hint = "another weight of the reward or of the curriculum, or no curriculum"
+            yield Finding(f"{term.path}.weight", message, hint, {"before": before, "after": weight})
         if start >= total:
             yield Finding(
                 f"{term.path}.num_steps",
@@ -295,8 +284,8 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
 def levels_out_of_reach(case: Case) -> Iterator[Finding]:
     """Terrain levels that no robot reaches.
 
-    A robot goes a level up if it ends an episode more than half a tile away from its start. In the longest episode at
-    the largest command it moves v T. Source: Isaac Lab 2.3.2,
+    A robot goes a level up if it ends an episode more than half a tile away from its start. In an episode of length T
+    at the largest command v, the robot moves v T. Source: Isaac Lab 2.3.2,
     ``isaaclab_tasks/manager_based/locomotion/velocity/mdp/curriculums.py``, ``terrain_levels_vel``.
     """
     for term in case.terms("curriculum", "curriculums.terrain_levels_vel"):
@@ -314,11 +303,8 @@ def levels_out_of_reach(case: Case) -> Iterator[Finding]:
         if far > half:
             continue
         key, longer = "env.episode_length_s", above(half / speed) if speed else math.inf
-        yield Finding(
-            "env.scene.terrain.size",
-            f"at {speed:g} m/s a robot moves {far:.3g} m in an episode of {case.episode_s:g} s, "
-            f"and goes a level up beyond {half:g} m, half a tile",
-            f"episodes of {longer:g} s, smaller tiles or faster commands" if speed else "commands that are not zero",
-            {"speed_m_s": speed, "way_m": far, "half_tile_m": half},
-            ({key: longer},) if speed else (),
-        )
+        message = f"at {speed:g} m/s a robot moves {far:.3g} m in an episode of {case.episode_s:g} s, "
+        message += f"and goes a level up beyond {half:g} m, half a tile"
+        hint = f"episodes of {longer:g} s, smaller tiles or faster commands" if speed else "commands that are not zero"
+        figures = {"speed_m_s": speed, "way_m": far, "half_tile_m": half}
+        yield Finding("env.scene.terrain.size", message, hint, figures, ({key: longer},) if speed else ())

@@ -14,27 +14,27 @@ from wheelleg_exp.anatomy.compiled_robot import LOST_MESH, CompiledRobot, missin
 from wheelleg_exp.anatomy.limbs import TURNS
 from wheelleg_exp.asset.conversion_report import UNITS, Kind, size_problem
 from wheelleg_exp.asset.conversion_report import Finding as Record
-from wheelleg_exp.lint.rule import Case, Finding, rule
+from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # largest share of assumed mass without a finding
-_WEIGHTY = 0.01  # share of the robot's mass: the tensors of lighter links do not matter
+_ASSUMED = 0.05  # The rule reports a share of assumed mass above this value.
+_WEIGHTY = 0.01  # The inertia of links below this share of the robot's mass is irrelevant.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return the conversion's findings of a kind; none without a conversion."""
+    """Return the conversion's findings of a kind; empty if the robot was not converted."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
 @rule
 def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Missing or damaged files of colliders or layers.
+    """Colliders or USD layers whose files are missing or damaged.
 
-    Files are missing, damaged, or Git LFS pointers. A wheel without its collider is treated as a joint of a leg. Files
-    of visuals are not checked. Source: the conversion report.
+    A file can be missing, damaged, or a Git LFS pointer. A wheel without its collider is treated as a joint of a leg.
+    Files of visuals are not checked. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -66,28 +66,22 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def assumed_masses(case: Case) -> Iterator[Finding]:
     """Masses and inertias that the file does not give, so that the converter assumed them.
 
-    They come from volumes and a density, or are 1 kg, so the dynamics are a guess. Source: the conversion report.
+    Assumed masses come from volumes and a density, or are 1 kg, so the dynamics are a guess. Source: the conversion
+    report.
     """
     total = case.facts.mass
     links = [item for item in records(case, "no_inertial") if item.numbers["mass"] > 0]
     assumed = sum(item.numbers["mass"] for item in links)
     if assumed > _ASSUMED * total:
-        yield Finding(
-            _ASSET,
-            f"{assumed:.3g} of {total:.4g} kg are assumed ({100 * assumed / total:.0f} %): {len(links)} "
-            f"{'link has' if len(links) == 1 else 'links have'} no mass, such as '{links[0].subject}'",
-            "mass and inertia of these links in the file",
-            {"assumed_kg": assumed, "mass_kg": total},
-        )
+        message = f"{assumed:.3g} of {total:.4g} kg are assumed ({100 * assumed / total:.0f} %): {len(links)} "
+        message += f"{'link has' if len(links) == 1 else 'links have'} no mass, such as '{links[0].subject}'"
+        hint = "mass and inertia of these links in the file"
+        yield Finding(_ASSET, message, hint, {"assumed_kg": assumed, "mass_kg": total})
     guessed = [item.subject for item in records(case, "no_inertia") if item.numbers["mass"] > _WEIGHTY * total]
     if guessed:
-        yield Finding(
-            _ASSET,
-            f"{len(guessed)} {'link has' if len(guessed) == 1 else 'links have'} a mass and no inertia, such as "
-            f"'{guessed[0]}': the tensor is assumed",
-            "inertia of these links in the file",
-            {"links": float(len(guessed))},
-        )
+        message = f"{len(guessed)} {'link has' if len(guessed) == 1 else 'links have'} a mass and no inertia, such as "
+        message += f"'{guessed[0]}': the tensor is assumed"
+        yield Finding(_ASSET, message, "inertia of these links in the file", {"links": float(len(guessed))})
 
 
 @rule
@@ -105,14 +99,14 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         )
 
 
-_LIGHT = 2.0  # kg/m³ of a cube as long as the robot: no robot with wheels or legs is lighter
-_WIDE = 1.5  # largest radius of gyration, as multiple of the link's extent
-_NARROW = 0.03  # smallest radius of gyration, as share of the link's extent
-_OUTSIDE = 0.5  # share of the link's extent: largest distance of the centre of mass from its shapes
-_TRIANGLE = 0.01  # allowed excess of one moment over the sum of the other two
-_LOCKED = 0.02  # rad: a joint with a smaller range cannot move
-_PLACEHOLDER = 50.0  # largest effort, as multiple of the weight on an arm as long as the robot
-_FAST = 200.0  # rad/s, largest speed of a joint
+_LIGHT = 2.0  # The smallest density of a robot, kg/m³, in a cube as long as the robot.
+_WIDE = 1.5  # The largest possible ratio of a link's radius of gyration to its extent.
+_NARROW = 0.03  # The smallest plausible ratio of a link's radius of gyration to its extent.
+_OUTSIDE = 0.5  # A centre of mass may lie outside the shapes by this share of the link's extent.
+_TRIANGLE = 0.01  # One moment of inertia may exceed the sum of the other two by this share.
+_LOCKED = 0.02  # A joint whose range is below this value, rad, cannot move.
+_PLACEHOLDER = 50.0  # The largest plausible ratio of effort to the weight on an arm as long as the robot.
+_FAST = 200.0  # The largest plausible speed of a joint, rad/s.
 
 
 @rule
@@ -131,29 +125,22 @@ def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Masses and inertias that no link of its size has.
 
     A link's radius of gyration sqrt(I / m) cannot exceed the extent of its shapes from its centre of mass, and is not a
-    thirtieth of it. The centre is in or near the shapes. No moment of inertia exceeds the sum of the other two. Source:
-    mechanics of rigid bodies.
+    thirtieth of it. The centre of mass is in or near the shapes. No moment of inertia exceeds the sum of the other two.
+    Source: mechanics of rigid bodies.
     """
     mass = case.facts.mass
     if size_problem(mass, robot.anatomy.size, _LIGHT):
         return
+    written = records(case, "impossible_inertia")
+    impossible = [_untrue(item.subject, *(item.numbers[name] for name in "abc")) for item in written]
     findings = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
-    yield from [*_impossible(case), *findings][:_MOST]
-
-
-def _impossible(case: Case) -> Iterator[Finding]:
-    for item in records(case, "impossible_inertia"):
-        a, b, c = (item.numbers[name] for name in "abc")
-        yield _untrue(item.subject, a, b, c)
+    yield from [*impossible, *findings][:_MOST]
 
 
 def _untrue(name: str, a: float, b: float, c: float) -> Finding:
-    return Finding(
-        _ASSET,
-        f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the sum of the "
-        "other two, which is impossible",
-        "the tensor from CAD, about the centre of mass",
-    )
+    message = f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the sum of the "
+    message += "other two, which is impossible"
+    return Finding(_ASSET, message, "the tensor from CAD, about the centre of mass")
 
 
 def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
@@ -181,19 +168,16 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
         )
     beyond = -float(out.min())
     if beyond > _OUTSIDE * extent:
-        yield Finding(
-            _ASSET,
-            f"the centre of mass of '{name}' lies {1e3 * beyond:.3g} mm outside its shapes",
-            "the origin of its inertia in the file: metres, in the link's frame",
-            {"outside_m": beyond},
-        )
+        message = f"the centre of mass of '{name}' lies {1e3 * beyond:.3g} mm outside its shapes"
+        hint = "the origin of its inertia in the file: metres, in the link's frame"
+        yield Finding(_ASSET, message, hint, {"outside_m": beyond})
 
 
 @rule
 def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A driven leg joint without limits, or with limits that allow no motion.
 
-    A leg that turns all round passes through the robot, and rewards of soft limits have no effect. Source: Isaac Lab
+    A leg without limits can pass through the robot, and rewards for soft limits have no effect. Source: Isaac Lab
     2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
     """
     legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
@@ -214,16 +198,13 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         found = [*records(case, "limits_ignored"), *records(case, "no_limits")]
         written = [item.numbers for item in found if item.subject in free and "lower" in item.numbers]
         says = f" (the file writes {written[0]['lower']:g} to {written[0]['upper']:g})" if written else ""
-        yield Finding(
-            _ASSET,
-            f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits{says}: a leg may turn all round",
-            'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)',
-            {"joints": float(len(free))},
-        )
+        message = f"{listed(free)} {'has' if len(free) == 1 else 'have'} no limits{says}: a leg may turn all round"
+        hint = 'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)'
+        yield Finding(_ASSET, message, hint, {"joints": float(len(free))})
     if locked:
         yield Finding(
             _ASSET,
-            f"the limits of {_listed(locked)} allow no motion",
+            f"the limits of {listed(locked)} allow no motion",
             "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits",
             {"joints": float(len(locked))},
         )
@@ -233,8 +214,8 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    An effort limit of 0 drives nothing. A limit that would lift fifty times the robot on an arm as long as the robot is
-    a placeholder, and policies trained with it do not transfer. Source: statics.
+    A drive with an effort limit of 0 has no effect. A limit that would lift fifty times the robot on an arm as long as
+    the robot is a placeholder, and policies trained with it do not transfer. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
@@ -257,7 +238,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         if names:
             drive = facts.joints[names[0]].drive
             key = f"env.robot.actuators.{drive.group}" if drive is not None else "env.robot.actuators"
-            yield Finding(key, f"{_listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
+            yield Finding(key, f"{listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
 
 
 def _written_as_zero(case: Case) -> list[str]:
@@ -267,8 +248,3 @@ def _written_as_zero(case: Case) -> list[str]:
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     return [name for name in case.facts.joints if name in written]
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:_MOST])
-    return shown + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")

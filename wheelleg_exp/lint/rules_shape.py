@@ -13,15 +13,15 @@ from wheelleg_exp.anatomy.anatomy_parts import MirroredPair
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
-from wheelleg_exp.lint.rule import Case, Finding, rule
+from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
-_TOUCHES = 2e-3  # share of the robot's size: soft contacts hide a smaller depth
-_DEEP = 0.25  # share of the robot's size: allowed depth of neighbours, whose shapes meet at their joint
-_STANDS = 5e-3  # share of the robot's size: a body this near to the lowest point touches the ground
-_BUMP = 0.05  # share of a wheel's radius: allowed variation of its rim
-_UNEQUAL = 0.02  # share of the radius: allowed difference between the wheels of two sides
+_TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
+_DEEP = 0.25  # Links with a common joint may overlap by this share of the robot's size.
+_STANDS = 5e-3  # A body this near to the lowest point, as a share of the robot's size, touches the ground.
+_BUMP = 0.05  # The radius of a wheel may vary by this share around its rim.
+_UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
 _SHOWN = 4  # pairs in one message
 
 
@@ -29,7 +29,7 @@ _SHOWN = 4  # pairs in one message
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Bodies that overlap at the start and can push each other apart.
 
-    The contact's spring throws them apart in the first step. MuJoCo disables contacts between bodies that a joint
+    The contact force throws the bodies apart in the first step. MuJoCo disables contacts between bodies that a joint
     connects, so these count only if they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at
     the default pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
     """
@@ -41,12 +41,11 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]
         )
         more = f", and {len(acting) - _SHOWN} more pairs" if len(acting) > _SHOWN else ""
+        message = f"bodies overlap at the start and will be thrown apart: {pairs_text}{more}"
+        hint = "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
+        hint += "colliders, or these pairs filtered in the file"
         yield Finding(
-            "env.robot.self_collisions",
-            f"bodies overlap at the start and will be thrown apart: {pairs_text}{more}",
-            "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
-            "colliders, or these pairs filtered in the file",
-            {"pairs": float(len(acting)), "depth_m": acting[0].depth},
+            "env.robot.self_collisions", message, hint, {"pairs": float(len(acting)), "depth_m": acting[0].depth}
         )
     for pair in pairs:
         if pair.neighbours and pair.depth > _DEEP * size:
@@ -79,20 +78,17 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             if name in inside or (math.isfinite(ground) and lows[name] < ground + _STANDS * size)
         ]
         if touching:
-            yield Finding(
-                f"{term.path}.sensor_cfg.body_names",
-                f"{_listed(touching)} touch something at the start: every episode ends at once",
-                "remove the bodies that the robot stands on; separate those that are inside others",
-                {"bodies": float(len(touching))},
-            )
+            message = f"{listed(touching)} touch something at the start: every episode ends at once"
+            hint = "remove the bodies that the robot stands on; separate those that are inside others"
+            yield Finding(f"{term.path}.sensor_cfg.body_names", message, hint, {"bodies": float(len(touching))})
 
 
 @rule
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A wheel that is not round, differs from the other side's, is held by limits, or has no collider.
 
-    The extent of the colliders across the axle is measured all round. A box or a coarse hull rolls in bumps; wheels of
-    different radii make the robot lean or turn. Source: the support function of the shapes.
+    The radius of the colliders is measured at all angles around the axle. A box or a coarse hull rolls in bumps; wheels
+    of different radii make the robot lean or turn. Source: the support function of the shapes.
     """
     for name, why in robot.anatomy.near.items():
         yield Finding(
@@ -104,34 +100,22 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
     for wheel in wheels:
         if wheel.roundness < 1.0 - _BUMP:
             bump = wheel.radius * (1.0 - wheel.roundness)
-            yield Finding(
-                _ASSET,
-                f"the wheel of '{wheel.joint}' is not round about its axle: its colliders reach between "
-                f"{1e3 * (wheel.radius - bump):.4g} and {1e3 * wheel.radius:.4g} mm",
-                f"a cylinder of {1e3 * wheel.radius:.4g} mm radius on the axle",
-                {"radius_m": wheel.radius, "bump_m": bump},
-            )
+            message = f"the wheel of '{wheel.joint}' is not round about its axle: its colliders reach between "
+            message += f"{1e3 * (wheel.radius - bump):.4g} and {1e3 * wheel.radius:.4g} mm"
+            hint = f"a cylinder of {1e3 * wheel.radius:.4g} mm radius on the axle"
+            yield Finding(_ASSET, message, hint, {"radius_m": wheel.radius, "bump_m": bump})
     radii = {wheel.joint: wheel.radius for wheel in wheels}
     for pair in robot.drawn.mirrored:
         one, other = radii.get(pair.left, 0.0), radii.get(pair.right, 0.0)
         if one > 0 and other > 0 and abs(one - other) > _UNEQUAL * max(one, other):
-            yield Finding(
-                _ASSET,
-                f"the wheels of '{pair.left}' and '{pair.right}' have radii of {1e3 * one:.4g} and "
-                f"{1e3 * other:.4g} mm",
-                "colliders of one size",
-                {"left_m": one, "right_m": other},
-            )
+            message = f"the wheels of '{pair.left}' and '{pair.right}' have radii of {1e3 * one:.4g} and "
+            message += f"{1e3 * other:.4g} mm"
+            yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
 
 
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:_SHOWN])
-    return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
-
-
-_LEAN = 0.06  # rad: a policy easily corrects a smaller lean
-_DRAWN_LEAN = 0.17  # rad: allowed lean of a file's drawn pose, which nobody has chosen
-_EDGE = 0.1  # share of the support's length: smallest distance from its ends
+_LEAN = 0.06  # A policy easily corrects a lean below this value, rad.
+_DRAWN_LEAN = 0.17  # The allowed lean of the pose in a robot file, rad, because nobody has chosen that pose.
+_EDGE = 0.1  # The smallest distance from the ends of the support, as a share of the support's length.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
@@ -212,12 +196,8 @@ def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     axles = [np.array(wheel.axis) for wheel in anatomy.wheels if not wheel.caster]
     toe = max(math.asin(min(1.0, abs(float(axis @ np.array(anatomy.forward))))) for axis in axles)
     if toe > _TOE:
-        yield Finding(
-            "env.robot.asset",
-            f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the other axles: the wheel scrubs",
-            "axes of the wheels' joints that are parallel",
-            {"toe_rad": toe},
-        )
+        message = f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the other axles: the wheel scrubs"
+        yield Finding("env.robot.asset", message, "axes of the wheels' joints that are parallel", {"toe_rad": toe})
     x, y, _ = anatomy.forward
     angle = math.atan2(y, x)
     if abs(angle) > _AHEAD:
@@ -231,20 +211,20 @@ def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         )
 
 
-_PLACE = 0.015  # share of the robot's size: allowed distance between a joint and its image
+_PLACE = 0.015  # The allowed distance between a joint and its mirror image, as a share of the robot's size.
 _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
-_CENTRE = 0.02  # share of the robot's size: allowed distance between centres of mass
-_ANGLE = 0.02  # rad: allowed difference between limits or positions of two sides
-_NEGLIGIBLE = 0.01  # share of the robot's mass: the centre of mass of a lighter link does not matter
-_ALONG = 0.9  # smallest cosine of a joint that turns about the wheels' axle
+_CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
+_ANGLE = 0.02  # The limits and positions of the left and right joints may differ by this angle, rad.
+_NEGLIGIBLE = 0.01  # The centre of mass of a link below this share of the robot's mass is irrelevant.
+_ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
 _MOST = 4  # findings of one kind
 
 
 @rule
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Left and right wheels with opposite signs, though the legs above them have equal signs.
+    """Left and right wheel joints with opposite signs, although the joints of the legs have equal signs.
 
     One unit of action then drives one side forwards and the other one backwards. If every joint of one side has the
     opposite sign, this is the file's convention and not reported. Source: kinematics, v = omega x r.
@@ -256,12 +236,10 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             continue
         if _legs_turn_alike(robot, pair) and not _compensated(case, pair):
             scale = f"{{{pair.left}: {signs[pair.left]:g}, {pair.right}: {signs[pair.right]:g}}}"
-            yield Finding(
-                _ASSET,
-                f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "
-                f"{_way(signs[pair.right])}, though the legs above them have equal signs",
-                f"the axis of one wheel reversed in the file, or an action's scale times {scale}",
-            )
+            message = f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "
+            message += f"{_way(signs[pair.right])}, though the legs above them have equal signs"
+            hint = f"the axis of one wheel reversed in the file, or an action's scale times {scale}"
+            yield Finding(_ASSET, message, hint)
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
@@ -283,7 +261,6 @@ def _axis(robot: CompiledRobot, joint: str) -> np.ndarray:
 
 
 def _compensated(case: Case, pair: MirroredPair) -> bool:
-    """Return whether an action gives the two wheels scales of opposite signs."""
     for term in case.terms("actions"):
         scale: Any = term.node.get("scale")
         if isinstance(scale, Mapping):
@@ -327,12 +304,10 @@ def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
     what = "the wheels of " if first.left in wheels else ""
     by = ", by the middles of their colliders" if what else ""
     others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
+    message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
+    message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
     return Finding(
-        _ASSET,
-        f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
-        f"{math.degrees(first.tilt):.2g}° off{by}{others}",
-        _HINT,
-        {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))},
+        _ASSET, message, _HINT, {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))}
     )
 
 
@@ -386,13 +361,9 @@ def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
     worst = max(abs(low - image[0]), abs(high - image[1]))
     if worst > _ANGLE:
         ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[one], model.jnt_range[other])]
-        yield Finding(
-            _ASSET,
-            f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
-            f"{worst:.3g} off",
-            _HINT,
-            {"difference": worst},
-        )
+        message = f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
+        message += f"{worst:.3g} off"
+        yield Finding(_ASSET, message, _HINT, {"difference": worst})
 
 
 @rule
@@ -417,9 +388,7 @@ def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     if wrong:
         positions = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
         hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST])
+        message = f"the default pose is asymmetric: {positions}"
         yield Finding(
-            "env.robot.init_state.joint_pos",
-            f"the default pose is asymmetric: {positions}",
-            f"{hint} mirrors the left side",
-            {"pairs": float(len(wrong))},
+            "env.robot.init_state.joint_pos", message, f"{hint} mirrors the left side", {"pairs": float(len(wrong))}
         )

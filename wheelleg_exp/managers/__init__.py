@@ -22,25 +22,3 @@ from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg, bounds, member
 from wheelleg_exp.managers.termination_manager import TerminationManager
-
-__all__ = [
-    "ActionManager",
-    "ActionTerm",
-    "CommandManager",
-    "CommandTerm",
-    "CurriculumManager",
-    "Env",
-    "EventManager",
-    "ManagerTermBase",
-    "ObservationManager",
-    "RecorderManager",
-    "RecorderTerm",
-    "RewardManager",
-    "SceneEntityCfg",
-    "SceneManager",
-    "Term",
-    "TermBase",
-    "TerminationManager",
-    "bounds",
-    "member",
-]

@@ -20,8 +20,10 @@ class ActionTerm(TermBase):
     """A slice of the action vector.
 
     Attributes:
-        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or empty for none.
+        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or empty for a term
+            without joint targets.
         joint_names: names of the joints, if the term drives joints.
+        action_dim: width of the slice.
     """
 
     drives: ClassVar[str] = ""
@@ -36,19 +38,18 @@ class ActionTerm(TermBase):
         return False
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Process raw actions (N, action_dim), once per control step."""
+        """Process the raw actions (N, action_dim) of one control step."""
         raise NotImplementedError
 
     def apply_actions(self) -> None:
-        """Set targets, once per physics step."""
+        """Set the joint targets of one physics step."""
         raise NotImplementedError
 
 
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
     """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
-    Args:
-        claims: config key of a term, the kind of target that the term sets, and its joints.
+    A claim consists of the config key of a term, the kind of target that the term sets, and the term's joints.
     """
     found = list(claims)
     return [
@@ -64,10 +65,11 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 class ActionManager(ManagerBase):
     """Splits the action vector over the terms, in declaration order.
 
-    The field ``delay`` of a term delays its processed actions by some physics steps.
+    The field ``delay`` of an action term delays its processed actions by some physics steps.
     """
 
     kind = "actions"
+    saved_tensors: ClassVar = {"action": "action", "prev_action": "prev_action"}
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
@@ -77,18 +79,14 @@ class ActionManager(ManagerBase):
                 raise ConfigError(f"'{term.target}' is not an action term", key=term.path, expected="an action term")
             self._action_terms[name] = term.func
             _require_actions(term.func, term, env)
-        claims = [(term.path, f.drives, f.joint_names) for term, f in self._driving()]
-        for error in shared_action_errors(claims):
+        driving = [(self._terms[name].path, f) for name, f in self._action_terms.items() if f.drives]
+        for error in shared_action_errors((path, f.drives, f.joint_names) for path, f in driving):
             raise error
         self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
         self.prev_action = torch.zeros_like(self.action)
         made = {n: made_delay(self._terms[n], f.processed_actions, env) for n, f in self._action_terms.items()}
         self._delays = {name: delay for name, delay in made.items() if delay is not None}
         self._is_new = True
-
-    def _driving(self) -> list[tuple[Term, ActionTerm]]:
-        pairs = [(self._terms[name], term) for name, term in self._action_terms.items()]
-        return [(term, action) for term, action in pairs if action.drives]
 
     @property
     def action_term_dim(self) -> list[int]:
@@ -110,11 +108,7 @@ class ActionManager(ManagerBase):
         return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]
 
     def process_action(self, action: torch.Tensor) -> None:
-        """Process the raw action (N, total) of this control step, without clipping.
-
-        Raises:
-            ValueError: the shape is wrong.
-        """
+        """Process the raw action (N, total) of this control step, without clipping."""
         if action.shape != self.action.shape:
             raise ValueError(f"actions have shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
         self.prev_action.copy_(self.action)
@@ -127,7 +121,7 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Set the targets of every term before a physics step; targets that stay the same only once."""
+        """Set the targets of every term before a physics step. Constant targets are set only once per control step."""
         for name, term in self._action_terms.items():
             if self._is_new or name in self._delays or not term.applies_once:
                 with self._terms[name].blamed():
@@ -135,7 +129,6 @@ class ActionManager(ManagerBase):
         self._is_new = False
 
     def _apply(self, name: str, term: ActionTerm) -> None:
-        """Apply the processed actions of a term, or earlier ones if the term has a delay."""
         if name not in self._delays:
             term.apply_actions()
             return
@@ -154,20 +147,11 @@ class ActionManager(ManagerBase):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the last two actions and the states of terms and delays."""
         delays = {name: delay.state_dict() for name, delay in self._delays.items()}
-        return {
-            **super().state_dict(),
-            "action": self.action.clone(),
-            "prev_action": self.prev_action.clone(),
-            **({"delays": delays} if delays else {}),
-        }
+        return {**super().state_dict(), **({"delays": delays} if delays else {})}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        self.action.copy_(saved["action"])
-        self.prev_action.copy_(saved["prev_action"])
         for name, delay in self._delays.items():
             delay.load_state_dict(saved["delays"][name])
 
@@ -180,7 +164,6 @@ class ActionManager(ManagerBase):
 
 
 def _require_actions(actions: ActionTerm, term: Term, env: Env) -> None:
-    """Raise ConfigError if a term lacks a valid ``action_dim``, or its actions have another shape."""
     width = getattr(actions, "action_dim", None)
     if isinstance(width, bool) or not isinstance(width, int) or width < 1:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Ask a device for masks and for finite numbers, without waiting for the answer at once."""
+"""Copy masks and finiteness checks from a GPU to the host asynchronously."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Find the environments whose episode ended: masks go to the host, and indices come back.
+    """Finds the environments whose episode ended. Masks (N,) are copied to the host, which returns indices.
 
-    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, ``ids`` waits for them. A
-    third mask is known later than the first two. On a GPU ``ids`` does not wait for the third mask unless the
-    caller needs it at once; ``late`` then returns the remaining environments.
-
-    Args:
-        count: the length of a mask, N.
-        device: where the masks are.
+    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for
+    them. A third mask is available later than these two masks. On a GPU ``ids`` does not wait for the third mask unless
+    the caller passes ``at_once``; ``late`` then returns the environments of the third mask.
 
     Attributes:
-        answers_late: whether ``late`` may answer for the third mask. On a CPU this would save nothing.
+        answers_late: whether ``late`` may answer for the third mask; only on a GPU, where waiting costs time.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
@@ -31,23 +27,22 @@ class AsyncMaskQuery:
             self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
             self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)
             self._none = torch.zeros(0, dtype=torch.long, device=device)
-        # NumPy finds the indices in a tenth of torch's time.
+        # NumPy finds indices of small masks ten times as fast as torch does.
         self._host_masks, self._host_ids = self._masks.numpy(), self._ids.numpy()
         self._copied = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
         self._has_late = False
 
     def start(self, ended: torch.Tensor, failed: torch.Tensor) -> None:
-        """Start to copy two masks (N,) to the host. ``failed`` is a subset of ``ended``."""
+        """Start to copy ``ended`` (N,) and its subset ``failed`` (N,) to the host."""
         self._masks[0].copy_(ended, non_blocking=True)
         self._masks[1].copy_(failed, non_blocking=True)
         self._record(0)
 
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the indices of the environments that ended, and of those that failed.
+        """Return the indices of the environments that ended, and of the environments that failed.
 
-        Args:
-            also_failed: further environments (N,) that failed.
-            at_once: whether the caller needs the indices of these now; otherwise ``late`` may return them.
+        ``also_failed`` (N,) is a third mask. Unless ``at_once`` is True, ``late`` may return the environments of this
+        mask later.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -59,7 +54,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the environments of ``also_failed`` that ``ids`` left out: not in ``failed``, and not in ``ended``."""
+        """Return the environments of ``also_failed`` that ``ids`` left out of its two results, for each result."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -87,25 +82,25 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    The host does not wait for a GPU: it learns of a NaN or inf some checks later. From then on every check waits, until
-    ``_PATIENCE`` checks in a row were finite.
+    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf every check waits
+    for the GPU, until ``_PATIENCE`` checks in a row were finite.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # a CUDA graph cannot wait for the answer
+    watch.note(total)  # a check in a CUDA graph cannot wait for the GPU
     return True
 
 
 def note(total: torch.Tensor) -> None:
-    """Add a number (a tensor with one element on a GPU) to the numbers that ``is_calm`` reports on."""
+    """Include a number (a tensor with one element on a GPU) in the finiteness check of ``is_calm``."""
     _watch(total.device).note(total)
 
 
 def is_calm(device: torch.device) -> bool:
-    """Return whether the host knows of no recent NaN or inf on a GPU. On a CPU the answer is always False."""
+    """Return whether all recent checks that the host has read from a GPU were finite; False on a CPU."""
     return device.type == "cuda" and _watch(device).is_calm()
 
 
@@ -117,7 +112,7 @@ def _watch(device: torch.device) -> _FiniteWatch:
 
 
 class _FiniteWatch:
-    """Detects NaN and inf on a GPU. The host reads the answer when a copy of it has arrived."""
+    """Detects NaN and inf on a GPU. The host reads the latest asynchronous copy of the check's result."""
 
     def __init__(self, device: torch.device) -> None:
         with torch.inference_mode(False):
@@ -126,11 +121,11 @@ class _FiniteWatch:
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add ``total * 0`` to a running sum: 0 while all numbers are finite, NaN once one is NaN or inf."""
-        self._sum.addcmul_(total, self._zero)  # one kernel
+        """Add ``total * 0`` to a running sum, which is 0 while all numbers are finite, and NaN after a NaN or inf."""
+        self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return whether all numbers were finite; after a NaN or inf, False for ``_PATIENCE`` calls."""
+        """Return whether all checked numbers were finite. After a NaN or inf, return False for ``_PATIENCE`` calls."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()

@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.constraints import PositiveInterval
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.manager_base import ManagerBase, TermBase, table
+from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase
 from wheelleg_exp.managers.return_checks import require_form, row_form
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
@@ -21,24 +21,18 @@ class CommandTerm(TermBase):
     """A command with a resampling timer and error metrics.
 
     A metric is the sum over steps of ``error * dt``, divided by the longest time between two draws. With
-    ``logs_last_error`` the metric is the last error, which suits commands that are places to reach.
+    ``logs_last_error`` the metric is the last error of the episode, which suits commanded positions.
 
     Args:
-        env: the environment.
         resampling_time_range: shortest and longest time between two draws, s.
-        metric_names: names of the metrics.
-        generator: the term's random stream.
+        metric_names: names of the M metrics.
     """
 
     logs_last_error: ClassVar[bool] = False
-    may_draw = True  # whether the time of an environment may be up in this step
+    may_draw = True  # False if no resampling timer can expire in this step
 
     def __init__(
-        self,
-        env: Env,
-        resampling_time_range: PositiveInterval,
-        metric_names: Sequence[str],
-        generator: torch.Generator,
+        self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
     ) -> None:
         n, device = env.num_envs, env.device
         self._env = env
@@ -57,7 +51,7 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def errors(self) -> torch.Tensor:
-        """Return this step's error of each metric, (M, N)."""
+        """Return the tracking error of each metric in this control step, (M, N)."""
         raise NotImplementedError
 
     def draw(self, env_ids: torch.Tensor) -> None:
@@ -65,21 +59,19 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """Derive the command from the drawn values, in every step."""
+        """Compute the command from the drawn values in every control step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update the metrics, draw commands whose time is up, post-process; return the errors of this step (M, N)."""
+        """Update the metrics, draw expired commands, and post-process. Return this step's tracking errors (M, N)."""
         errors = self.errors()
-        if getattr(errors, "shape", None) != self.error_sums.shape:
-            raise ConfigError(
-                f"errors() returns {described(errors)}",
-                expected=f"a tensor of shape {tuple(self.error_sums.shape)}, a row for each of "
-                + ", ".join(self.metric_names),
-            )
+        shape = self.error_sums.shape
+        if getattr(errors, "shape", None) != shape:
+            expected = f"a tensor of shape {tuple(shape)}, a row for each of {', '.join(self.metric_names)}"
+            raise ConfigError(f"errors() returns {described(errors)}", expected=expected)
         self.error_sums += errors
         if self.logs_last_error:
             self.metrics.copy_(errors)
-        else:  # as in Isaac Lab, divided by the longest time between two draws, not by the episode
+        else:
             self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
@@ -91,10 +83,13 @@ class CommandTerm(TermBase):
         return errors
 
     def read_settings(self) -> None:
-        """Read the settings again. Tensors that ``draw`` uses must keep their memory: a captured reset reads it."""
+        """Read the settings again.
+
+        Tensors that ``draw`` reads must be changed in place only, because a CUDA graph refers to their memory.
+        """
 
     def may_expire(self, dt: float) -> bool:
-        """Return whether the time of a command may be up within ``dt`` seconds. The host does not wait for a GPU."""
+        """Return whether a resampling timer may expire within ``dt`` seconds. The host does not wait for a GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -119,13 +114,14 @@ class CommandTerm(TermBase):
 
 
 class CommandManager(ManagerBase):
-    """The command terms by name.
+    """Advances the command terms, and logs their metrics.
 
     Attributes:
         step_errors: errors of the metrics in the last step, (M, N) by term; not state.
     """
 
     kind = "commands"
+    columns = ("shape",)
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
@@ -139,8 +135,7 @@ class CommandManager(ManagerBase):
 
     def get_command(self, name: str) -> torch.Tensor:
         """Return the current command of a term, (N, k)."""
-        found = self.get_term(name)
-        term = self._terms[name]
+        found, term = self.get_term(name), self._terms[name]
         with term.blamed():
             command = found.command
         if term.form is not None and not term.form.fits(command):
@@ -158,30 +153,25 @@ class CommandManager(ManagerBase):
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
 
     def read_settings(self) -> None:
-        """Read the settings of all terms again, because a curriculum may have changed one."""
+        """Re-read the settings of all command terms, because a curriculum may have changed a setting."""
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
                 term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
         """Return whether a command may be drawn in a step of ``dt`` seconds. The host does not wait for a GPU."""
-        # A list, because each term has to count the time.
+        # Build a list, because every term has to count the time. A generator would stop at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:
-        """Advance every term by one control step.
-
-        Args:
-            dt: control step, s.
-            may_draw: whether a command may be drawn in this step; see the method of this name.
-        """
+        """Advance every term by one control step of ``dt`` seconds, without draws if ``may_draw`` is False."""
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
                 if not may_draw:
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # of this step only, so it must not become state of the term
+                    del term.may_draw  # stored here, because an attribute of the term would be saved as state
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""
@@ -194,9 +184,5 @@ class CommandManager(ManagerBase):
                 log[f"{group}/{name}/{metric}"] = value
         return log
 
-    def __str__(self) -> str:
-        rows = [
-            (i, name, tuple(term.command.shape[1:]), self._terms[name].target.rsplit(".", 1)[-1])
-            for i, (name, term) in enumerate(self._command_terms.items())
-        ]
-        return table(f"Commands: {len(rows)}", ("index", "name", "shape", "term"), rows)
+    def _cells(self, term: Term) -> tuple[Any, ...]:
+        return (tuple(self._command_terms[term.name].command.shape[1:]),)

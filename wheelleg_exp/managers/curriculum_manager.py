@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.manager_base import ManagerBase
 from wheelleg_exp.managers.return_checks import FiguresForm
 from wheelleg_exp.managers.term_interface import Env
 
 
 class CurriculumManager(ManagerBase):
-    """Calls each term with the environments that will be reset, and logs the returned values."""
+    """Calls each curriculum term with the environments that will be reset, and logs the returned values."""
 
     kind = "curriculum"
 
@@ -25,7 +25,7 @@ class CurriculumManager(ManagerBase):
             term.form = FiguresForm()
 
     def compute(self, env_ids: torch.Tensor) -> None:
-        """Run every term on the episodes that end in this step, before the reset."""
+        """Run every curriculum term on the episodes that end in this step, before the reset."""
         for name, term in self._terms.items():
             self._state[name] = term(self._env, env_ids)
 
@@ -41,29 +41,22 @@ class CurriculumManager(ManagerBase):
         return log
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[Any]]]:
-        """Return the last state of each term, as a list of its values. The state is the same for every environment."""
+        """Return the last logged values of each curriculum term as a list. The values are equal in all environments."""
         del env_idx
         states = {name: state for name, state in self._state.items() if state is not None}
         parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())
         return [(name, [_number(value) for value in values]) for name, values in parts]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the last logged states as plain numbers, and the states of the terms."""
-        last = {name: _plain(state) for name, state in self._state.items()}
-        return {**super().state_dict(), "last": last}
+        return {**super().state_dict(), "last": {name: _plain(state) for name, state in self._state.items()}}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self._state = dict(saved["last"])
 
-    def __str__(self) -> str:
-        rows = [(i, name, term.target.rsplit(".", 1)[-1]) for i, (name, term) in enumerate(self._terms.items())]
-        return table(f"Curriculum: {len(rows)}", ("index", "name", "term"), rows)
-
 
 def _plain(state: Any) -> Any:
-    """Convert a logged state to values that a checkpoint can store: arrays become tensors."""
+    """Convert the logged state of a curriculum to values that a checkpoint can store: arrays become tensors."""
     if isinstance(state, Mapping):
         return {str(key): _plain(value) for key, value in state.items()}
     if isinstance(state, (np.ndarray, np.generic)):

@@ -15,6 +15,7 @@ from wheelleg_exp.managers.return_checks import NoForm
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.timers import may_be_due
+from wheelleg_exp.state import cloned
 from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
@@ -41,19 +42,22 @@ class EventManager(ManagerBase):
             if mode == "prestartup":
                 instantiate_term(term, env)
             if mode == "interval":
-                self._start_timer(name, term)
+                count = 1 if term.fields.get("is_global_time", False) else self._num_envs
+                self._time_left[name] = torch.zeros(count, device=env.device)
+                self._draw_timer(name, term, torch.arange(count, device=env.device))
             elif mode == "reset":
-                self._start_counter(name)
+                self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long, device=env.device)
+                self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
 
     def play(self) -> None:
-        """Make the term objects, once the simulations run."""
+        """Create the term objects after the simulation has been built."""
         for name, term in self._terms.items():
             instantiate_term(term, self._env)
             self._note_asked(name)
 
     @property
     def active_terms(self) -> dict[str, list[str]]:  # type: ignore[override]  # as in Isaac Lab
-        """Names of the terms by mode, in declaration order."""
+        """Names of the event terms by mode, in declaration order."""
         return {mode: list(terms) for mode, terms in self._modes.items()}
 
     @property
@@ -62,19 +66,13 @@ class EventManager(ManagerBase):
         return list(self._modes)
 
     def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
-        """Run the terms of ``prestartup``, ``startup``, ``reset``, or a user-defined mode.
+        """Run the events of ``prestartup``, ``startup``, ``reset``, or a user-defined mode in some or all environments.
 
-        Args:
-            mode: the mode. A user-defined mode without terms causes a warning.
-            env_ids: environments, or None for all.
-            global_env_step_count: control steps so far; required for ``reset``.
-
-        Raises:
-            ValueError: the mode is ``interval`` (see ``apply_interval``), or ``reset`` without a step count.
-            SimulationFailure: a term wrote NaN or inf.
+        The mode ``reset`` requires the number of control steps since the start. A user-defined mode without terms
+        causes a warning.
         """
         if mode == "interval":
-            raise ValueError("interval events are applied by apply_interval(dt)")
+            raise ValueError("interval events run in each step of the environment; apply() does not run them")
         if mode not in (*EVENT_MODES, *self._modes):
             nearest = nearest_name(mode, self._modes)
             hint = f"; did you mean '{nearest}'?" if nearest else ""
@@ -84,31 +82,26 @@ class EventManager(ManagerBase):
             if mode == "reset":
                 if global_env_step_count is None:
                     raise ValueError("reset events need global_env_step_count")
-                ids = self._due(name, term, self._all_ids(env_ids), global_env_step_count)
+                everyone = torch.arange(self._num_envs, device=self._env.device) if env_ids is None else env_ids
+                ids = self._due(name, term, everyone, global_env_step_count)
                 if not len(ids):
                     continue
-            if mode == "prestartup":  # there is no simulation yet
+            if mode == "prestartup":  # the simulation does not exist yet
                 term(self._env, ids)
             else:
                 self._run(name, term, ids)
 
-    def apply_interval(self, dt: float) -> None:
-        """Advance the timers by ``dt`` seconds, run the terms whose time is up, then the terms of mode ``step``."""
-        self.advance_timers(dt)
-        self.apply_due(dt)
-
     def advance_timers(self, dt: float) -> None:
-        """Subtract ``dt`` seconds from the timers. ``fired`` then holds the environments whose time is up."""
+        """Subtract ``dt`` seconds from the event timers, and set ``fired`` to the environments with expired timers."""
         for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run the terms whose time is up, then the terms of mode ``step``; return whether any term ran.
+        """Run the events with expired timers, then the events of mode ``step``; return whether any event ran.
 
-        Args:
-            dt: seconds that were subtracted from the timers last.
+        ``dt`` is the time in seconds that ``advance_timers`` subtracted last.
         """
         ran = False
         for name, term in self._modes.get("interval", {}).items():
@@ -117,12 +110,9 @@ class EventManager(ManagerBase):
             ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
-            if term.fields.get("is_global_time", False):
-                self._draw_timer(name, term, torch.zeros(1, dtype=torch.long, device=self._env.device))
-                self._run(name, term, None)
-            else:
-                self._draw_timer(name, term, ids)
-                self._run(name, term, ids)
+            # A global timer has one element, so ``ids`` is [0].
+            self._draw_timer(name, term, ids)
+            self._run(name, term, None if term.fields.get("is_global_time", False) else ids)
             ran = True
         for name, term in self._modes.get("step", {}).items():
             self._run(name, term, None)
@@ -130,21 +120,19 @@ class EventManager(ManagerBase):
         return ran
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
-        """Run a term, and check that the numbers it wrote are finite."""
         term(self._env, ids)
-        self._env.scene.robot.data.invalidate()  # the term may have written to any quantity
+        self._env.scene.robot.data.invalidate()  # an event term may have written to any quantity
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 
     def _note_asked(self, name: str) -> None:
-        """Note which quantities a term requested for writing. It may write to them again in a later run."""
         asked = self._env.scene.sim.asked
         if asked:
             self._asked[name] |= asked
             asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Draw new timers for ``env_ids``, and reset all terms except those of ``prestartup``."""
+        """Draw new timers for ``env_ids``, and reset all event terms except ``prestartup`` terms."""
         for name, term in self._modes.get("interval", {}).items():
             if not term.fields.get("is_global_time", False):
                 self._draw_timer(name, term, env_ids)
@@ -152,34 +140,24 @@ class EventManager(ManagerBase):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return timers, counters, and the states of the terms."""
         return {
             **super().state_dict(),
-            "time_left": {k: v.clone() for k, v in self._time_left.items()},
-            "last_step": {k: v.clone() for k, v in self._last_step.items()},
-            "fired_once": {k: v.clone() for k, v in self._fired_once.items()},
-            "fired": {k: v.clone() for k, v in self.fired.items()},
+            "time_left": cloned(self._time_left),
+            "last_step": cloned(self._last_step),
+            "fired_once": cloned(self._fired_once),
+            "fired": cloned(self.fired),
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        for own, values in (
-            (self._time_left, saved["time_left"]),
-            (self._last_step, saved["last_step"]),
-            (self._fired_once, saved["fired_once"]),
-        ):
-            for name, value in values.items():
+        for key, own in {
+            "time_left": self._time_left,
+            "last_step": self._last_step,
+            "fired_once": self._fired_once,
+        }.items():
+            for name, value in saved[key].items():
                 own[name].copy_(value)
-        self.fired = {name: value.clone() for name, value in saved["fired"].items()}
-
-    def _all_ids(self, env_ids: torch.Tensor | None) -> torch.Tensor:
-        return torch.arange(self._num_envs, device=self._env.device) if env_ids is None else env_ids
-
-    def _start_timer(self, name: str, term: Term) -> None:
-        count = 1 if term.fields.get("is_global_time", False) else self._num_envs
-        self._time_left[name] = torch.zeros(count, device=self._env.device)
-        self._draw_timer(name, term, torch.arange(count, device=self._env.device))
+        self.fired = cloned(saved["fired"])
 
     def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
         low, high = term.fields["interval_range_s"]
@@ -188,12 +166,7 @@ class EventManager(ManagerBase):
             ids.shape[0], generator=generator, device=ids.device
         )
 
-    def _start_counter(self, name: str) -> None:
-        self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long, device=self._env.device)
-        self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool, device=self._env.device)
-
     def _due(self, name: str, term: Term, ids: torch.Tensor, step: int) -> torch.Tensor:
-        """Return the environments of ``ids`` for which enough steps have passed since the term last ran."""
         wait = term.fields.get("min_step_count_between_reset", 0)
         if wait == 0:
             return ids

@@ -1,7 +1,7 @@
 """Bound terms, and the base class of the managers.
 
-A term node is bound to its target once, when the environment is built. ``ManagerBase`` lists, prints, resets,
-saves, and restores the terms of one section of the config.
+Each term node of the config is bound to its target once, when the environment is built. ``ManagerBase`` lists,
+prints, resets, saves, and restores the terms of one section of the config.
 """
 
 from __future__ import annotations
@@ -41,31 +41,22 @@ from wheelleg_exp.terms.term_binding import (
 from wheelleg_exp.terms.term_errors import failure, field_errors, nested_errors, parameter_errors, placed
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-_STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the observation's
-
 
 class TermBase(Stateful):
     """A term with state. Subclasses take ``env``, their parameters, and ``generator`` if they draw random numbers.
 
-    The package ``state`` saves and restores the attributes: tensors always, unless ``settings`` names them; other
-    attributes once they have changed.
+    The package ``state`` saves and restores the attributes of a term: tensors always, unless ``settings`` names them;
+    other attributes once they have changed.
     """
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the state of ``env_ids``."""
 
 
-class ManagerTermBase(TermBase):
-    """A class term in Isaac Lab's style: made by ``(cfg, env)``, called with the environment and the parameters.
+class OfEnv:
+    """Base class with the attributes ``num_envs`` and ``device`` of an object's environment, as in Isaac Lab."""
 
-    Args:
-        cfg: the term, with ``func``, ``params``, and the fields of the manager.
-        env: the environment.
-    """
-
-    def __init__(self, cfg: Term, env: Env) -> None:
-        self.cfg = cfg
-        self._env = env
+    _env: Env
 
     @property
     def num_envs(self) -> int:
@@ -74,8 +65,20 @@ class ManagerTermBase(TermBase):
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors are."""
+        """Device of the tensors."""
         return self._env.device
+
+
+class ManagerTermBase(OfEnv, TermBase):
+    """A class term in Isaac Lab's style: made by ``(cfg, env)``, called with the environment and the parameters.
+
+    Args:
+        cfg: the term, with ``func``, ``params``, and the fields of the manager.
+    """
+
+    def __init__(self, cfg: Term, env: Env) -> None:
+        self.cfg = cfg
+        self._env = env
 
 
 @dataclass
@@ -83,15 +86,14 @@ class Term(Kept):
     """A bound term: ``func(env, **params)`` for functions, ``func(env)`` for term objects.
 
     Attributes:
-        name: the term's name.
-        path: its config key.
+        path: the config key of the term.
         target: dotted name of the function or class.
-        func: the function, or the term object.
         params: the keyword arguments of every call; empty for term objects.
         fields: the settings that the manager reads.
-        arguments: the arguments of a term object; ``take_arguments`` applies changes.
+        arguments: the constructor arguments of a term object; ``take_arguments`` applies changes of them.
         generator: the random stream of the term, if it draws.
         form: the required form of the return value, if any.
+        lends: whether torch's global generator is this stream while the term runs, for code written for Isaac Lab.
     """
 
     outside_graphs: ClassVar = (
@@ -116,7 +118,7 @@ class Term(Kept):
     lends: bool = field(default=False, init=False)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a field of the manager by attribute, as in Isaac Lab's term configs."""
+        """Return a manager's field of the term as an attribute, as in Isaac Lab's term configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
         raise AttributeError(f"a term has no '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
@@ -127,32 +129,13 @@ class Term(Kept):
         else:
             super().__setattr__(name, value)
 
-    def take(self, cfg: Any) -> None:
-        """Take function, parameters, and fields from another term config."""
-        if cfg is self:
-            return
-        if getattr(cfg, "func", None) is not None:
-            self.func = cfg.func
-        if getattr(cfg, "params", None) is not None:
-            self.params = dict(cfg.params)
-        for name in self.fields:
-            self.fields[name] = getattr(cfg, name, self.fields[name])
-
     def __call__(self, *args: Any) -> Any:
         """Call the term with the environment (and ids), and check the return value against ``form``.
 
-        Raises:
-            ConfigError: the first call raises an error, or a return value has another form.
-            SimulationFailure: a later call raises an error.
+        An exception in the term's code becomes a ConfigError in the first call, and a SimulationFailure in later calls.
         """
-        try:
-            if self.lends:
-                with lent(self.generator):
-                    value = self.func(*args, **self.params)
-            else:
-                value = self.func(*args, **self.params)
-        except BaseException as error:
-            raise self.failure(error) from error
+        with self.blamed():
+            value = self.func(*args, **self.params)
         if self.form is not None and not self.form.fits(value):
             require_form(self.form, value, f"'{self.target}'", self.path, self.func)
         if not self._has_worked:
@@ -160,11 +143,11 @@ class Term(Kept):
         return value
 
     def failure(self, error: BaseException) -> BaseException:
-        """Return an error of the term's code, with config key and source line."""
+        """Return the error that replaces an exception of the term's code: it has the config key and the source line."""
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Name the term in errors within the body, for methods of the term other than ``__call__``."""
+        """Return a context whose errors name this term."""
         return self._lending() if self.lends else _Blamed(self)
 
     @contextmanager
@@ -172,17 +155,11 @@ class Term(Kept):
         with _Blamed(self), lent(self.generator):
             yield
 
-    def lend(self, generator: torch.Generator) -> None:
-        """Use a stream as torch's global generator while the term runs, for code written for Isaac Lab."""
-        self.generator, self.lends = generator, True
-
     def state_dict(self) -> dict[str, Any]:
-        """Return the changed settings and the state of the term object."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
@@ -195,29 +172,25 @@ class Term(Kept):
         return self.func if isinstance(self.func, TermBase) else None
 
     def bound(self) -> None:
-        """Note the settings from the config: later differences are state."""
+        """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
-            self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=_STATEFUL_FIELDS)
+            # Modifiers and noise are saved with the state of their observation.
+            skip = ("modifiers", "noise")
+            self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
     def take_arguments(self) -> None:
-        """Apply changed arguments to the term object, and keep its state.
-
-        Raises:
-            ConfigError: an argument is invalid.
-        """
+        """Apply changed constructor arguments to the term object without changing the state of the term object."""
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
         adopt(self.stateful, self._make(), self.path)
         self._made_with = copy.deepcopy(self.arguments)
 
-    def made_by(self, make: Callable[[], TermBase], keeps_params: bool = False) -> None:
-        """Make the term object, and store how to make it again.
+    def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
+        """Create the term object with ``make``.
 
-        Args:
-            make: makes the term object.
-            keeps_params: whether the term object is called with its parameters.
+        With ``keeps_params`` each call of the term object receives the parameters.
         """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
@@ -229,18 +202,16 @@ class Term(Kept):
 
 
 class _Blamed:
-    """Names a term in errors within the body. A class, because a generator is slower and a step enters dozens."""
+    """A context that adds the config key of a term to errors. A generator would be slower."""
 
     __slots__ = ("_term",)
 
     def __init__(self, term: Term) -> None:
         self._term = term
 
-    def __enter__(self) -> None:
-        """Enter."""
+    def __enter__(self) -> None: ...
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Raise the error with the name of the term."""
         if error is not None and (named := self._term.failure(error)) is not error:
             raise named from error
 
@@ -250,18 +221,11 @@ def bind_terms(
 ) -> dict[str, Term]:
     """Bind every term of a section, in declaration order; null terms are skipped.
 
-    Args:
-        kind: a key of ``terms.RESERVED``.
-        section: config key of the section, such as ``env.rewards``.
-        nodes: the composed terms by name.
-        env: the environment under construction.
-        instantiate: whether to make term objects now; otherwise ``instantiate_term`` makes them later.
-
-    Raises:
-        ConfigError: a node, a target or a parameter is wrong.
+    ``kind`` is a key of ``terms.RESERVED``, and ``section`` a config key such as ``env.rewards``. Without
+    ``instantiate``, call ``instantiate_term`` later to make the term objects.
     """
     terms = {
-        name: bind_term(kind, split_node(kind, f"{section}.{name}", node), env)
+        name: _bound_term(kind, split_node(kind, f"{section}.{name}", node), env)
         for name, node in (nodes or {}).items()
         if node is not None
     }
@@ -271,17 +235,15 @@ def bind_terms(
     return terms
 
 
-def bind_term(kind: str, node: TermNode, env: Env) -> Term:
-    """Bind one node: import its target, check its parameters against the signature, and resolve entities."""
+def _bound_term(kind: str, node: TermNode, env: Env) -> Term:
     target = resolve_target(node.target, node.path)
     for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
         raise error
     fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
     term = Term(node.name, node.path, node.target, target, {}, fields)
-    if "generator" in inspect.signature(read_from(target)).parameters:
-        term.generator = env.streams.get(node.path)
-    elif written_for_isaac_lab(target):
-        term.lend(env.streams.get(node.path))
+    takes_generator = "generator" in inspect.signature(read_from(target)).parameters
+    if takes_generator or written_for_isaac_lab(target):
+        term.generator, term.lends = env.streams.get(node.path), not takes_generator
     term.params = _params(term, node.params, env)
     term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
     return term
@@ -296,45 +258,38 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
     return params if term.generator is None or term.lends else {**params, "generator": term.generator}
 
 
-def _made_by(kind: Any, term: Term, env: Env) -> dict[str, Any]:
-    """Return the arguments of a term class, without the environment."""
+def _constructor_arguments(kind: Any, term: Term, env: Env) -> dict[str, Any]:
     if not takes_cfg(kind):
         return _params(term, term.arguments, env)
-    config = cfg_class(kind)  # actions and commands read their config themselves
+    config = cfg_class(kind)  # action and command terms read their config themselves
     return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Make the term object of a class term, and note the settings of every term; functions do not change."""
+    """Create the object of a class term, and store the settings of every term. Functions are used unchanged."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
         return
     if not issubclass(kind, TermBase):
-        raise ConfigError(
-            f"'{term.target}' is not a term class",
-            key=term.path,
-            expected="a subclass of TermBase or a function",
-        )
+        expected = "a subclass of TermBase or a function"
+        raise ConfigError(f"'{term.target}' is not a term class", key=term.path, expected=expected)
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # a section without fields of its manager's
+        for error in parameter_errors("commands", node, kind):  # command terms have no fields that the manager reads
             raise error
         with term.blamed():
-            made_object: TermBase = cast(Any, kind)(env=env, **_made_by(kind, term, env))
+            made_object: TermBase = cast(Any, kind)(env=env, **_constructor_arguments(kind, term, env))
         return made_object
 
     term.made_by(make, keeps_params=takes_cfg(kind) and read_from(kind) is not cfg_class(kind))
 
 
 def build(value: Any, path: str) -> Any:
-    """Return a parameter with the ``_target_`` nodes in it called, the innermost first.
+    """Return a parameter with all ``_target_`` nodes in it called, the innermost first.
 
-    The tree was composed before, so no text in it is resolved again.
-
-    Raises:
-        ConfigError: a target is not allowed, or its arguments are invalid.
+    Interpolations in the parameter are not resolved, because the config is already composed.
     """
     for where, node in walk_nodes(value, path):
         if TARGET in node:
@@ -344,7 +299,7 @@ def build(value: Any, path: str) -> Any:
 
 
 def _built(value: Any, path: str) -> Any:
-    """Return a copy with the nodes called. A copy, because a curriculum may change it but not the config."""
+    """Return a copy of a parameter with all ``_target_`` nodes called. A curriculum may change the copy."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
     if not isinstance(value, Mapping):
@@ -358,23 +313,21 @@ def _built(value: Any, path: str) -> Any:
     except ConfigError as error:
         raise placed(error, path) from error
     except Exception as error:
-        raise ConfigError(
-            f"'{value[TARGET]}' refuses its arguments: {in_words(error).splitlines()[0]}",
-            key=path,
-            expected="arguments that the target takes",
-        ) from error
+        message = f"'{value[TARGET]}' refuses its arguments: {in_words(error).splitlines()[0]}"
+        raise ConfigError(message, key=path, expected="arguments that the target takes") from error
 
 
-class ManagerBase(Kept):
-    """A manager of one section of the config.
+class ManagerBase(OfEnv, Kept):
+    """A manager of the terms of one section of the config.
 
-    Args:
-        nodes: the section's terms by name.
-        env: the environment under construction.
-        instantiate: whether to make term objects now.
+    Attributes:
+        saved_tensors: attributes that are state, by their key in the state dict.
+        columns: titles of the columns that ``_cells`` adds to the table of terms.
     """
 
     kind: ClassVar[str]
+    saved_tensors: ClassVar[dict[str, str]] = {}
+    columns: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True) -> None:
         self._env = env
@@ -387,16 +340,6 @@ class ManagerBase(Kept):
         return list(self._terms)
 
     @property
-    def num_envs(self) -> int:
-        """Number of environments, N."""
-        return self._num_envs
-
-    @property
-    def device(self) -> torch.device:
-        """Where the tensors are."""
-        return self._env.device
-
-    @property
     def term_names(self) -> list[str]:
         """Names of the terms, in declaration order, also where ``active_terms`` groups them."""
         return list(self._terms)
@@ -407,19 +350,23 @@ class ManagerBase(Kept):
         return list(self._terms.values())
 
     def find_terms(self, name_keys: str | Sequence[str]) -> list[str]:
-        """Return the names of the terms that match expressions; ConfigError if one matches nothing."""
+        """Return the names of the terms that match expressions; raise ConfigError if an expression matches no term."""
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
     def set_term_cfg(self, name: str, cfg: Any) -> None:
         """Set ``func``, ``params``, and the fields of a term from another term config."""
-        self.get_term_cfg(name).take(cfg)
+        term = self.get_term_cfg(name)
+        if cfg is term:
+            return
+        if getattr(cfg, "func", None) is not None:
+            term.func = cfg.func
+        if getattr(cfg, "params", None) is not None:
+            term.params = dict(cfg.params)
+        for setting in term.fields:
+            term.fields[setting] = getattr(cfg, setting, term.fields[setting])
 
     def get_term_cfg(self, name: str) -> Term:
-        """Return a term with ``func``, ``params``, and the fields of the manager, to read and to change.
-
-        Raises:
-            ConfigError: the term does not exist.
-        """
+        """Return a term with ``func``, ``params``, and the manager's fields, which can be read and changed."""
         if name not in self._terms:
             raise ConfigError(
                 f"there is no term '{name}' in env.{self.kind}",
@@ -430,12 +377,15 @@ class ManagerBase(Kept):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the manager and of its terms."""
-        return {"terms": {name: term.state_dict() for name, term in self._terms.items()}}
+        tensors = {key: getattr(self, name).clone() for key, name in self.saved_tensors.items()}
+        return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **tensors}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+        """Restore the state that ``state_dict`` returned."""
         for name, term in self._terms.items():
             term.load_state_dict(saved["terms"][name])
+        for key, name in self.saved_tensors.items():
+            getattr(self, name).copy_(saved[key])
 
     @property
     def remembers(self) -> bool:
@@ -448,6 +398,19 @@ class ManagerBase(Kept):
             if name not in but and _remembers(remembers):
                 with term.blamed():
                     remembers.reset(env_ids)
+
+    def _cells(self, term: Term) -> tuple[Any, ...]:
+        """Return the cells between a term's name and its target in the printed table of terms."""
+        del term
+        return ()
+
+    def __str__(self) -> str:
+        rows = [
+            (i, term.name, *self._cells(term), term.target.rsplit(".", 1)[-1])
+            for i, term in enumerate(self.bound_terms)
+        ]
+        title = f"{self.kind.capitalize()}: {len(rows)}"
+        return table(title, ("index", "name", *self.columns, "term"), rows)
 
 
 def _remembers(func: Any) -> bool:

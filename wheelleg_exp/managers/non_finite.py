@@ -1,6 +1,7 @@
 """Detect NaN and inf, name the term that produced them, and save the state that led to them.
 
-Each step checks one sum over all values. Only if this sum is not finite are the values checked one by one.
+Each control step checks whether the sum over all values is finite. Single values are checked only if this sum is not
+finite.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 
-MOST_SAVED = 16  # environments whose state is saved, of those that fail in one step
+MOST_SAVED = 16  # largest number of environments whose state is saved in one step
 PHYSICS = "env.sim"
 ACTIONS = "env.actions"
 POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether an element of some sums may be NaN or inf. Large finite elements may also sum to inf."""
+    """Return whether a summed element may be NaN or inf. The sum of large finite elements can also be inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
@@ -33,37 +34,28 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 
 
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
-    """Return which terms produced NaN or inf in this step, and the state of the environments that failed.
+    """Return the terms that produced NaN or inf in this step, and the state of the failed environments ``env_ids``.
 
-    If the physics of an environment failed, only the physics is named, because the values of terms follow from it.
-
-    Args:
-        env: the environment, before the reset.
-        env_ids: environments that failed, (n,).
-
-    Returns:
-        ``keys``: config keys of the terms by environment; ``evidence``: see the function of this name.
+    In the result, ``keys`` are the config keys of the failed terms by environment, and ``evidence`` is the result of
+    the function ``evidence``. If the physics failed, only the physics is named, because the values of terms follow from
+    the physics.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
     rewards = {i: names for i, names in env.reward_manager.non_finite.items() if i in chosen}
     keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
-    unstable = env_ids[env.scene.unstable()[env_ids]]  # their state is NaN, inf, or huge
+    unstable = env_ids[env.scene.unstable()[env_ids]]
     keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
     keys = dict(sorted(keys.items()))
     return {"keys": keys, "evidence": evidence(env, torch.tensor(list(keys), device=env.device))}
 
 
 def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Return the state of the first ``MOST_SAVED`` of some environments: arrays by name, one row for each environment.
+    """Return the state of the first ``MOST_SAVED`` of the environments ``ids``: arrays by name, one row for each.
 
     ``state`` is the state of the engine. ``motion_at_start`` holds positions and velocities at the start of the control
     step, because the engine resets a simulation that failed. ``model.<field>`` is a model field that an event changed.
-
-    Args:
-        env: the environment.
-        ids: environments, (n,).
-        more: further tensors, (N, ...).
+    Further tensors (N, ...) can be added by name.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -85,16 +77,9 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
 
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
-    """Raise an error if an event wrote NaN or inf into states, wrenches, or model fields.
+    """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
 
-    Args:
-        env: the environment.
-        path: the event's config key.
-        asked: quantities other than states that the event may have written (see ``Engine.asked``).
-        ids: the environments for which the event ran; None means all.
-
-    Raises:
-        SimulationFailure: names the event and the quantity.
+    ``asked`` are the quantities, apart from states, that the event may have written (see ``Engine.asked``).
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
@@ -107,31 +92,26 @@ def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
 
 
 def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:
-    before = set(ids_where(env.scene.unstable()).tolist())  # these failed before the event ran
+    before = set(ids_where(env.scene.unstable()).tolist())  # environments that failed before the event ran
     for name, values in written.items():
         bad = set(failed_rows(values).tolist()) - before
         bad &= bad if ids is None else set(ids.tolist())
         if bad:
             found = torch.tensor(sorted(bad), device=env.device)
-            raise failure(env, path, f"wrote numbers that are not finite into {name}", found)
+            raise failure(env, path, f"the event wrote numbers that are not finite into {name}", found)
 
 
 def note_observations(env: Env) -> None:
-    """Check on a GPU whether the current observations are finite, without waiting for the answer."""
+    """Start to check on a GPU whether the current observations are finite, without waiting for the result."""
     if env.device.type == "cuda" and (parts := _parts(env)):
         note(functools.reduce(torch.add, [part.sum() for part in parts]))
 
 
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
-    """Raise an error if observations are NaN or inf.
+    """Raise SimulationFailure if observations are NaN or inf.
 
-    Args:
-        env: the environment.
-        only: environments (N,) bool to check; None means all.
-        is_noted: whether ``note_observations`` was called for these observations.
-
-    Raises:
-        SimulationFailure: names the first such term.
+    The error names the first observation term with NaN or inf. ``only`` (N,) bool selects environments. ``is_noted``
+    says that ``note_observations`` was called before.
     """
     if is_noted and is_calm(env.device):
         return
@@ -140,7 +120,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
         for path, part in _observed(env):
             bad = failed_rows(part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0))
             if len(bad):
-                raise failure(env, path, "gave observations that are not finite", bad)
+                raise failure(env, path, "the term gave observations that are not finite", bad)
 
 
 def _parts(env: Env) -> list[torch.Tensor]:
@@ -155,11 +135,7 @@ def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
 
 
 def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
-    """Raise an error if actions (N, A) of a policy are NaN or inf: its networks failed, not the environment.
-
-    Raises:
-        SimulationFailure: names the actor.
-    """
+    """Raise SimulationFailure if the actions (N, A) of a policy are NaN or inf: its networks failed."""
     if may_fail([actions.sum()]) and len(bad := failed_rows(actions)):
         raise failure(env, POLICY, "the policy's actions are not finite", bad, actions=actions)
 

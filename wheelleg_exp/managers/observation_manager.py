@@ -18,22 +18,17 @@ from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.config_sections import read_section
 
-_SLICE = 100  # bytes of a Python slice and its two numbers: one for each term and step where history_order is time
+_SLICE = 100  # bytes of a Python slice with its two numbers
 
 
 class ObservationManager(Kept):
-    """Groups of observation terms. ``obs_buf`` holds the last result of ``compute``.
-
-    Args:
-        nodes: the groups by name.
-        env: the environment under construction.
-    """
+    """Groups of observation terms. ``obs_buf`` holds the last result of ``compute``."""
 
     def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
         self._layouts: dict[str, GroupLayout] = {}
         self._rows: dict[str, RowHistory] = {}
-        self._beginnings: dict[str, str] = {}
+        self._prefixes: dict[str, str] = {}
         for group, node in nodes.items():
             if node is not None:
                 self._add_group(group, node, env)
@@ -41,12 +36,12 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # whether rows are selected by masks, which have a fixed shape, instead of by ids
+        self.in_masks = False  # True if masks, which have a fixed shape, select rows instead of ids
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
     def active_terms(self) -> dict[str, list[str]]:
-        """Names of the terms of each group, in order."""
+        """Names of the observation terms of each group, in order."""
         return {group: list(terms) for group, terms in self._groups.items()}
 
     @property
@@ -60,7 +55,7 @@ class ObservationManager(Kept):
 
     @property
     def group_obs_concatenate(self) -> dict[str, bool]:
-        """Whether a group is one tensor."""
+        """Whether the terms of each group are concatenated."""
         return {group: layout.concatenated for group, layout in self._layouts.items()}
 
     @property
@@ -76,7 +71,7 @@ class ObservationManager(Kept):
     def term_parts(self, group: str) -> dict[str, list[slice]]:
         """Return the slices of each term of a concatenated group along the joined dimension.
 
-        A term has one slice. With ``history_order: time`` it has one slice for each step, oldest first.
+        With ``history_order: time`` a term has one slice for each step, oldest first, otherwise one slice.
         """
         return dict(self._layouts[group].parts)
 
@@ -84,7 +79,7 @@ class ObservationManager(Kept):
         """Return the slice of each term of a concatenated group; ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"the histories of group '{group}' are ordered by step: a term has several slices")
+            raise ValueError(f"the histories of group '{group}' are ordered by step, so a term has several slices")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
@@ -105,8 +100,8 @@ class ObservationManager(Kept):
         ]
 
     def distinct(self) -> list[Group]:
-        """Return the last observations of the groups, except groups that are a prefix of another group."""
-        return [value for group, value in self.obs_buf.items() if group not in self._beginnings]
+        """Return the last observations, except of groups whose terms are the first terms of another group."""
+        return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
         """Sample the terms that have a delay, between two physics steps of a control step."""
@@ -114,17 +109,15 @@ class ObservationManager(Kept):
             term.sample_between()
 
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
-        """Return the observation of every group. This advances noise, modifiers, and histories.
+        """Return the observation of every group, and advance noise, modifiers, and histories.
 
-        Args:
-            only: environments (N,) bool to observe; None means all. Observations, modifiers, and histories of the
-                remaining environments do not change.
+        With a mask ``only`` (N,) bool, noise, modifiers, and histories change only in the environments of the mask.
         """
         before = None if only is None else self.state_dict()
         first = self._first_ids()
         values = Values()
-        for group in [group for group in self._beginnings if not self._is_beginning(group)]:
-            self._part(group)
+        for group in [group for group in self._prefixes if not self._is_prefix(group)]:
+            self._unshare(group)
         found = {group: self._computed(group, first, values) for group in self._order}
         self.obs_buf = {group: found[group] for group in self._groups}
         if self._any_first:
@@ -165,16 +158,14 @@ class ObservationManager(Kept):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of every term and the last observation."""
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
         return {"groups": terms, "obs_buf": cloned(self.obs_buf), "is_first": self._is_first.clone()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for group, whole in list(self._beginnings.items()):
+        for group, whole in list(self._prefixes.items()):
             own, longer = ([t["history"]["samples"] for t in saved["groups"][g].values()] for g in (group, whole))
             if not all(map(torch.equal, own, longer)):
-                self._part(group)
+                self._unshare(group)
         for group, terms in self._groups.items():
             for name, term in terms.items():
                 term.load_state_dict(saved["groups"][group][name])
@@ -191,7 +182,7 @@ class ObservationManager(Kept):
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
-            if length is None:  # the history setting of the group overrides those of its terms
+            if length is None:  # the history settings of a group override the history settings of its terms
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
@@ -202,47 +193,45 @@ class ObservationManager(Kept):
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
         for one in self._groups[group].values():
             one.share(others)
-        self._find_beginnings(group)
+        self._find_prefixes(group)
 
     @property
     def _order(self) -> list[str]:
-        """The groups, those last that are the beginning of another one."""
-        return sorted(self._groups, key=lambda group: group in self._beginnings)
+        """The groups. A group that is a prefix of another group comes after that group."""
+        return sorted(self._groups, key=lambda group: group in self._prefixes)
 
-    def _find_beginnings(self, added: str) -> None:
+    def _find_prefixes(self, added: str) -> None:
         """Share one row between two groups, if the terms of one group are the first terms of the other."""
-        for known in [group for group in self._rows if group not in self._beginnings and group != added]:
+        for known in [group for group in self._rows if group not in self._prefixes and group != added]:
             part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
-            if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._beginnings.values():
+            if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._prefixes.values():
                 continue
             pairs = zip(self._groups[part].values(), self._groups[whole].values(), strict=False)
             if all(one.samples_as(other) and one.history_length for one, other in pairs):
-                self._beginnings[part] = whole
-                self._keep_in(self._rows[whole], part)
+                self._prefixes[part] = whole
+                self._share_row(self._rows[whole], part)
                 if part == added:
                     return
 
-    def _keep_in(self, row: RowHistory, group: str) -> None:
+    def _share_row(self, row: RowHistory, group: str) -> None:
         self._rows[group] = row
         for index, term in enumerate(self._groups[group].values()):
             term.history = row.part(index)
 
-    def _is_beginning(self, group: str) -> bool:
-        """Return whether the terms of a group are still the first terms of the group that shares its row."""
-        whole = self._groups[self._beginnings[group]].values()
+    def _is_prefix(self, group: str) -> bool:
+        whole = self._groups[self._prefixes[group]].values()
         pairs = zip(self._groups[group].values(), whole, strict=False)
         return all((one if one.same_as is other else other).is_shared() for one, other in pairs)
 
-    def _part(self, group: str) -> None:
-        """Give a group its own row, if it shared the row of another group so far."""
+    def _unshare(self, group: str) -> None:
         terms = self._groups[group].values()
-        values = self._rows[self._beginnings.pop(group)].beginning(len(terms))
+        values = self._rows[self._prefixes.pop(group)].prefix(len(terms))
         row = RowHistory(len(values), [t.width for t in terms], [t.history_length for t in terms], values.device)
         row.values = values
-        self._keep_in(row, group)
+        self._share_row(row, group)
 
     def _add_histories(self, group: str, env: Env) -> None:
-        """Make the histories: one row for all terms where the group is one, else a buffer for each term."""
+        """Make the histories of a group: one row if the group is one vector, otherwise a buffer for each term."""
         terms, layout = list(self._groups[group].values()), self._layouts[group]
         plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms)
         if layout.concatenated and plain and not layout.by_time:
@@ -257,11 +246,10 @@ class ObservationManager(Kept):
                 term.history = HistoryBuffer(env.num_envs, term.history_length, shape, env.device)
 
     def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
-        """Take one sample of each term of a group, and return the observation of the group."""
         terms = self._groups[group]
         row = self._rows.get(group)
-        if group in self._beginnings:
-            return self._rows[group].beginning(len(terms))
+        if group in self._prefixes:
+            return self._rows[group].prefix(len(terms))
         if row is not None:
             return row.append([term.sample(values) for term in terms.values()], first)
         shown = {}
@@ -285,11 +273,14 @@ class ObservationManager(Kept):
 
 
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
-    """Raise ConfigError if histories do not fit into memory. The error names ``key``, or if "" the longest term."""
+    """Raise ConfigError if the observation histories do not fit into memory.
+
+    The error names ``key``, or the term with the longest history if ``key`` is empty.
+    """
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # float32, and a copy in each step; RowHistory has an int64 index for each number and copies it once.
+    # Each step copies the float32 numbers once. RowHistory has an int64 index for each number, and copies the index.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

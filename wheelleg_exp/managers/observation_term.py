@@ -22,11 +22,11 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """Values that terms computed in this step, by the term that computed them first.
+    """Observation values of this step, by the term that computed the value first.
 
     Attributes:
         raw: results of the functions.
-        samples: the same after delay, modifiers, noise, clipping, and scaling.
+        samples: the results after delay, modifiers, noise, clipping, and scaling.
     """
 
     raw: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
@@ -36,12 +36,7 @@ class Values:
 class ObservationTerm(Kept):
     """One term of a group: ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
-    Args:
-        term: the bound term.
-        env: the environment.
-        corrupt: whether the group applies noise.
-        history_length: number of samples in the history; 0 means no history.
-        flatten: whether the history is flattened, oldest first.
+    ``corrupt`` says whether the group applies noise. A ``history_length`` of 0 means no history.
     """
 
     outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
@@ -51,7 +46,9 @@ class ObservationTerm(Kept):
         self._env = env
         modifiers = term.fields.get("modifiers") or []
         if not isinstance(modifiers, list):
-            raise ConfigError("is not a list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
+            raise ConfigError(
+                "modifiers is not a list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]"
+            )
         self._modifiers: list[Any] = list(modifiers)
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
@@ -98,27 +95,29 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return how a value is processed, for comparison. Processing with state, draws, or tensors equals nothing."""
+        """Return clip and scale of the term, for comparison.
+
+        A term with state, random draws, or tensors equals no other term.
+        """
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
 
     def is_shared(self) -> bool:
-        """Return whether this term still reuses the value of another: a curriculum may have changed a parameter."""
+        """Return whether this term still reuses another term's value: a curriculum may have changed a parameter."""
         return self.same_as is not None and all(
             now.keys() == then.keys() and all(now[name] is value for name, value in then.items())
             for now, then in self._when_shared
         )
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether another term has the same samples and the same history length."""
+        """Return whether another term has equal samples and an equal history length."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
-        """Return the sample (N, ...) of this step. This draws noise and advances delay and modifiers.
+        """Draw noise, advance delay and modifiers, and return the sample (N, ...).
 
-        Args:
-            values: values that terms computed in this step.
+        The sample is also added to ``values``.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -136,9 +135,9 @@ class ObservationTerm(Kept):
         return sample
 
     def sample_between(self) -> None:
-        """Sample between two physics steps of a control step, if the term has a delay."""
-        if self.delay is not None:
-            self.delay.push(self.term(self._env))
+        """Sample between two physics steps of a control step; only for terms with a delay."""
+        assert self.delay is not None
+        self.delay.push(self.term(self._env))
 
     def peek(self) -> torch.Tensor:
         """Return the sample without noise and without changing any state."""
@@ -174,7 +173,6 @@ class ObservationTerm(Kept):
             self.delay.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all state that survives a step."""
         state: dict[str, Any] = {
             "modifiers": [modifier.state_dict() for modifier in self._modifiers],
             "term": self.term.state_dict(),
@@ -187,7 +185,6 @@ class ObservationTerm(Kept):
         return state
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
             modifier.load_state_dict(state)
         self.term.load_state_dict(saved["term"])
@@ -199,7 +196,7 @@ class ObservationTerm(Kept):
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:
-            value = value.clone()  # user-defined modifiers may write into the value
+            value = value.clone()  # a user-defined modifier may write into the value
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
@@ -209,7 +206,6 @@ class ObservationTerm(Kept):
         return value if self._scale is None else value * self._scale
 
     def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
-        """Call a modifier or the noise; errors name its own config key."""
         path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
         try:
             value = part(*args)
@@ -227,7 +223,7 @@ class ObservationTerm(Kept):
                     raise ConfigError(
                         f"{what} has no {method}()",
                         key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a class of yours that is like one",
+                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()",
                     )
 
     def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
@@ -235,7 +231,7 @@ class ObservationTerm(Kept):
             return scale
         if len(scale) != width:
             raise ConfigError(
-                f"has {len(scale)} numbers for a term of width {width}",
+                f"scale has {len(scale)} numbers for a term of width {width}",
                 key=f"{self.term.path}.scale",
                 expected=f"one number or {width}",
             )
@@ -243,7 +239,7 @@ class ObservationTerm(Kept):
 
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Return whether two terms have equal parameters. Values that can be changed in place count as different."""
+    """Return whether two observation terms have equal parameters that cannot change in place."""
     return mine.keys() == theirs.keys() and all(_equal(value, theirs[name]) for name, value in mine.items())
 
 
@@ -258,14 +254,6 @@ Group = torch.Tensor | dict[str, torch.Tensor]
 
 class GroupLayout:
     """Joins the observations of a group's terms, and splits them again.
-
-    Args:
-        terms: the terms by name, in order.
-        options: the group's settings.
-        path: the group's config key.
-
-    Raises:
-        ConfigError: the terms cannot be joined as the settings say.
 
     Attributes:
         concatenated: whether the group is one tensor.
@@ -291,14 +279,14 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # the environments come first
+        self._dim += self._dim >= 0  # the first dimension of a batch is the environments
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
         """Return a history (N, H, ...) of one term in the shape that ``join`` expects."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:
-        """Return the observation of the group, given those of its terms."""
+        """Return the observation of the group, given the observations of its terms."""
         if not self.concatenated:
             return values
         if self.by_time:
@@ -306,7 +294,7 @@ class GroupLayout:
         return torch.cat(list(values.values()), dim=self._dim)
 
     def part(self, name: str, value: Group) -> torch.Tensor:
-        """Return the observation of one term out of the group's, (n, ...); histories are ordered oldest first."""
+        """Return the observation (n, ...) of one term, given that of the group. Histories are ordered oldest first."""
         if not isinstance(value, torch.Tensor):
             return value[name]
         found = [value.narrow(self._dim, part.start, part.stop - part.start) for part in self.parts[name]]
@@ -314,7 +302,7 @@ class GroupLayout:
 
 
 def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
-    """Return the slices of each term if all terms are repeated ``steps`` times."""
+    """Return the slices of each term in a row that repeats all terms ``steps`` times."""
     found: dict[str, list[slice]] = {name: [] for name in widths}
     start = 0
     for _ in range(steps):

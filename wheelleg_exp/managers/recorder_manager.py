@@ -10,7 +10,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
-from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase, table
+from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.terms.config_sections import Dataset
 from wheelleg_exp.terms.term_errors import code_place, described
@@ -23,11 +23,7 @@ _FIRST_ROOM = 64  # rows
 
 
 class Rows:
-    """The rows (N, …) of one quantity. Old rows are dropped once no current episode needs them.
-
-    Args:
-        num_envs: number of environments, N.
-    """
+    """The rows (N, …) of one recorded quantity. Rows are deleted after no current episode needs them."""
 
     def __init__(self, num_envs: int) -> None:
         self._num_envs = num_envs
@@ -36,13 +32,9 @@ class Rows:
         self._starts = np.zeros(num_envs, dtype=np.int64)
 
     def append(self, value: np.ndarray, owner: str) -> None:
-        """Append ``value`` (N, …); ``owner`` is the config key of the recorder.
-
-        Raises:
-            ConfigError: the shape differs from the earlier rows.
-        """
+        """Append ``value`` (N, …); ``owner`` is the config key of the recorder."""
         if self._count and value.shape != self._rows.shape[1:]:
-            message = f"its shape is {value.shape}, and was {self._rows.shape[1:]}"
+            message = f"the recorded shape is {value.shape}, and was {self._rows.shape[1:]}"
             raise ConfigError(message, key=owner, expected="the same shape at every call")
         if self._count == len(self._rows):
             self._make_room(value)
@@ -50,7 +42,7 @@ class Rows:
         self._count += 1
 
     def set(self, ids: np.ndarray, value: np.ndarray) -> None:
-        """Set ``value`` (n, …) as the only row of the current episodes of some environments."""
+        """Set ``value`` (n, …) as the only row of the current episodes of the environments ``ids``."""
         self._count = 0
         if not len(self._rows):
             self._make_room(np.zeros((self._num_envs, *value.shape[1:]), value.dtype))
@@ -64,7 +56,7 @@ class Rows:
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start new episodes: earlier rows do not belong to them."""
+        """Start new episodes of the environments ``ids``. Earlier rows do not belong to the new episodes."""
         self._starts[ids] = self._count
 
     def _make_room(self, value: np.ndarray) -> None:
@@ -77,16 +69,9 @@ class Rows:
 
 
 def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays (rows, …) that a hook returned, by key; those of a mapping by ``key/name``.
+    """Yield the arrays (rows, …) that a hook returned, by key; the arrays of a mapping by ``key/name``.
 
-    Args:
-        returned: a key and a tensor or a mapping; or None and None.
-        rows: the required number of rows.
-        source: description of the hook.
-        code: the hook.
-
-    Raises:
-        ConfigError: the hook returned something else.
+    ``source`` describes the hook for messages, and ``code`` is the hook.
     """
     found = described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
@@ -119,11 +104,8 @@ class RecorderTerm(TermBase):
     joined by ``/``; or None and None.
 
     Attributes:
-        reads_observations: whether ``record_post_step`` reads ``obs_buf``. It then holds the observations of the state
-            before the resets, without noise. Computing them changes no state and no random stream.
-
-    Args:
-        env: the environment; the action manager and later managers do not exist yet.
+        reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before
+            the resets, without noise. Computing these observations changes no state and no random stream.
     """
 
     reads_observations: ClassVar[bool] = True
@@ -155,26 +137,21 @@ class RecorderTerm(TermBase):
 class RecorderManager(ManagerBase):
     """Splits recorded rows into episodes, and returns the finished episodes to the writer of the dataset.
 
-    A dataset holds complete episodes. An episode that was running when a state was loaded has lost its start and is
-    left out. Recorded rows are not state of the environment: a checkpoint is the same with and without recorders. With
-    Gymnasium's ``next_step``, the step that only resets is the last step of an episode.
-
-    Args:
-        nodes: the terms by name.
-        options: the ``env.dataset`` section.
-        env: the environment under construction.
+    A dataset holds complete episodes. An episode is left out if a state was loaded during the episode, because its
+    start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and without
+    recorders. With Gymnasium's ``next_step``, the step that only resets is the last step of an episode.
     """
 
     kind = "recorders"
+    columns = ("records",)
 
     def __init__(self, nodes: Mapping[str, Any] | None, options: Dataset, env: Env) -> None:
         super().__init__(nodes, env)
         self._options = options
         for term in self._terms.values():
             if not isinstance(term.func, RecorderTerm):
-                raise ConfigError(
-                    f"'{term.target}' is not a recorder", key=term.path, expected="a subclass of RecorderTerm"
-                )
+                expected = "a subclass of RecorderTerm"
+                raise ConfigError(f"'{term.target}' is not a recorder", key=term.path, expected=expected)
         self._hooks = {name: self._having(name) for name in vars(RecorderTerm) if name.startswith("record_")}
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
         self._rows: dict[str, Rows] = {}
@@ -184,7 +161,7 @@ class RecorderManager(ManagerBase):
         self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = {}
 
     def record_pre_step(self) -> None:
-        """Record before the action is applied."""
+        """Record quantities before the action is applied."""
         self._append("record_pre_step")
 
     def record_post_physics_decimation_step(self) -> None:
@@ -192,7 +169,7 @@ class RecorderManager(ManagerBase):
         self._append("record_post_physics_decimation_step")
 
     def record_post_step(self) -> None:
-        """Record after rewards and terminations, before the resets; see ``reads_observations``."""
+        """Record quantities after rewards and terminations, before the resets; see ``reads_observations``."""
         manager = self._env.observation_manager
         present = manager.obs_buf
         if self._reads:
@@ -206,8 +183,7 @@ class RecorderManager(ManagerBase):
         """Finish the episodes of ``env_ids`` that had at least one step and whose start was recorded."""
         if not self._terms or self._options.export_mode == "none":
             return
-        last = self._only("record_pre_reset", env_ids)
-        self._finish_episodes(env_ids, last)
+        self._finish_episodes(env_ids, self._only("record_pre_reset", env_ids))
 
     def record_post_reset(self, env_ids: torch.Tensor) -> None:
         """Start the episodes of ``env_ids``."""
@@ -228,7 +204,7 @@ class RecorderManager(ManagerBase):
         return {}
 
     def close(self) -> None:
-        """Finish the current episodes as well, if ``env.dataset.export_in_close`` is set."""
+        """Finish the current episodes, if ``env.dataset.export_in_close`` is set."""
         if self._options.export_in_close:
             self.record_pre_reset(torch.arange(self._num_envs, device=self._env.device))
             self._is_whole[:] = False
@@ -246,22 +222,19 @@ class RecorderManager(ManagerBase):
         return found
 
     def forget(self) -> None:
-        """Leave out the current episodes, because another state was loaded."""
+        """Leave the current episodes out of the dataset after a state was loaded."""
         self._is_whole[:] = False
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of user-defined recorders; the stock recorders have none."""
         states = {name: term.state_dict() for name, term in self._terms.items()}
         present = {name: state for name, state in states.items() if state["settings"] or state["object"]}
         return {"terms": present} if present else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         for name, state in saved.get("terms", {}).items():
             self._terms[name].load_state_dict(state)
 
     def _having(self, hook: str) -> list[tuple[Term, RecorderTerm]]:
-        """Return the terms that override a hook."""
         pairs = [(term, term.func) for term in self._terms.values()]
         return [(t, f) for t, f in pairs if getattr(type(f), hook) is not getattr(RecorderTerm, hook)]  # type: ignore[misc]
 
@@ -274,12 +247,11 @@ class RecorderManager(ManagerBase):
             yield from found
 
     def _require_own(self, key: str, owner: str) -> None:
-        """Raise ConfigError if two hooks use the same key, or a hook uses a reserved key."""
         first = self._owners.setdefault(key, owner)
         if first != owner:
             raise ConfigError(f"'{key}' is already recorded by {first}", expected="a key for each quantity")
         if key.split("/")[0] in _OWN:
-            raise ConfigError(f"'{key}' is reserved for facts about episodes", expected="another key")
+            raise ConfigError(f"'{key}' is reserved for data about episodes", expected="another key")
 
     def _append(self, hook: str) -> None:
         if not self._hooks[hook]:
@@ -304,12 +276,8 @@ class RecorderManager(ManagerBase):
             group = self._group(success[place])
             if group is None or not length or not self._is_whole[env_id]:
                 continue
-            about = {
-                "env": env_id,
-                "length": length,
-                "last_step": self._env.common_step_counter,
-                "success": success[place],
-            }
+            last_step = self._env.common_step_counter
+            about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
             arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
             arrays |= {key: value[place : place + 1] for key, value in last.items()}
             self._finished.setdefault(group, []).append((about, arrays))
@@ -322,20 +290,12 @@ class RecorderManager(ManagerBase):
             return "succeeded" if success else "failed"
         return "succeeded" if success and mode == "succeeded_only" else None
 
-    def __str__(self) -> str:
-        rows = [
-            (i, name, ", ".join(_hooks_of(self._hooks, term)), term.target.rsplit(".", 1)[-1])
-            for i, (name, term) in enumerate(self._terms.items())
-        ]
-        return table(f"Recorders: {len(rows)}", ("index", "name", "records", "term"), rows)
-
-
-def _hooks_of(hooks: Mapping[str, Sequence[tuple[Term, RecorderTerm]]], term: Term) -> list[str]:
-    return [hook.removeprefix("record_") for hook, having in hooks.items() if any(t is term for t, _ in having)]
+    def _cells(self, term: Term) -> tuple[Any, ...]:
+        hooks = [hook for hook, having in self._hooks.items() if any(owner is term for owner, _ in having)]
+        return (", ".join(hook.removeprefix("record_") for hook in hooks),)
 
 
 def _joined(episodes: Sequence[tuple[Mapping[str, Any], Arrays]]) -> Arrays:
-    """Return the concatenated arrays of episodes, with the length of each."""
     arrays = {f"episode/{name}": np.array([about[name] for about, _ in episodes]) for name in episodes[0][0]}
     for key in dict.fromkeys(key for _, own in episodes for key in own):
         parts = [own[key] for _, own in episodes if key in own]

@@ -1,6 +1,6 @@
-"""Check what a term returned against what its manager needs. The message states what to write instead.
+"""Check the return value of a term against the form that its manager needs. The message states what to write instead.
 
-The first call of a term checks everything. Later calls check the shape only.
+The first call of a term checks the whole form. Later calls check only the shape.
 """
 
 from __future__ import annotations
@@ -21,24 +21,16 @@ class Form(Protocol):
     """The required form of a return value."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a quick comparison shows that ``value`` is valid. Otherwise ``check`` decides."""
+        """Return whether a quick comparison shows that ``value`` is valid. If not, ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, if ``value`` is invalid; ``source`` names the function that returned it."""
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
-    """Check a return value against a form.
+    """Raise ConfigError at the config key ``path`` unless a return value has the required form.
 
-    Args:
-        form: the required form.
-        value: the returned value.
-        source: description of the function that returned the value.
-        path: config key of the function.
-        code: the function or object; messages name its place in the source.
-
-    Raises:
-        ConfigError: the value has another form.
+    ``source`` describes the function that returned the value. ``code`` is this function or its object.
     """
     try:
         form.check(value, source)
@@ -48,11 +40,10 @@ def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> N
 
 @dataclass
 class TensorForm:
-    """A tensor with one row for each environment.
+    """The required form of a tensor with one row for each environment.
 
     Attributes:
         rows: number of environments, N.
-        device: device of the tensor.
         dtype: type of the elements; None allows any real type.
         width: None for shape (N,), 0 for (N, width) with any constant width, otherwise the width.
         deep: whether a row may have further dimensions, as images do.
@@ -73,11 +64,10 @@ class TensorForm:
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value has the same shape as the first valid tensor."""
+        """Return whether a value has the shape of the first valid tensor."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, if ``value`` is not such a tensor."""
         if self.fits(value):
             return
         found, fix = self._mistake(value)
@@ -91,7 +81,6 @@ class TensorForm:
         return f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
 
     def _mistake(self, value: Any) -> tuple[str, str]:
-        """Return a description of a wrong value and the code to write instead; empty texts for a valid value."""
         if not isinstance(value, torch.Tensor):
             return _describe_other(value)
         if not self._has_shape(value.shape) or (self._shape is not None and value.shape != self._shape):
@@ -121,34 +110,30 @@ class TensorForm:
 
 
 def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorForm:
-    """Return the form of (N, width): rows of numbers, as observations and commands have them, or (N, ..., width)."""
+    """Return the form of observations and commands: (N, width), or (N, ..., width) with ``deep``."""
     return TensorForm(rows, device, torch.get_default_dtype(), width=0, what="row of numbers", deep=deep)
 
 
 @dataclass
 class NoForm:
-    """None: any other return value would be lost."""
+    """The required form of a term that must return None. The manager would ignore any other return value."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value is None."""
         return value is None
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, unless ``value`` is None."""
         if value is not None:
             raise ConfigError(f"{source} returns {described(value)}, which is not used", expected="no return value")
 
 
 @dataclass
 class FiguresForm:
-    """A number, numbers by name, or None: what a curriculum may log."""
+    """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value is a plain number, or None."""
         return value is None or type(value) is float
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, unless ``value`` can be logged."""
         figures = value.values() if isinstance(value, Mapping) else [value]
         wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
         if wrong is not None:
@@ -164,7 +149,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _describe_other(value: Any) -> tuple[str, str]:
-    """Return a description of a value that is not a tensor, and the code that converts it."""
     if value is None:
         return "nothing", "a return statement may be missing"
     if isinstance(value, np.ndarray):

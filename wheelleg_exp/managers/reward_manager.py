@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
-from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.manager_base import ManagerBase, Term
 from wheelleg_exp.managers.return_checks import TensorForm
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import not_finite
@@ -23,6 +23,8 @@ class RewardManager(ManagerBase):
     """
 
     kind = "rewards"
+    saved_tensors: ClassVar = {"episode_sums": "_sums", "step_reward": "step_reward"}
+    columns = ("weight",)
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
@@ -36,23 +38,8 @@ class RewardManager(ManagerBase):
         self._zeros = torch.zeros(self._num_envs, device=env.device)
         self._read_weights()
 
-    @property
-    def _episode_sums(self) -> dict[str, torch.Tensor]:
-        """Episode sums (N,) by term, under the name that curricula written for Isaac Lab read."""
-        return dict(zip(self._terms, self._sums.unbind(), strict=True))
-
-    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return the weighted values per second of this step of one environment by term."""
-        values = self.step_reward[:, env_idx].tolist()
-        return [(name, [value]) for name, value in zip(self._terms, values, strict=True)]
-
-    @property
-    def raw_values(self) -> torch.Tensor:
-        """``step_reward`` including values that are NaN or inf, (terms, N)."""
-        return self._raw_values if self.non_finite else self.step_reward
-
     def start_step(self) -> None:
-        """Read the weights again, because a curriculum may have changed one; forget the failures of the last step."""
+        """Re-read the weights, which a curriculum may have changed, and clear the failures of the last step."""
         self.non_finite.clear()
         if self._weights != self._present_weights():
             self._read_weights()
@@ -60,9 +47,7 @@ class RewardManager(ManagerBase):
     def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
         """Return the reward (N,) of this step: ``sum over terms of value * weight * dt``.
 
-        Args:
-            dt: duration of the step, s.
-            skipped: environments (N,) bool whose reward is 0 in this step.
+        ``dt`` is the duration of the step, s. The reward of the ``skipped`` environments (N,) bool is 0.
         """
         self.start_step()
         if self._terms:
@@ -91,10 +76,25 @@ class RewardManager(ManagerBase):
             self.non_finite[env_id] = [name for name, flag in zip(self._terms, bad, strict=True) if flag]
         self.step_reward[:, env_ids] = 0.0
 
+    @property
+    def raw_values(self) -> torch.Tensor:
+        """``step_reward`` including values that are NaN or inf, (terms, N)."""
+        return self._raw_values if self.non_finite else self.step_reward
+
+    @property
+    def _episode_sums(self) -> dict[str, torch.Tensor]:
+        """Reward sums of the current episodes (N,) by term, under the name that Isaac Lab's curricula use."""
+        return dict(zip(self._terms, self._sums.unbind(), strict=True))
+
     def episode_sums(self, name: str) -> torch.Tensor:
         """Return the sum of a term's rewards over the current episodes, (N,)."""
         self.get_term_cfg(name)
         return self._sums[self.active_terms.index(name)]
+
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return the weighted reward per second of each term in this step of one environment."""
+        values = self.step_reward[:, env_idx].tolist()
+        return [(name, [value]) for name, value in zip(self._terms, values, strict=True)]
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums, divided by the longest episode's duration, s."""
@@ -104,25 +104,12 @@ class RewardManager(ManagerBase):
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the episode sums, the values of this step, and the states of the terms."""
-        return {
-            **super().state_dict(),
-            "episode_sums": self._sums.clone(),
-            "step_reward": self.step_reward.clone(),
-            "non_finite": {env_id: list(terms) for env_id, terms in self.non_finite.items()},
-        }
+        return {**super().state_dict(), "non_finite": {i: list(terms) for i, terms in self.non_finite.items()}}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self._read_weights()
-        self._sums.copy_(saved["episode_sums"])
-        self.step_reward.copy_(saved["step_reward"])
         self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}
 
-    def __str__(self) -> str:
-        rows = [
-            (i, name, term.fields["weight"], term.target.rsplit(".", 1)[-1])
-            for i, (name, term) in enumerate(self._terms.items())
-        ]
-        return table(f"Rewards: {len(rows)}", ("index", "name", "weight", "term"), rows)
+    def _cells(self, term: Term) -> tuple[Any, ...]:
+        return (term.fields["weight"],)

@@ -1,7 +1,8 @@
-"""Histories of the last samples, oldest first, and delays.
+"""Histories of the last samples of observations, oldest first, and delays.
 
-Each append makes a new tensor instead of writing into the old one. A tensor that was handed out therefore never
-changes. The first sample of an episode fills the whole history, as in Isaac Lab.
+Each append creates a new tensor, so returned histories never change. The first sample of an episode fills
+the whole history, as in Isaac Lab. ``first`` names the environments where the sample is the first of an episode: ids,
+a mask (N,) bool, or None.
 """
 
 from __future__ import annotations
@@ -18,25 +19,13 @@ from wheelleg_exp.sim.delay import DelayBuffer
 
 
 class HistoryBuffer:
-    """The last H samples of each environment.
-
-    Args:
-        num_envs: number of environments, N.
-        length: number of samples, H.
-        shape: shape of one sample.
-        device: where the samples are.
-    """
+    """The last H samples of each environment, (N, H, ...)."""
 
     def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
         self.samples = torch.zeros(num_envs, length, *shape, device=device)
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Append a sample (N, ...), drop the oldest, and return the history (N, H, ...).
-
-        Args:
-            sample: the new sample.
-            first: environments where the sample is the first of an episode: ids, a mask (N,) bool, or None.
-        """
+        """Append a sample (N, ...), drop the oldest, and return the history (N, H, ...)."""
         self.samples = self.appended(sample, first)
         return self.samples
 
@@ -51,22 +40,16 @@ class HistoryBuffer:
         return after
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the samples."""
         return {"samples": self.samples.clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
         self.samples = saved["samples"].clone()
 
 
 class RowHistory:
     """Histories of several terms in one row for each environment: term by term, each oldest first.
 
-    Args:
-        num_envs: number of environments, N.
-        widths: width of one sample of each term.
-        lengths: number of samples of each term; 0 and 1 both mean only the newest.
-        device: where the samples are.
+    ``widths`` are the widths of one sample of each term. The ``lengths`` 0 and 1 both mean only the newest sample.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
@@ -83,17 +66,12 @@ class RowHistory:
         self.values = torch.zeros(num_envs, sum(sizes), device=device)
 
     def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Append a sample (N, width) of each term; return a new row (N, sum of H * width).
-
-        Args:
-            samples: the new samples.
-            first: environments where the samples are the first of an episode: ids, a mask (N,) bool, or None.
-        """
+        """Append a sample (N, width) of each term; return a new row (N, sum of H * width)."""
         self.values = self.appended(samples, first)
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the row after ``append`` without storing it. With fewer samples, only the first terms are included."""
+        """Return the row after ``append`` without storing the row. With fewer samples, return only the first terms."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -108,7 +86,7 @@ class RowHistory:
             after.index_copy_(0, first, newest.index_select(1, self._fill[: after.shape[1]]))
         return after
 
-    def beginning(self, count: int) -> torch.Tensor:
+    def prefix(self, count: int) -> torch.Tensor:
         """Return a copy of the columns of the first ``count`` terms."""
         return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
@@ -118,13 +96,7 @@ class RowHistory:
 
 
 class RowHistoryPart:
-    """The history of one term in a row. Its state is the same as that of a ``HistoryBuffer``.
-
-    Args:
-        row: the row.
-        span: its columns.
-        width: width of one sample.
-    """
+    """The history of one term in a ``RowHistory``. The state dict has the form of a ``HistoryBuffer``'s state dict."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
@@ -135,17 +107,15 @@ class RowHistoryPart:
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the samples."""
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self._row.values = self._row.values.clone()  # a row that was returned before must not change
+        self._row.values = self._row.values.clone()  # the caller may still refer to the old row
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 
 def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return the buffer that delays samples (N, ...) of a term by its field ``delay``, or None without a delay."""
+    """Return the buffer that delays samples (N, ...) of a term by the field ``delay`` of the term, or None."""
     low, high = term.fields.get("delay") or (0, 0)
     if high == 0:
         return None

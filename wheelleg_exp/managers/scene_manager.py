@@ -20,24 +20,13 @@ from wheelleg_exp.terms.config_sections import read_section
 
 
 class SceneManager:
-    """The scene, built from the config.
+    """The scene, built from the composed ``env`` section and the robot's MJCF file.
 
-    Args:
-        cfg: the composed ``env`` section.
-        mjcf: the robot's MJCF file.
-        num_envs: number of environments.
-        stream: returns the random stream of a config path; None for a scene that is only read.
-
-    Raises:
-        ConfigError: a section has a missing, an unknown, or a wrong key, or a node is wrong.
+    ``stream`` returns the random stream of a config path. ``stream`` is None for a scene that is only inspected.
     """
 
     def __init__(
-        self,
-        cfg: Mapping[str, Any],
-        mjcf: Path,
-        num_envs: int,
-        stream: Callable[[str], torch.Generator] | None = None,
+        self, cfg: Mapping[str, Any], mjcf: Path, num_envs: int, stream: Callable[[str], torch.Generator] | None = None
     ) -> None:
         sim = read_section(SimOptions, cfg["sim"], "env.sim")
         scene = read_section(SceneOptions, cfg["scene"], "env.scene")
@@ -75,7 +64,6 @@ def _built(nodes: Mapping[str, Any], path: str, kind: type) -> dict[str, Any]:
     built = {name: build(node, f"{path}.{name}") for name, node in nodes.items() if node is not None}
     for name, value in built.items():
         if not isinstance(value, kind):
-            raise ConfigError(
-                f"is not a {kind.__name__}", key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}"
-            )
+            message = f"'{type(value).__name__}' is not a {kind.__name__}"
+            raise ConfigError(message, key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}")
     return built

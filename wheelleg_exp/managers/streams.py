@@ -19,12 +19,7 @@ def stream_seed(seed: int, path: str) -> int:
 
 
 class Streams(Kept):
-    """The random streams of one environment.
-
-    Args:
-        seed: the run's seed.
-        device: where the draws are made.
-    """
+    """The random streams of one environment, made from the seed of the run."""
 
     def __init__(self, seed: int, device: torch.device | str = "cpu") -> None:
         self._seed = seed
@@ -32,7 +27,7 @@ class Streams(Kept):
         self._generators: dict[str, NamedStream] = {}
 
     def get(self, path: str) -> torch.Generator:
-        """Return the generator of the stream named by a term's config path."""
+        """Return the generator of the stream that a term's config path names."""
         if path not in self._generators:
             self._generators[path] = NamedStream(self._device)
             self._generators[path].manual_seed(stream_seed(self._seed, path))
@@ -49,20 +44,18 @@ class Streams(Kept):
             generator.manual_seed(stream_seed(seed, path))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the seed and the state of each stream by name."""
         generators = {path: generator.get_state() for path, generator in sorted(self._generators.items())}
         return {"seed": self._seed, "generators": generators}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self.reseed(saved["seed"])  # restarts streams that did not exist when the state was saved
+        self.reseed(saved["seed"])  # a stream that is missing in the saved state starts from the seed
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 
 
 @contextmanager
 def lent(generator: torch.Generator | None) -> Iterator[None]:
-    """Use a stream as torch's global generator of its device, within the body."""
+    """Use a random stream as torch's global generator of the stream's device, within the ``with`` block."""
     if generator is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Interface for terms: the environment as terms see it, members of the scene, and named ranges."""
+"""The interface of terms: the environment as terms see it, members of the scene, and named ranges."""
 
 from __future__ import annotations
 
@@ -26,21 +26,18 @@ if TYPE_CHECKING:
 
 
 class Env(Protocol):
-    """The environment as terms see it; names and meanings are Isaac Lab's.
+    """The interface of the environment that terms use. Names and meanings are Isaac Lab's.
 
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
         num_envs: number of environments, N.
-        device: where all tensors are.
         physics_dt: physics step, s.
         step_dt: control step, s.
         max_episode_length_s: longest episode, s.
         max_episode_length: longest episode, control steps.
         episode_length_buf: control steps of each present episode, (N,) long.
         common_step_counter: control steps since construction.
-        scene: ground, robot and sensors.
-        streams: the named random streams.
-        observers: called in every step after the rewards and before the resets.
+        observers: functions called in every step after the rewards and before the resets.
     """
 
     cfg: Any
@@ -99,37 +96,27 @@ class SceneEntityCfg:
     preserve_order: bool = False
 
     def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
-        """Find the indices in the scene.
-
-        Args:
-            scene: the scene.
-            path: config key of this entity, for messages.
-
-        Raises:
-            ConfigError: no such member, or an expression matches nothing.
-        """
+        """Find the indices of joints and bodies in the scene. ``path`` is the config key of this entity."""
         entity = member(scene, self.name, f"{path}.name")
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
                 raise ConfigError(f"'{self.name}' has no joints", key=f"{path}.joint_names", expected="body_names only")
-            found = entity.find_joints(
-                _listed(self.joint_names), key=f"{path}.joint_names", preserve_order=self.preserve_order
-            )
-            self.joint_ids, self.joint_names = torch.tensor(found[0], device=scene.device), found[1]
+            names, key = _listed(self.joint_names), f"{path}.joint_names"
+            ids, self.joint_names = entity.find_joints(names, key=key, preserve_order=self.preserve_order)
+            self.joint_ids = torch.tensor(ids, device=scene.device)
         if self.body_names is not None:
-            found = entity.find_bodies(
-                _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
-            )
-            self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
+            names, key = _listed(self.body_names), f"{path}.body_names"
+            ids, self.body_names = entity.find_bodies(names, key=key, preserve_order=self.preserve_order)
+            self.body_ids = torch.tensor(ids, device=scene.device)
         self.joint_ids = _indices(self.joint_ids, len(getattr(entity, "joint_names", ())), scene.device)
         self.body_ids = _indices(self.body_ids, len(getattr(entity, "body_names", ())), scene.device)
         self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
         for name in ("fixed_tendon_names", "object_collection_names"):
             if getattr(self, name) is not None:
-                raise ConfigError(f"'{self.name}' does not support this", key=f"{path}.{name}", expected="null")
+                raise ConfigError(f"'{self.name}' does not support '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the bodies, out of ``count``. After ``resolve``, the host does not wait for a GPU."""
+        """Return the indices of the selected bodies. After ``resolve``, the host does not wait for a GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
@@ -142,12 +129,8 @@ class SceneEntityCfg:
 def member(scene: Scene, name: str, key: str) -> Any:
     """Return a member of the scene by name; raise ConfigError at ``key`` if it does not exist."""
     if name not in list(scene):
-        raise ConfigError(
-            f"the scene has no '{name}'",
-            key=key,
-            expected="one of " + ", ".join(scene),
-            nearest=nearest_name(name, scene),
-        )
+        known, nearest = "one of " + ", ".join(scene), nearest_name(name, scene)
+        raise ConfigError(f"the scene has no '{name}'", key=key, expected=known, nearest=nearest)
     return scene[name]
 
 
@@ -171,11 +154,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return lower and upper bounds (k,) of named ranges on a device; the range of a missing axis is (0, 0).
-
-    Raises:
-        ConfigError: an axis is unknown or a range is not two numbers in order.
-    """
+    """Return lower and upper bounds (k,) of named ranges on a device; the range of a missing axis is (0, 0)."""
     require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
     return pairs[:, 0], pairs[:, 1]

@@ -1,13 +1,13 @@
 """Action terms: the targets that a policy's output sets.
 
-Raw actions become targets by scale, then offset, then clip. A term's ``delay`` (a field of the manager) makes its
-targets act some physics steps later.
+An action term scales the raw action, adds the offset, and clips the sum; the result is the target. The field ``delay``
+of a term delays its targets by some physics steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -19,7 +19,7 @@ from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 
 
 class JointTerm(ActionTerm):
-    """Base class of actions on joints.
+    """Base class of actions on joints. ``drives`` names the kind of joint target: position, velocity, or effort.
 
     Args:
         joint_names: expressions of the driven joints.
@@ -47,33 +47,32 @@ class JointTerm(ActionTerm):
         )
         self.action_dim = len(indices) if width is None else width
         self._ids = narrowed(indices, env.device)
-        self._low, self._high = self._bounds(clip)
+        bounds = None if clip is None else self._spread(clip, (-torch.inf, torch.inf), "clip")
+        self._low: torch.Tensor | None
+        self._high: torch.Tensor | None
+        self._low, self._high = (None, None) if bounds is None else (bounds[:, 0], bounds[:, 1])
         self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
         self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero the raw actions of ``env_ids``; processed actions stay, as in Isaac Lab."""
+        """Zero the raw actions of ``env_ids``. The processed actions do not change, as in Isaac Lab."""
         self.raw_actions.index_fill_(0, env_ids, 0.0)
+
+    def _set_targets(self) -> None:
+        set_target = getattr(self._robot, f"set_joint_{self.drives}_target")
+        set_target(self.processed_actions, self._ids)
 
     def _clip(self) -> None:
         if self._low is not None:
             torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
 
-    def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
+    def _spread(self, values: Any, default: Any, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
         return torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
 
-    def _bounds(self, clip: Mapping[str, Bounds] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-        if clip is None:
-            return None, None
-        none = (-torch.inf, torch.inf)
-        spread = values_by_name(clip, self.joint_names, none, key="clip", what="joint")
-        bounds = torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
-        return bounds[:, 0], bounds[:, 1]
-
 
 class JointAction(JointTerm):
-    """An affine action on joints: ``processed = clip(raw * scale + offset)``.
+    """An affine action on joints, ``processed = clip(raw * scale + offset)``.
 
     Args:
         scale: factor on the raw action; a number, or one by joint expression.
@@ -102,16 +101,16 @@ class JointAction(JointTerm):
         self._clip()
 
     def raw_for(self, processed: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions (N, action_dim) whose processed actions are the given ones, without clipping."""
+        """Return the raw actions (N, action_dim) that give the processed actions (N, J), without clipping."""
         return (processed - self._offset) / self._scale
 
 
 class _DefaultOffsetAction(JointAction):
-    """A joint action whose offset can be the joints' default, and whose targets are constant in a control step."""
+    """A joint action whose offset can be the joints' default positions or velocities."""
 
     @property
     def applies_once(self) -> bool:
-        """Whether targets are set once per control step; a user-defined subclass may set them at each physics step."""
+        """Whether targets are set once per control step; a user-defined subclass may set targets more often."""
         return type(self).__module__ == __name__
 
     def __init__(
@@ -127,11 +126,9 @@ class _DefaultOffsetAction(JointAction):
     ) -> None:
         super().__init__(env, joint_names, scale, offset, clip, preserve_order, asset_name)
         if use_default_offset:
-            self._offset.copy_(self.default()[:, self._ids])
-
-    def default(self) -> torch.Tensor:
-        """Return the offset of ``use_default_offset``, (N, J)."""
-        raise NotImplementedError
+            data = self._robot.data
+            default = data.default_joint_pos if self.drives == "position" else data.default_joint_vel
+            self._offset.copy_(default[:, self._ids])
 
 
 class JointPositionAction(_DefaultOffsetAction):
@@ -140,22 +137,16 @@ class JointPositionAction(_DefaultOffsetAction):
     Args:
         scale: rad per unit of action.
         offset: rad; ignored with ``use_default_offset``.
-        clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
+        clip: bounds of the target, not of the raw action, by joint expression, rad.
         use_default_offset: use the default joint positions as the offset.
     """
 
     drives = "position"
-
-    def default(self) -> torch.Tensor:
-        """Return the default joint positions, (N, J)."""
-        return self._robot.data.default_joint_pos
-
-    def apply_actions(self) -> None:
-        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+    apply_actions = JointTerm._set_targets
 
 
 class RelativeJointPositionAction(JointAction):
-    """Position targets relative to the present joint positions, which are read at each physics step.
+    """Position targets relative to the current joint positions, which are read at each physics step.
 
     Args:
         scale: rad per unit of action.
@@ -187,23 +178,17 @@ class RelativeJointPositionAction(JointAction):
 
 
 class JointVelocityAction(_DefaultOffsetAction):
-    """Velocity targets, rad/s, which are also clipped to the actuator's velocity limit.
+    """Velocity targets of joints, rad/s. The targets are also clipped to the actuator's velocity limit.
 
     Args:
         scale: rad/s per unit of action.
         offset: rad/s; ignored with ``use_default_offset``.
-        clip: bounds of the target by joint expression, rad/s. It bounds the target, not the raw action.
+        clip: bounds of the target, not of the raw action, by joint expression, rad/s.
         use_default_offset: use the default joint velocities as the offset.
     """
 
     drives = "velocity"
-
-    def default(self) -> torch.Tensor:
-        """Return the default joint velocities, (N, J)."""
-        return self._robot.data.default_joint_vel
-
-    def apply_actions(self) -> None:
-        self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
+    apply_actions = JointTerm._set_targets
 
 
 class JointEffortAction(JointAction):
@@ -216,26 +201,22 @@ class JointEffortAction(JointAction):
     """
 
     drives = "effort"
-
-    def apply_actions(self) -> None:
-        self._robot.set_joint_effort_target(self.processed_actions, self._ids)
+    apply_actions = JointTerm._set_targets
 
 
 class JointPositionToLimitsAction(JointTerm):
-    """Position targets: ``raw * scale``, clipped, then mapped from [-1, 1] to the joints' soft limits.
+    """Position targets: the clipped ``raw * scale`` is mapped from [-1, 1] to the joints' soft limits.
 
-    Unlike Isaac Lab's term, ``preserve_order`` also works for a term of all joints.
+    Unlike in Isaac Lab's term, ``preserve_order`` also applies if the term drives all joints.
 
     Args:
         scale: factor on the raw action; a number, or one by joint expression.
         clip: bounds of the scaled action by joint expression, before the mapping to limits.
         rescale_to_limits: clamp to [-1, 1] and map to the soft limits; else the scaled action is the target, rad.
-
-    Raises:
-        ConfigError: ``rescale_to_limits`` is true, and a joint has no limits.
     """
 
     drives = "position"
+    apply_actions = JointTerm._set_targets
     settings = (*JointTerm.settings, "_scale")
 
     def __init__(
@@ -254,14 +235,10 @@ class JointPositionToLimitsAction(JointTerm):
         if rescale_to_limits and not torch.stack(self._limits()).isfinite().all():
             finite = torch.stack(self._limits()).isfinite().reshape(-1, self.action_dim).all(dim=0)
             free = [name for name, limited in zip(self.joint_names, finite.tolist(), strict=True) if not limited]
-            raise ConfigError(
-                f"{', '.join(free)} has no limits to map actions to",
-                key="joint_names",
-                expected="joints with limits, or rescale_to_limits: false",
-            )
+            message = f"{', '.join(free)} has no limits to map actions to"
+            raise ConfigError(message, key="joint_names", expected="joints with limits, or rescale_to_limits: false")
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, clip and map raw actions (N, J)."""
         self.raw_actions.copy_(actions)
         torch.mul(actions, self._scale, out=self.processed_actions)
         self._clip()
@@ -270,19 +247,16 @@ class JointPositionToLimitsAction(JointTerm):
             share = self.processed_actions.clamp(-1.0, 1.0)
             torch.addcmul((low + high) / 2, share, (high - low) / 2, out=self.processed_actions)
 
-    def apply_actions(self) -> None:
-        self._robot.set_joint_position_target(self.processed_actions, self._ids)
-
     def _limits(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the present soft limits, rad, (N, J) each."""
         low, high = self._robot.data.soft_joint_pos_limits[..., self._ids, :].unbind(dim=-1)
         return low, high
 
 
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
-    """A moving average of ``JointPositionToLimitsAction``: ``target = alpha * new + (1 - alpha) * last``.
+    """A moving average of ``JointPositionToLimitsAction``, ``target = alpha * new + (1 - alpha) * last``.
 
-    Targets are clamped to the soft limits. The first average of an episode starts from the joints' positions.
+    The joint targets are clamped to the joints' soft limits. The first average of an episode starts from the joint
+    positions.
 
     Args:
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
@@ -306,7 +280,6 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
         self._last = torch.zeros_like(self.processed_actions)
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, clip, map and average raw actions (N, J)."""
         super().process_actions(actions)
         average = torch.lerp(self._last, self.processed_actions, self._alpha)
         torch.clamp(average, *self._limits(), out=self.processed_actions)
@@ -318,15 +291,12 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
 
 
 class BinaryJointAction(JointTerm):
-    """One number for all joints: below 0 they close, otherwise they open.
+    """One number for all joints: the joints close if the number is below 0, otherwise they open.
 
     Args:
         open_command_expr: target of each joint when open, by joint expression.
         close_command_expr: target of each joint when closed, by joint expression.
         clip: bounds of the targets by joint expression.
-
-    Raises:
-        ConfigError: a joint lacks one of its two targets.
     """
 
     settings = (*JointTerm.settings, "_open", "_close")
@@ -351,7 +321,7 @@ class BinaryJointAction(JointTerm):
         self._clip()
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return which raw actions (N, 1) open."""
+        """Return whether each raw action (N, 1) opens the joints."""
         return ~(actions < 0.0)
 
     def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
@@ -361,25 +331,21 @@ class BinaryJointAction(JointTerm):
 
 
 class BinaryJointPositionAction(BinaryJointAction):
-    """One of two position targets, rad: below 0 the joints close, otherwise they open."""
+    """One of two position targets, rad: the joints close if the action is below 0, otherwise they open."""
 
     drives = "position"
-
-    def apply_actions(self) -> None:
-        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+    apply_actions = JointTerm._set_targets
 
 
 class BinaryJointVelocityAction(BinaryJointAction):
-    """One of two velocity targets, rad/s: below 0 the joints close, otherwise they open."""
+    """One of two velocity targets, rad/s: the joints close if the action is below 0, otherwise they open."""
 
     drives = "velocity"
-
-    def apply_actions(self) -> None:
-        self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
+    apply_actions = JointTerm._set_targets
 
 
 class AbsBinaryJointPositionAction(BinaryJointPositionAction):
-    """One of two position targets, rad, selected by a threshold.
+    """Select one of two joint position targets, rad, by a threshold on the raw action.
 
     Args:
         open_command_expr: target of each joint when open, rad, by joint expression.
@@ -405,5 +371,5 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
         self._threshold, self._positive = threshold, positive_threshold
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return which raw actions (N, 1) open."""
+        """Return whether each raw action (N, 1) opens the joints."""
         return actions > self._threshold if self._positive else actions < self._threshold

@@ -1,4 +1,4 @@
-"""Values by their address, such as ``rewards.alive.weight`` or ``commands.base_velocity.ranges.lin_vel_x[1]``."""
+"""Read and write settings of an environment by address, such as ``commands.base_velocity.ranges.lin_vel_x[1]``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,12 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# The settings of a manager that it reads at each use.
-_READ_ANEW = ("weight", "interval_range_s", "min_step_count_between_reset")
+# Managers read these settings of a term at each use. They read all other settings once.
+_READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
 def parse(address: str) -> tuple[Part, ...]:
-    """Split an address into names and indices: ``a.b[2].c`` is a, b, 2, c.
-
-    Raises:
-        ConfigError: the text is not an address.
-    """
+    """Split an address into names and indices: ``a.b[2].c`` becomes ('a', 'b', 2, 'c')."""
     parts: list[Part] = []
     for text in address.split("."):
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
@@ -34,11 +30,7 @@ def parse(address: str) -> tuple[Part, ...]:
 
 
 def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
-    """Return the value at an address below ``root``.
-
-    Raises:
-        ConfigError: the address does not exist.
-    """
+    """Return the value at an address below ``root``."""
     for part in parts:
         root = _below(root, part)
     return root
@@ -50,10 +42,9 @@ def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
-    """Set the value at an address; tuples on the way are replaced, and term objects update their arguments.
+    """Set the value at an address.
 
-    Raises:
-        ConfigError: the address does not exist, or nothing reads a new value there.
+    A tuple that contains the value is replaced, and term objects update their arguments.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -76,7 +67,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError if an address does not exist, or if nothing reads a new value there."""
+    """Raise ConfigError if an address does not exist, or if a new value at the address would not be read."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -85,7 +76,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # levels of an address in Isaac Lab, which terms here do not have
+        if part in ("func", "params"):  # levels that exist only in Isaac Lab
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -94,7 +85,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Isaac Lab's level ``cfg``: the terms are a manager's settings
+        return holder  # Isaac Lab's addresses contain ``cfg`` below a manager.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):
@@ -102,18 +93,14 @@ def _below(holder: Any, part: Part) -> Any:
 
 
 def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
-    """Return the owner of a part of a bound term: its manager's settings, its parameters, or the term object."""
+    """Return the owner of a part of a bound term: the fields of its manager, its parameters, or the term object."""
     if part in term.fields:
-        if to_write and part not in _READ_ANEW:
-            raise ConfigError(
-                f"'{part}' of '{term.name}' is read only once, when the environment is created",
-                key=_KEY,
-                expected="a parameter, or one of " + ", ".join(_READ_ANEW),
-            )
+        if to_write and part not in _READ_AT_EACH_USE:
+            message = f"'{part}' of '{term.name}' is read only once, when the environment is created"
+            expected = "a parameter, or one of " + ", ".join(_READ_AT_EACH_USE)
+            raise ConfigError(message, key=_KEY, expected=expected)
         return term.fields
-    if term.stateful is None:
-        return term.params
-    if part in term.params:
+    if term.stateful is None or part in term.params:
         return term.params
     return term.stateful if hasattr(term.stateful, str(part)) else term.arguments
 
@@ -127,7 +114,5 @@ def _absent(holder: Any, part: Part) -> ConfigError:
     elif not isinstance(holder, (list, tuple, torch.Tensor)):
         names = [name for name in vars(holder) if not name.startswith("_")] if hasattr(holder, "__dict__") else []
     what = f"of {len(holder)}" if isinstance(holder, (list, tuple)) else f"in a {type(holder).__name__}"
-    expected = "one of " + ", ".join(names) if names else None
-    return ConfigError(
-        f"there is no '{part}' {what}", key=_KEY, expected=expected, nearest=nearest_name(str(part), names)
-    )
+    expected, nearest = "one of " + ", ".join(names) if names else None, nearest_name(str(part), names)
+    return ConfigError(f"there is no '{part}' {what}", key=_KEY, expected=expected, nearest=nearest)

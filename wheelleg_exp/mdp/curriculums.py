@@ -1,4 +1,4 @@
-"""Curriculum terms: settings that change while a policy learns. Each term returns the state that is logged."""
+"""Curriculum terms: settings that change while a policy learns. Each curriculum term returns the values to log."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from wheelleg_exp.constraints import Count, Interval, Natural, NonNegative, NotE
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.config_address import Part, look_up, parse, passes_a_term, require_writable, write
+from wheelleg_exp.mdp.root_motion import level_velocity
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.terms.term_binding import resolve_target
 
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
-    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); return the present weight."""
-    del env_ids  # all environments share the step counter and the weight
+    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); return the current weight."""
+    del env_ids  # the step counter and the weight are common to all environments
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -40,14 +41,15 @@ _MANAGERS = {
 class modify_env_param(TermBase):
     """Call a function that changes the value at an address below the environment; log the value if it is a number.
 
-    The address is dotted, with ``[i]`` for lists: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``. The
-    changed value is saved and restored with the environment.
+    The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
+    The changed value is saved and restored with the environment.
 
     Args:
         address: address of the value.
-        modify_fn: dotted name of the function, or a node that builds it. Its arguments are the environment, the ids of
-            the environments that reset, the present value and ``modify_params``. It returns the new value, or
-            ``modify_env_param.NO_CHANGE``. ``wheelleg_exp.mdp.schedules`` has such functions.
+        modify_fn: dotted name of the function, or a node that builds the function, such as one of
+            ``wheelleg_exp.mdp.schedules``. The function receives the environment, the ids of the environments that
+            reset, the current value, and ``modify_params``. It returns the new value, or
+            ``modify_env_param.NO_CHANGE``.
         modify_params: further arguments of the function, by name.
     """
 
@@ -62,11 +64,10 @@ class modify_env_param(TermBase):
     ) -> None:
         self._env = env
         self._parts = self.parts_of(address)
-        self._modify = _function(modify_fn)
         self._params = dict(modify_params or {})
-        _require_arguments(self._modify, env, self._params)
+        self._modify = _function(modify_fn, env, self._params)
         require_writable(env, self._parts)
-        # A value inside a term is saved by that term.
+        # A term saves its own settings, so this curriculum saves only values outside of terms.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -79,14 +80,13 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy a value that may belong to modify_params: a list with two owners could not be restored.
+            # Copy the value: a list shared with modify_params could not be restored.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
         return float(present) if isinstance(present, (int, float)) else None
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the written value, unless a term saves it."""
         saves = self._has_written and not self._is_saved
         self._value = copy.deepcopy(look_up(self._env, self._parts)) if saves else None
         return super().state_dict()
@@ -101,34 +101,29 @@ class modify_term_cfg(modify_env_param):
     """Call a function that changes a setting of a term; see ``modify_env_param``.
 
     The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. It may contain Isaac Lab's level ``params``.
+    ``observations.policy.base_ang_vel.noise.n_max``. The address may contain Isaac Lab's level ``params``.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
         section, *rest = parse(address)
         if section not in _MANAGERS:
+            known, nearest = "one of " + ", ".join(_MANAGERS), nearest_name(str(section), _MANAGERS)
             raise ConfigError(
-                f"'{section}' is not a section of terms",
-                key="address",
-                expected="one of " + ", ".join(_MANAGERS),
-                nearest=nearest_name(str(section), _MANAGERS),
+                f"'{section}' is not a section with terms", key="address", expected=known, nearest=nearest
             )
         return (_MANAGERS[str(section)], *rest)
 
 
-def _function(given: str | Callable[..., Any]) -> Callable[..., Any]:
+def _function(given: Any, env: Env, params: Mapping[str, Any]) -> Callable[..., Any]:
     found = resolve_target(given, "modify_fn") if isinstance(given, str) else given
     if not callable(found):
         raise ConfigError(f"{given!r} cannot be called", key="modify_fn", expected="the dotted name of a function")
-    return found
-
-
-def _require_arguments(function: Callable[..., Any], env: Env, params: Mapping[str, Any]) -> None:
     try:
-        inspect.signature(function).bind(env, None, None, **params)
+        inspect.signature(found).bind(env, None, None, **params)
     except TypeError as error:
-        name = getattr(function, "__name__", type(function).__name__)
+        name = getattr(found, "__name__", type(found).__name__)
         raise ConfigError(f"'{name}': {error}", key="modify_params", expected="the arguments of modify_fn") from None
+    return found
 
 
 _ROBOT = SceneEntityCfg("robot")
@@ -137,11 +132,11 @@ _ROBOT = SceneEntityCfg("robot")
 def terrain_levels_vel(
     env: Env, env_ids: torch.Tensor, asset_cfg: SceneEntityCfg = _ROBOT, command_name: str = "base_velocity"
 ) -> torch.Tensor:
-    """Move robots to harder or easier tiles by their distance in the episode that ends; return the mean level.
+    """Move robots to harder or easier terrain tiles by the distance covered in an episode; return the mean level.
 
-    A robot moves up if it is further from the tile's centre than half the tile's edge along x. It moves down if it has
-    covered less than half of the distance that its last command demands in a full-length episode. Ground without tiles
-    has no levels.
+    A robot moves to a harder tile if its distance from the tile's centre exceeds half the tile's length along x. A
+    robot moves to an easier tile if it covered less than half of the distance that its last command demands in a
+    full-length episode. Ground without tiles has no levels.
     """
     terrain = env.scene.terrain
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
@@ -153,13 +148,36 @@ def terrain_levels_vel(
     return terrain.terrain_levels.float().mean()
 
 
-class command_range_levels(TermBase):
-    """Widen the ranges of a command each time that robots have followed it well; return the upper bounds.
+def _ranges(env: Env, command_name: str) -> dict[str, Any]:
+    """Return the ranges [low, high] of a command by axis; empty if the command has no ranges."""
+    ranges: dict[str, Any] = getattr(env.command_manager.get_term(command_name), "ranges", {})
+    return ranges
 
-    The sums of a tracking reward over finished episodes are compared with the sum of a perfect robot in a full-length
-    episode, so that early falls count. The mean is evaluated at most once per full episode length. If it is above
-    ``threshold``, every range grows by ``step`` on both sides, up to ``limit_ranges``. Not in Isaac Lab's library;
-    other projects call it ``lin_vel_cmd_levels`` and ``ang_vel_cmd_levels``.
+
+_Limits = dict[str, tuple[float, float]]
+
+
+def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits) -> Iterator[ConfigError]:
+    """Yield an error for each limited axis whose range in the command is missing or exceeds the limit."""
+    for axis, (lowest, highest) in limits.items():
+        key, pair = f"limit_ranges.{axis}", ranges.get(axis)
+        if pair is None:
+            expected = "one of " + ", ".join(ranges) if ranges else "a command with such ranges"
+            message, nearest = f"'{command_name}' has no range '{axis}'", nearest_name(axis, ranges)
+            yield ConfigError(message, key=key, expected=expected, nearest=nearest)
+        elif pair[0] < lowest or pair[1] > highest:
+            first = f"{list(pair)} of '{command_name}'"
+            yield ConfigError(f"{first} is beyond {[lowest, highest]}", key=key, expected=f"a range around {first}")
+
+
+class command_range_levels(TermBase):
+    """Widen the ranges of a command whenever the robots track the command well; return the upper bounds.
+
+    The sums of a tracking reward over finished episodes are divided by the sum that perfect tracking gives in a
+    full-length episode, so that early falls lower the ratio. The mean ratio is evaluated at most once per full episode
+    length. If the mean ratio is above ``threshold``, every range grows by ``step`` on both sides, up to
+    ``limit_ranges``. Isaac Lab's library does not have this term; some projects name it ``lin_vel_cmd_levels`` or
+    ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
@@ -185,13 +203,13 @@ class command_range_levels(TermBase):
         self._count = 0
         self._looked_at = 0
         env.reward_manager.episode_sums(reward_term_name)
-        for error in self._mistakes(env):
+        for error in _range_errors(command_name, _ranges(env, command_name), self._limits):
             raise error
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
         self._sum += env.reward_manager.episode_sums(self._reward)[env_ids].sum()
         self._count += len(env_ids)
-        ranges = self._ranges(env)
+        ranges = _ranges(env, self._command)
         if env.common_step_counter - self._looked_at >= env.max_episode_length:
             perfect = float(env.reward_manager.get_term_cfg(self._reward).fields["weight"]) * env.max_episode_length_s
             if float(self._sum) > self._threshold * perfect * self._count:
@@ -202,45 +220,25 @@ class command_range_levels(TermBase):
             self._count, self._looked_at = 0, env.common_step_counter
         return {axis: ranges[axis][1] for axis in self._limits}
 
-    def _ranges(self, env: Env) -> dict[str, Any]:
-        ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
-        return ranges
-
-    def _mistakes(self, env: Env) -> Iterator[ConfigError]:
-        """Yield an error for each axis that has no range in the command, or a range beyond its limit."""
-        ranges = self._ranges(env)
-        for axis, (lowest, highest) in self._limits.items():
-            key, pair = f"limit_ranges.{axis}", ranges.get(axis)
-            if pair is None:
-                known = ", ".join(ranges) or "nothing: the command has no ranges"
-                yield ConfigError(
-                    f"'{self._command}' has no range '{axis}'",
-                    key=key,
-                    expected=f"one of {known}",
-                    nearest=nearest_name(axis, ranges),
-                )
-            elif pair[0] < lowest or pair[1] > highest:
-                first = f"{list(pair)} of '{self._command}'"
-                yield ConfigError(f"{first} is beyond {[lowest, highest]}", key=key, expected=f"a range around {first}")
-
 
 lin_vel_cmd_levels = command_range_levels
 ang_vel_cmd_levels = command_range_levels
 
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # of a velocity command, in its order
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # components of a velocity command, in order
 
 
 class command_levels_by_skill(TermBase):
-    """Widen the ranges of a velocity command on the axes that robots follow with skill; return upper bounds and skills.
+    """Widen the ranges of a velocity command on the axes that robots track well; return upper bounds and skills.
 
     Each axis is evaluated separately over at least ``min_episodes`` finished episodes, using only steps with a command
     on that axis. The skill is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e,
-    and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. S is 0 for standing
-    still and 1 for perfect tracking, for any ranges and std. A failed episode counts as a full-length episode that
-    scores nothing after the failure. After ``passes`` evaluations in a row with S >= ``threshold`` the range grows by
-    ``step`` on both sides, and episodes that started earlier no longer count. If a range below its limit has not grown
-    in ``patience`` evaluations, ``<axis>_stuck`` is 1, and training warns.
+    and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. The skill S is 0
+    for a robot that stands still and 1 for perfect tracking, for any ranges and std. A failed episode counts as a
+    full-length episode with a score of 0 after the failure. After ``passes`` evaluations in a row with S >=
+    ``threshold`` the range grows by ``step`` on both sides, and later evaluations ignore episodes that started before
+    this growth. If a range has not reached its limit and has not grown in ``patience`` evaluations, the log value
+    ``<axis>_stuck`` is 1, and training warns.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -252,7 +250,6 @@ class command_levels_by_skill(TermBase):
         passes: number of passed evaluations in a row before a range grows.
         patience: number of evaluations without growth after which an axis is stuck.
         command_threshold: m/s or rad/s; smaller commands do not count.
-        asset_cfg: the robot.
     """
 
     def __init__(
@@ -271,8 +268,14 @@ class command_levels_by_skill(TermBase):
     ) -> None:
         self._env, self._command, self._asset = env, command_name, asset_cfg.name
         self._limits = {axis: (float(low), float(high)) for axis, (low, high) in limit_ranges.items()}
-        for error in self._mistakes(env, {"std": std, "step": step}):
+        ranges = {axis: pair for axis, pair in _ranges(env, command_name).items() if axis in _AXES}
+        for error in _range_errors(command_name, ranges, self._limits):
             raise error
+        for name, values in (("std", std), ("step", step)):
+            for axis in (axis for axis in self._limits if axis not in values):
+                raise ConfigError(
+                    f"{name} has no value for the axis '{axis}'", key=f"{name}.{axis}", expected="a number above 0"
+                )
         self._names = tuple(self._limits)
         self._columns = [_AXES.index(axis) for axis in self._names]
         self._variances = tuple(float(std[axis]) ** 2 for axis in self._names)
@@ -280,9 +283,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        self._sums = torch.zeros(shape, device=env.device)  # score, still and steps of the present episodes
-        self._total = torch.zeros(shape[:2], device=env.device)  # of those that have ended
-        self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)  # begun since the last growth
+        self._sums = torch.zeros(shape, device=env.device)  # score, still, and steps of the running episodes
+        self._total = torch.zeros(shape[:2], device=env.device)  # sums over the finished episodes
+        # Only episodes that started after the last growth of a range count.
+        self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
         self._idle = dict.fromkeys(self._names, 0)
@@ -307,24 +311,24 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # a failed episode scores nothing in its missing steps
+        sums[1:] *= rest  # the score is 0 in the missing steps of a failed episode
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
         self._ended += int(counted.sum())
         if self._ended >= self._least:
             self._judge(env)
-        ranges = self._ranges(env)
+        ranges = _ranges(env, self._command)
         highs = {axis: float(ranges[axis][1]) for axis in self._names}
         skills = {f"{axis}_skill": self._skill[axis] for axis in self._names}
         stuck = {f"{axis}_stuck": float(self._idle[axis] >= self._patience) for axis in self._names}
         return highs | skills | stuck
 
     def _judge(self, env: Env) -> None:
-        ranges, grown = self._ranges(env), False
+        ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no environment had a command on this axis
+            if steps - still <= 0.0:  # no environment had a command on the axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -340,38 +344,17 @@ class command_levels_by_skill(TermBase):
         self._total.zero_()
         self._ended = 0
 
-    def _ranges(self, env: Env) -> dict[str, Any]:
-        ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
-        return ranges
-
-    def _mistakes(self, env: Env, by_axis: Mapping[str, Mapping[str, float]]) -> Iterator[ConfigError]:
-        """Yield an error for each axis without a range, std or step, and for each range beyond its limit."""
-        ranges = self._ranges(env)
-        known = [axis for axis in _AXES if axis in ranges]
-        for axis, (lowest, highest) in self._limits.items():
-            key = f"limit_ranges.{axis}"
-            if axis not in known:
-                expected = f"one of {', '.join(known)}" if known else "a command with ranges of velocities"
-                message = f"'{self._command}' has no range '{axis}'"
-                yield ConfigError(message, key=key, expected=expected, nearest=nearest_name(axis, known))
-            elif ranges[axis][0] < lowest or ranges[axis][1] > highest:
-                first = f"{list(ranges[axis])} of '{self._command}'"
-                message = f"{first} is beyond {[lowest, highest]}"
-                yield ConfigError(message, key=key, expected=f"a range around {first}")
-            for name, values in by_axis.items():
-                if axis not in values:
-                    yield ConfigError("is missing", key=f"{name}.{axis}", expected="a number above 0")
-
 
 class terrain_levels_by_distance(TermBase):
-    """Move each robot to harder or easier tiles by the distance that it covered along its commands; return the levels.
+    """Move robots to harder or easier terrain tiles by the distance covered along their commands; return the levels.
 
     The covered distance of an episode is the integral of the velocity (level axes that turn with the robot) projected
-    on the command's direction. It is divided by the commanded distance. If an episode fails, the commanded distance is
-    extrapolated to a full-length episode. A robot moves up if the ratio reaches ``up``, and down if it is at most
-    ``down``. A robot with a commanded distance below ``min_distance`` stays, or moves down if it failed. Above the
-    hardest row a robot continues in a random row. Ground without tiles has no levels. ``stuck`` is 1, and training
-    warns, if the mean level is in the lower half and has not increased for ``patience`` full-length episodes.
+    on the command's direction. The covered distance is divided by the commanded distance. If an episode fails, the
+    commanded distance is extrapolated to a full-length episode. A robot moves to a harder tile if the ratio is at least
+    ``up``, and to an easier tile if the ratio is at most ``down``. A robot with a commanded distance below
+    ``min_distance`` does not move, except to an easier tile after a failed episode. A robot that passes the hardest row
+    moves to a random row. Ground without tiles has no levels. The log value ``stuck`` is 1, and training warns, if the
+    mean level is in the lower half and has not increased for ``patience`` full-length episodes.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.
@@ -379,7 +362,6 @@ class terrain_levels_by_distance(TermBase):
         down: largest share with which it moves down.
         min_distance: m, shortest commanded distance of an episode that counts.
         patience: full-length episodes without an increase of the mean level.
-        asset_cfg: the robot.
     """
 
     def __init__(
@@ -393,7 +375,7 @@ class terrain_levels_by_distance(TermBase):
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
         if down >= up:
-            raise ConfigError(f"is {down:g}", key="down", expected=f"less than up, {up:g}")
+            raise ConfigError(f"down is {down:g}", key="down", expected=f"less than up, {up:g}")
         env.command_manager.get_term(command_name)
         self._env, self._command, self._asset = env, command_name, asset_cfg.name
         self._up, self._down, self._least, self._patience = up, down, min_distance, patience
@@ -404,19 +386,14 @@ class terrain_levels_by_distance(TermBase):
 
     def observe(self) -> None:
         """Add this step to the sums of the present episodes."""
-        data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)[:, :2]
         speed = torch.linalg.vector_norm(command, dim=1)
-        cos, sin = torch.cos(data.heading_w), torch.sin(data.heading_w)
-        velocity = data.root_lin_vel_w
-        forwards = cos * velocity[:, 0] + sin * velocity[:, 1]
-        sideways = cos * velocity[:, 1] - sin * velocity[:, 0]
+        forwards, sideways = level_velocity(self._env.scene[self._asset].data)
         along = (command[:, 0] * forwards + command[:, 1] * sideways) / speed.clamp(min=1e-9)
         self._commanded += speed * self._env.step_dt
         self._covered += torch.where(speed > 0.0, along, 0.0) * self._env.step_dt
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float | torch.Tensor]:
-        """Move the robots whose episodes end to other tiles."""
         terrain = env.scene.terrain
         length = env.episode_length_buf[env_ids]
         lived = length > 0

@@ -1,4 +1,4 @@
-"""Modifiers of observations, applied before noise."""
+"""Modifiers that transform an observation before noise is added."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
-    """A function of the observation, possibly with a memory; its attributes are saved automatically."""
+    """A function of an observation. Its attributes can store past values, and are saved in checkpoints."""
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate the memory for observations of the sample's shape."""
+        """Allocate tensors for past values, in the shape of the sample."""
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         raise NotImplementedError
@@ -26,7 +26,7 @@ class Modifier(Stateful):
 
 
 class Scale(Modifier):
-    """Multiply by ``multiplier``."""
+    """Multiply an observation by ``multiplier``."""
 
     def __init__(self, multiplier: float) -> None:
         self._multiplier = multiplier
@@ -36,7 +36,7 @@ class Scale(Modifier):
 
 
 class Bias(Modifier):
-    """Add ``value``."""
+    """Add ``value`` to an observation."""
 
     def __init__(self, value: float) -> None:
         self._value = value
@@ -46,7 +46,7 @@ class Bias(Modifier):
 
 
 class Clip(Modifier):
-    """Clip to ``bounds``."""
+    """Clip an observation to ``bounds``."""
 
     def __init__(self, bounds: Bounds) -> None:
         self._bounds = (float(bounds[0]), float(bounds[1]))
@@ -55,12 +55,12 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
-# Isaac Lab's names for these three modifiers.
+# The second names of Scale, Bias, and Clip are Isaac Lab's.
 scale, bias, clip = Scale, Bias, Clip
 
 
 class DigitalFilter(Modifier):
-    """y_i = sum_{j>=0} B_j x_{i-j} - sum_{k>=1} A_k y_{i-k}.
+    """Apply a digital filter: y_i = sum_{j>=0} B_j x_{i-j} - sum_{k>=1} A_k y_{i-k}.
 
     Args:
         A: feedback coefficients A_1, A_2, ...
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # in a tuple, because tensor attributes are saved as memory
+        self._coefficients = (feedback, forward)  # a tuple, because tensor attributes are saved as state
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
@@ -93,7 +93,7 @@ class DigitalFilter(Modifier):
 
 
 class Integrator(Modifier):
-    """Trapezoidal integral: I += (x + x_previous) / 2 * dt.
+    """Integrate an observation by the trapezoidal rule: I += (x + x_previous) / 2 * dt.
 
     Args:
         dt: time between two observations, s.

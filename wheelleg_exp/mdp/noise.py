@@ -23,7 +23,7 @@ def _apply(value: torch.Tensor, drawn: torch.Tensor | float, operation: Operatio
 
 @dataclass
 class ConstantNoise:
-    """A constant ``bias``."""
+    """Noise that is a constant ``bias``."""
 
     bias: float = 0.0
     operation: Operation = "add"
@@ -41,22 +41,20 @@ def _ordered(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(_ordered)
 @dataclass
 class UniformNoise:
-    """U(n_min, n_max) per component."""
+    """Uniform noise U(n_min, n_max) per component."""
 
     n_min: float = -1.0
     n_max: float = 1.0
     operation: Operation = "add"
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        drawn = self.n_min + (self.n_max - self.n_min) * torch.rand(
-            value.shape, generator=generator, device=value.device
-        )
-        return _apply(value, drawn, self.operation)
+        u = torch.rand(value.shape, generator=generator, device=value.device)
+        return _apply(value, self.n_min + (self.n_max - self.n_min) * u, self.operation)
 
 
 @dataclass
 class GaussianNoise:
-    """N(mean, std^2) per component."""
+    """Gaussian noise N(mean, std^2) per component."""
 
     mean: float = 0.0
     std: NonNegative = 1.0
@@ -100,14 +98,12 @@ class NoiseModelWithAdditiveBias:
         return self._noise(value, generator) + self._bias
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
-        """Draw new biases for ``env_ids``."""
-        if self._bias is not None:  # assign a new tensor: the old one may have been created in inference mode
+        # Assign a new tensor, because a tensor that was created in inference mode cannot be changed in place.
+        if self._bias is not None:
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the biases."""
         return {"bias": None if self._bias is None else self._bias.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
         self._bias = None if saved["bias"] is None else saved["bias"].clone()

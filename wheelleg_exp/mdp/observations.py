@@ -12,6 +12,7 @@ from wheelleg_exp.constraints import NonNegative, NotEmpty, Positive
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
+from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import picked
 
@@ -24,9 +25,8 @@ def base_pos_z(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def base_height(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Height of the root link above the ground below it, m; not in Isaac Lab."""
-    position = env.scene[asset_cfg.name].data.root_pos_w
-    return (position[:, 2] - env.scene.terrain.height_at(position[:, :2])).unsqueeze(1)
+    """Height of the root link above the ground, m. Isaac Lab does not have this term."""
+    return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w).unsqueeze(1)
 
 
 def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -35,7 +35,7 @@ def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def base_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Angular velocity of the root link in its own axes, rad/s."""
+    """Angular velocity of the root link in link axes, rad/s."""
     return env.scene[asset_cfg.name].data.root_ang_vel_b
 
 
@@ -50,9 +50,8 @@ def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Ten
 
 
 def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Roll and pitch of the root link, rad, of R = Rz(yaw) Ry(pitch) Rx(roll); not in Isaac Lab."""
-    x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
-    return torch.stack((torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))), dim=1)
+    """Roll and pitch of the root link, rad, with R = Rz(yaw) Ry(pitch) Rx(roll). Isaac Lab does not have this term."""
+    return torch.stack(roll_pitch(env.scene[asset_cfg.name].data), dim=1)
 
 
 def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -83,7 +82,10 @@ def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = Tru
 
 
 def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
-    """Joint positions (as ``joint_pos``) minus their defaults, rad. A wheel's angle grows without bound."""
+    """Joint positions (as ``joint_pos``) minus their defaults, rad.
+
+    The angle of a rolling wheel grows without bound.
+    """
     data = env.scene[asset_cfg.name].data
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
 
@@ -100,11 +102,8 @@ class joint_pos_limit_normalized(TermBase):
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
         self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
         if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():
-            raise ConfigError(
-                "the position of a joint without limits cannot be normalised",
-                key="asset_cfg.joint_names",
-                expected="limited joints",
-            )
+            message = "the position of a joint without limits cannot be normalised"
+            raise ConfigError(message, key="asset_cfg.joint_names", expected="limited joints")
 
     def __call__(self, env: Env) -> torch.Tensor:
         del env
@@ -113,7 +112,7 @@ class joint_pos_limit_normalized(TermBase):
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sines, then cosines, of the joint positions, which are bounded also for wheels."""
+    """Sines of all joint positions, followed by the cosines. Both are bounded also for wheels."""
     angle = joint_pos(env, asset_cfg)
     return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
 
@@ -162,9 +161,9 @@ _CAMERA = SceneEntityCfg("tiled_camera")
 
 
 def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
-    """Height of a ray caster above the hits of its rays, minus ``offset``, m, (N, rays).
+    """Height of a ray caster above the hit point of each ray, minus ``offset``, m, (N, rays).
 
-    A ray that misses gives minus infinity, so the observation needs a ``clip``.
+    The value is minus infinity for a ray that hits nothing, so the observation needs a ``clip``.
     """
     data = env.scene[sensor_cfg.name].data
     return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
@@ -197,12 +196,12 @@ def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative =
 
 
 def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Net normal contact forces, N, world axes, body by body, (N, 3 B); not in Isaac Lab."""
+    """Net normal contact forces, N, world axes, body by body, (N, 3 B). Isaac Lab does not have this term."""
     return picked(env.scene[sensor_cfg.name].data.net_forces_w, sensor_cfg.body_ids).flatten(1)
 
 
 def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Time that each body has been in the air, s, 0 in contact; not in Isaac Lab."""
+    """Time since each body lost contact, s; 0 in contact. Isaac Lab does not have this term."""
     return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
 
 
@@ -216,7 +215,6 @@ def image(
     """Image of a camera, (N, height, width, channels).
 
     Args:
-        env: the environment.
         sensor_cfg: the camera.
         data_type: kind of the image: ``rgb``, ``depth``, ``distance_to_camera``, ...
         convert_perspective_to_orthogonal: convert ``distance_to_camera`` to distances along the camera's axis.
@@ -225,12 +223,9 @@ def image(
     """
     data = env.scene[sensor_cfg.name].data
     if data_type not in data.output:
-        raise ConfigError(
-            f"the sensor '{sensor_cfg.name}' has no images of the type '{data_type}'",
-            key="data_type",
-            expected="one of " + ", ".join(data.output),
-            nearest=nearest_name(data_type, data.output),
-        )
+        known, nearest = "one of " + ", ".join(data.output), nearest_name(data_type, data.output)
+        message = f"the sensor '{sensor_cfg.name}' has no images of the type '{data_type}'"
+        raise ConfigError(message, key="data_type", expected=known, nearest=nearest)
     picture = data.output[data_type].float()
     if data_type == "distance_to_camera" and convert_perspective_to_orthogonal:
         picture = picture * _cosines(data.intrinsic_matrices, picture)
@@ -245,7 +240,7 @@ def image(
 
 
 def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
-    """Return the cosine of the angle between each pixel's ray and the axis, (N, height, width, 1)."""
+    """Return the cosine of the angle between each pixel's ray and the camera's axis, (N, height, width, 1)."""
     height, width = picture.shape[1:3]
     column = torch.arange(width, device=picture.device).view(1, 1, width, 1)
     row = torch.arange(height, device=picture.device).view(1, height, 1, 1)
@@ -254,26 +249,24 @@ def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
 
 
 def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
-    """Last raw action of all terms, or of one term; 0 after a reset."""
+    """Last raw action of all action terms, or of one action term; 0 after a reset."""
     if action_name is None:
         return env.action_manager.action
     return env.action_manager.get_term(action_name).raw_actions
 
 
 def generated_commands(env: Env, command_name: str) -> torch.Tensor:
-    """The present command of a term."""
+    """The current command of a command term."""
     return env.command_manager.get_command(command_name)
 
 
 def travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Travelled minus commanded distance, m, and turned minus commanded angle, rad. Not in Isaac Lab.
+    """Distance error (travelled minus commanded), m, and heading error (turned minus commanded), rad, (N, 2).
+
+    Not in Isaac Lab.
 
     Args:
-        env: the environment.
         command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the errors.
-
-    Returns:
-        (N, 2).
     """
     return kept_travel_error(env, command_name)
 
@@ -289,15 +282,11 @@ def remaining_time_s(env: Env) -> torch.Tensor:
 
 
 def gait_phase(env: Env, period: Positive, offsets: Annotated[Sequence[float], NotEmpty()] = (0.0,)) -> torch.Tensor:
-    """Sines, then cosines, of a gait's clock at each of its offsets: 2 pi (t / period + offset). Not in Isaac Lab.
+    """Sines, then cosines, of a gait's clock 2 pi (t / period + offset) at k offsets, (N, 2 k). Not in Isaac Lab.
 
     Args:
-        env: the environment.
         period: duration of one cycle, s; t is the time since the start of the episode.
         offsets: offsets as shares of the cycle, for example one for each leg.
-
-    Returns:
-        (N, 2 k) for k offsets.
     """
     cycles = env.episode_length_buf * (env.step_dt / period)
     angles = [2.0 * math.pi * (cycles + offset).frac() for offset in offsets]

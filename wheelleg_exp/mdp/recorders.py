@@ -11,14 +11,14 @@ from wheelleg_exp.managers.recorder_manager import Recorded
 
 
 class InitialStateRecorder(RecorderTerm):
-    """The state at the start of an episode (``initial_state``), one row; see ``PostStepStatesRecorder``."""
+    """Record the state at the start of an episode (``initial_state``) as one row; see ``PostStepStatesRecorder``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:
         return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
 
 
 class PostStepStatesRecorder(RecorderTerm):
-    """The state at the end of each control step (``states``), before resets.
+    """Record the state at the end of each control step (``states``), before resets.
 
     Below ``articulation/<name>``: ``root_pose`` (m, relative to the environment's origin; (w, x, y, z)),
     ``root_velocity`` (centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad), ``joint_velocity`` (rad/s).
@@ -31,26 +31,25 @@ class PostStepStatesRecorder(RecorderTerm):
 
 
 class PreStepActionsRecorder(RecorderTerm):
-    """The raw action of each control step (``actions``)."""
+    """Record the raw action of each control step (``actions``)."""
 
     def record_pre_step(self) -> Recorded:
         return "actions", self._env.action_manager.action
 
 
 class PostStepProcessedActionsRecorder(RecorderTerm):
-    """The processed action of each control step (``processed_actions``) of all terms in order."""
+    """Record the processed actions of all action terms in each control step (``processed_actions``)."""
 
     reads_observations = False
 
     def record_post_step(self) -> Recorded:
         manager = self._env.action_manager
-        return "processed_actions", torch.cat(
-            [manager.get_term(name).processed_actions for name in manager.active_terms], dim=-1
-        )
+        actions = [manager.get_term(name).processed_actions for name in manager.active_terms]
+        return "processed_actions", torch.cat(actions, dim=-1)
 
 
 class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
-    """The observation that the policy received before each action (``obs``), including its noise.
+    """Record the observation that the policy received before each action (``obs``), including noise.
 
     Args:
         group: the observation group.

@@ -1,4 +1,7 @@
-"""Reward terms, (N,), before weight and time step. Formulas are Isaac Lab's unless the text says otherwise."""
+"""Reward terms, (N,), before weight and time step.
+
+The formulas are those of Isaac Lab, unless the docstring of the reward names a difference.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from wheelleg_exp.constraints import Names, NonNegative, Positive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
-from wheelleg_exp.mdp.ground import height_over_ground
+from wheelleg_exp.mdp.root_motion import height_over_ground, level_velocity, roll_pitch
 from wheelleg_exp.sim.ids import fill_rows, picked
 from wheelleg_exp.sim.names import match_names
 
@@ -24,7 +27,7 @@ def is_terminated(env: Env) -> torch.Tensor:
 
 
 class is_terminated_term(TermBase):
-    """Number of the matching terminations that fired in this step; 0 on a time-out.
+    """Number of the listed terminations that fired in this step; 0 on a time-out.
 
     Args:
         term_keys: expressions of termination names; all by default.
@@ -61,13 +64,11 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    Unlike a squared error, its gradient does not vanish at small tilts, and a fallen robot loses at most the weight. As
-    with the squared error, an upside-down robot counts as upright.
+    Unlike the gradient of a squared error, the gradient of this term does not vanish at small tilts. A fallen robot
+    loses at most the weight. An upside-down robot counts as upright.
 
     Args:
-        env: the environment.
         std: sine of the tilt at which 1/e of the reward remains.
-        asset_cfg: the robot.
     """
     return torch.exp(-flat_orientation_l2(env, asset_cfg) / std**2)
 
@@ -83,15 +84,12 @@ def upward(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def base_height_l2(
-    env: Env,
-    target_height: float,
-    asset_cfg: SceneEntityCfg = _ROBOT,
-    sensor_cfg: SceneEntityCfg | None = None,
+    env: Env, target_height: float, asset_cfg: SceneEntityCfg = _ROBOT, sensor_cfg: SceneEntityCfg | None = None
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster the target is relative to the mean height of its hits. One ray that misses makes the value
-    infinite, as in Isaac Lab. ``base_height_over_ground_l2`` needs no sensor.
+    With a ray caster the target height is relative to the mean height of the ray hits. One ray without a hit makes the
+    value infinite, as in Isaac Lab. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
     if sensor_cfg is not None:
@@ -108,22 +106,20 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
 def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
 
-    Unlike a squared error, its gradient does not vanish at errors of millimetres.
+    Unlike the gradient of a squared error, the gradient of this term does not vanish at errors of millimetres.
 
     Args:
-        env: the environment.
         target_height: m.
         std: error at which 1/e of the reward remains, m.
-        asset_cfg: the robot.
     """
     height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
     return torch.exp(-((height - target_height) / std).square())
 
 
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the norms of the bodies' linear accelerations, not squared, m/s^2.
+    """Sum of the norms of the bodies' linear accelerations, m/s^2.
 
-    Isaac Lab's name is ``body_lin_acc_l2``, although nothing is squared.
+    Isaac Lab's name is ``body_lin_acc_l2``, although the norms are not squared.
     """
     acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
@@ -153,13 +149,10 @@ def track_lin_vel_xy_yaw_frame_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
 
-    Unlike ``track_lin_vel_xy_exp``, it does not count the vertical velocity of a leaning robot as forward speed.
+    Unlike ``track_lin_vel_xy_exp``, this term does not count the vertical velocity of a leaning robot as forward speed.
     """
-    data = env.scene[asset_cfg.name].data
-    command, velocity, yaw = env.command_manager.get_command(command_name), data.root_lin_vel_w, data.heading_w
-    cos, sin = torch.cos(yaw), torch.sin(yaw)
-    forwards = cos * velocity[:, 0] + sin * velocity[:, 1]
-    sideways = cos * velocity[:, 1] - sin * velocity[:, 0]
+    command = env.command_manager.get_command(command_name)
+    forwards, sideways = level_velocity(env.scene[asset_cfg.name].data)
     error = (command[:, 0] - forwards).square() + (command[:, 1] - sideways).square()
     return torch.exp(-error / std**2)
 
@@ -188,11 +181,10 @@ def track_base_height_exp(
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The command is height, roll and pitch, as in ``UniformBasePoseCommand``.
+    The command's components are height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
-    x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
-    roll, pitch = torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
+    roll, pitch = roll_pitch(env.scene[asset_cfg.name].data)
     error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
     return torch.exp(-error / std**2)
 
@@ -201,7 +193,6 @@ def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0
     """Squared difference between travelled and commanded distance, m^2. Not in Isaac Lab.
 
     Args:
-        env: the environment.
         command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the error.
         heading_length: length that one radian of heading error counts as, m.
     """
@@ -217,7 +208,7 @@ def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
     """Sum of |torque * velocity| over joints, W. Not in Isaac Lab.
 
-    With ``positive_only`` only the power that drives put in counts, not the power of braking joints.
+    With ``positive_only`` the sum includes only positive joint power, not the power of braking joints.
     """
     data = env.scene[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
@@ -242,10 +233,7 @@ def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 class joint_vel_rate_l2(TermBase):
     """Sum of squared changes of joint velocity over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab. It rewards wheels that turn smoothly. ``joint_acc_l2`` uses only the last physics step.
-
-    Args:
-        asset_cfg: the joints.
+    Not in Isaac Lab. The term penalises jerky wheels. In contrast, ``joint_acc_l2`` uses only the last physics step.
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
@@ -269,7 +257,7 @@ class joint_vel_rate_l2(TermBase):
 
 
 def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the distances of the joints from their defaults, rad."""
+    """Sum of the distances of the joint positions from their defaults, rad."""
     data = env.scene[asset_cfg.name].data
     ids = asset_cfg.joint_ids
     return (picked(data.joint_pos, ids) - picked(data.default_joint_pos, ids)).abs().sum(dim=1)
@@ -278,7 +266,7 @@ def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Te
 def stand_still_joint_deviation_l1(
     env: Env, command_name: str, command_threshold: NonNegative = 0.06, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """``joint_deviation_l1`` where the commanded planar velocity is below ``command_threshold`` (m/s), else 0."""
+    """``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), otherwise 0."""
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
     return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
 
@@ -288,20 +276,20 @@ def joint_symmetry_l1(
 ) -> torch.Tensor:
     """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
 
-    The pairs are the joints of the two entities in order; give both the same ``preserve_order``. ``mirrored`` joints
-    have opposite signs on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
+    Joint i of the left entity is paired with joint i of the right entity. Both entities need the same
+    ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides, so that a symmetric pose has |q_left +
+    q_right| = 0.
     """
     left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
     right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
     if left.shape != right.shape:
-        raise ConfigError(
-            f"{left.shape[1]} left and {right.shape[1]} right joints", key="right_cfg.joint_names", expected="pairs"
-        )
+        message = f"there are {left.shape[1]} left and {right.shape[1]} right joints"
+        raise ConfigError(message, key="right_cfg.joint_names", expected="pairs of joints")
     return (left + right if mirrored else left - right).abs().sum(dim=1)
 
 
 def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the distances of the joints beyond their soft limits, rad."""
+    """Sum of the distances by which joint positions exceed their soft limits, rad."""
     data = env.scene[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
@@ -352,15 +340,15 @@ class action_acceleration_l2(TermBase):
 
 
 def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Number of bodies whose contact force exceeded ``threshold`` (N) within the sensor's history."""
+    """Number of bodies whose contact force exceeded ``threshold`` (N) in the history of the contact sensor."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).sum(dim=1).float()
 
 
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Number of bodies whose contact force stayed at or below ``threshold`` (N) within the sensor's history.
+    """Number of bodies whose contact force was never above ``threshold`` (N) in the contact sensor's history.
 
-    Not in Isaac Lab. It counts wheels in the air.
+    Not in Isaac Lab. For wheels, this is the number of wheels in the air.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
@@ -379,28 +367,19 @@ desired_contacts = no_desired_contact
 
 
 def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Sum of the contact forces beyond ``threshold``, N."""
+    """Sum of the amounts by which contact forces exceed ``threshold``, N."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force - threshold).clamp(min=0.0).sum(dim=1)
 
 
 def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
-    """Raise ConfigError unless two tensors (N, k, ...) have the same k.
-
-    Args:
-        first: values of the bodies of ``sensor_cfg``.
-        second: values of the bodies or joints that ``key`` names.
-        key: the key below the term's key.
-    """
+    """Raise ConfigError at ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
     if first.shape[1] != second.shape[1]:
-        raise ConfigError(
-            f"{first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot",
-            key=key,
-            expected="the same number, in the order of sensor_cfg.body_names",
-        )
+        message = f"there are {first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot"
+        raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
 
 
-_WALKING = 0.1  # m/s: slower commands count as standing
+_WALKING = 0.1  # m/s; a commanded speed below this value means standing
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
@@ -408,7 +387,7 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
-    """Sum over feet that have just landed of their air time minus ``threshold``, s.
+    """Sum of (air time - ``threshold``), s, over all feet that have just landed.
 
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
     """
@@ -436,10 +415,9 @@ def feet_air_time_positive_biped(
 def feet_slide(
     env: Env, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg = _ROBOT, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum of the horizontal speeds of the feet that touch something, m/s.
+    """Sum of the horizontal speeds of the feet that are in contact, m/s.
 
     Args:
-        env: the environment.
         sensor_cfg: the feet of a contact sensor.
         asset_cfg: the same bodies of the robot, in the same order.
         threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of the weight of a 0.5 kg robot.
@@ -453,7 +431,7 @@ def feet_slide(
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
     """1 where the horizontal contact force on some foot or wheel exceeds ``ratio`` times the vertical force, else 0.
 
-    Not in Isaac Lab. It penalises collisions with steep obstacles.
+    Not in Isaac Lab. The term penalises collisions with steep obstacles.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
@@ -472,28 +450,25 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 
 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
-    """Variance over feet of the last air times plus that of the last contact times, each at most ``max_time`` (s), s^2.
+    """Variance over feet of the last air times plus variance of the last contact times, s^2.
 
-    Not in Isaac Lab's library. It rewards an even gait. The contact sensor must track air times.
+    Each time is at most ``max_time`` (s). Not in Isaac Lab's library. The term penalises an uneven gait. The contact
+    sensor must track air times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
     return flights.clamp(max=max_time).var(dim=1) + stances.clamp(max=max_time).var(dim=1)
 
 
-_SMALLEST = 1e-6  # N: smallest divisor of a force
-
-
 def wheel_slip(
     env: Env, radius: Positive, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum over wheels on the ground of the slip speed at the contact point, m/s; 0 for rolling. Not in Isaac Lab.
+    """Sum of the slip speeds at the contact points of the wheels on the ground, m/s; 0 for rolling. Not in Isaac Lab.
 
     The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
-    wheel's centre of mass, w its angular velocity. The component along the ground is the slip.
+    wheel's centre of mass, w its angular velocity. The component of this velocity along the ground is the slip.
 
     Args:
-        env: the environment.
         radius: r of the wheels, m.
         sensor_cfg: the wheels of a contact sensor.
         asset_cfg: the same bodies of the robot, in the same order.
@@ -504,7 +479,7 @@ def wheel_slip(
     centre, spin = picked(data.body_lin_vel_w, ids), picked(data.body_ang_vel_w, ids)
     require_pairs(force, centre, "asset_cfg.body_names")
     size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
-    normal = force / size.clamp(min=_SMALLEST)
+    normal = force / size.clamp(min=1e-6)
     slip = centre - radius * torch.linalg.cross(spin, normal)
     along = slip - (slip * normal).sum(dim=-1, keepdim=True) * normal
     return (torch.linalg.vector_norm(along, dim=-1) * (size.squeeze(-1) > threshold)).sum(dim=1)
@@ -516,7 +491,6 @@ def wheel_spin_in_air_l1(
     """Sum of the speeds of the wheels in the air, rad/s. Not in Isaac Lab.
 
     Args:
-        env: the environment.
         sensor_cfg: the wheels of a contact sensor.
         asset_cfg: the wheels' joints, in the same order.
         threshold: force up to which a wheel is in the air, N.

@@ -1,7 +1,7 @@
 """Functions for ``modify_fn`` of ``modify_env_param`` and ``modify_term_cfg``: how a value changes with time.
 
-Time is ``common_step_counter``, the number of control steps since the start of training. ``value``, ``start`` and
-``end`` are numbers, or lists or mappings of numbers, of the same form as the value at the address.
+A schedule depends on ``common_step_counter``, the number of control steps since the start of training. ``value``,
+``start`` and ``end`` are numbers, lists of numbers, or mappings to numbers, like the value that the schedule changes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def override_value(env: Env, env_ids: torch.Tensor, old_value: Any, value: Any, 
 def linear(
     env: Env, env_ids: torch.Tensor, old_value: Any, start: Any, end: Any, num_steps: Natural, first_step: Natural = 0
 ) -> Any:
-    """Interpolate from ``start`` at ``first_step`` to ``end`` at ``num_steps`` later."""
+    """Interpolate from ``start`` at the control step ``first_step`` to ``end``, ``num_steps`` control steps later."""
     del env_ids, old_value
     past = env.common_step_counter - first_step
     return _between(start, end, min(max(past / num_steps, 0.0), 1.0) if num_steps else float(past > 0))

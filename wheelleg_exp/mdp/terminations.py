@@ -9,12 +9,12 @@ import torch
 
 from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
-from wheelleg_exp.mdp.ground import height_over_ground
+from wheelleg_exp.mdp.root_motion import height_over_ground
 from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
-_ROUNDING = 1e-3  # share of the effort limit: the engine computes a stiff drive's torque in another precision
+_ROUNDING = 1e-3  # tolerance as a share of the effort limit, because the engine rounds the torque of a stiff drive
 
 
 def time_out(env: Env) -> torch.Tensor:
@@ -38,23 +38,23 @@ def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _RO
 
 
 def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """The root link is below ``minimum_height`` (m) in the world; for flat ground."""
+    """The root link is below ``minimum_height`` (m) in the world. Use this term on flat ground."""
     return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
 
 
 def root_height_over_ground_below_minimum(
     env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """The root link is less than ``minimum_height`` (m) above the ground straight below. Not in Isaac Lab."""
+    """The root link is less than ``minimum_height`` (m) above the ground. Not in Isaac Lab."""
     return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w) < minimum_height
 
 
 def terrain_out_of_bounds(
     env: Env, asset_cfg: SceneEntityCfg = _ROBOT, distance_buffer: NonNegative = 3.0
 ) -> torch.Tensor:
-    """The root link is less than ``distance_buffer`` (m) from an edge of the ground's tiles and their border.
+    """The root link is less than ``distance_buffer`` (m) from the outer edge of the ground's tiles and border.
 
-    Never on ground without tiles.
+    The term never fires on ground without tiles.
     """
     terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
@@ -67,9 +67,9 @@ def terrain_out_of_bounds(
 
 
 def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """The root link is more than ``margin`` (m) beyond an edge of its environment's tile, on ground of another level.
+    """The root link is more than ``margin`` (m) outside its tile, where the ground has a different terrain level.
 
-    Never on ground without tiles. Not in Isaac Lab, where a robot cannot leave its tile within an episode.
+    Never on ground without tiles. Not in Isaac Lab.
     """
     away = (env.scene[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
     size = env.scene.terrain.size
@@ -77,16 +77,14 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 
 
 class stuck(TermBase):
-    """The robot is commanded to drive, but has stayed within ``distance`` for ``time``. Not in Isaac Lab.
+    """The robot is commanded to drive, but has moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
 
-    Position and time start again while the commanded planar velocity is not above ``command_threshold``.
+    Position and time are reset while the commanded planar velocity is not above ``command_threshold``.
 
     Args:
-        command_name: the velocity command.
         distance: distance in the plane, m.
         time: s.
         command_threshold: m/s.
-        asset_cfg: the robot.
     """
 
     def __init__(
@@ -102,7 +100,9 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        self._stayed = torch.full((env.num_envs,), -1, device=env.device)  # control steps; -1 before the first
+        self._stayed = torch.full(
+            (env.num_envs,), -1, device=env.device
+        )  # control steps; -1 at the start of an episode
 
     def __call__(self, env: Env) -> torch.Tensor:
         position = env.scene[self._asset].data.root_pos_w[:, :2]
@@ -118,7 +118,7 @@ class stuck(TermBase):
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint is outside its soft limits."""
+    """At least one joint is outside its soft limits."""
     data = env.scene[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
@@ -126,25 +126,25 @@ def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
 
 
 def joint_pos_out_of_manual_limit(env: Env, bounds: Bounds, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint is outside ``bounds``, rad."""
+    """At least one joint position is outside ``bounds``, rad."""
     q = picked(env.scene[asset_cfg.name].data.joint_pos, asset_cfg.joint_ids)
     return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
 
 
 def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint is faster than its actuator's velocity limit."""
+    """At least one joint is faster than its actuator's velocity limit."""
     data = env.scene[asset_cfg.name].data
     speed = picked(data.joint_vel, asset_cfg.joint_ids).abs()
     return (speed > picked(data.soft_joint_vel_limits, asset_cfg.joint_ids)).any(dim=1)
 
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint is faster than ``max_velocity``, rad/s."""
+    """At least one joint is faster than ``max_velocity``, rad/s."""
     return (picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity).any(dim=1)
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint's torque was clipped by its effort limit, a motor's torque-speed line, or a linkage's table."""
+    """At least one joint torque was clipped by an effort limit, a motor's torque-speed line, or a linkage's table."""
     data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
     limits = picked(data.joint_effort_limits, joints)
@@ -153,11 +153,11 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """The contact force of some listed body exceeded ``threshold`` (N) within the sensor's history."""
+    """The contact force of at least one listed body exceeded ``threshold`` (N) in the history of the contact sensor."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).any(dim=1)
 
 
 def non_finite_state(env: Env) -> torch.Tensor:
-    """The engine found NaN or huge values in this simulation and has reset it."""
+    """The engine found NaN or huge values in this simulation and has reset the simulation."""
     return env.scene.unstable()

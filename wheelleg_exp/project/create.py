@@ -1,6 +1,6 @@
-"""Create a user's project: write everything next to its place, check it, and move it there as a whole.
+"""Create a user's project: write a draft, check the draft, and move it to its place.
 
-Its name is that of a folder, a Python package, a task, and a robot at once.
+The name of a project is also the name of its folder, its Python package, its task, and its robot.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -33,19 +33,19 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# YAML or the grammar of overrides reads these as values.
+# YAML or the grammar of overrides treats these words as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# Other names in a project, and names that pytest and pip use.
+# These names have another meaning in a project, in pytest, or in pip.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
 
 class NameTaken(WheellegError):
-    """A project cannot have this name or this place."""
+    """The name or the folder of a new project cannot be used."""
 
 
 def require_name(name: str) -> None:
-    """Raise NameTaken unless ``name`` is a valid project name; the error names the nearest valid name."""
+    """Raise NameTaken unless ``name`` is a valid project name. The error suggests a valid name."""
     problem = _problem(name)
     if problem is not None:
         raise NameTaken(problem, key=name or "NAME", expected=_EXPECTED, nearest=_nearest(name))
@@ -53,7 +53,7 @@ def require_name(name: str) -> None:
 
 def _problem(name: str) -> str | None:
     if not _FORM.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        return "is not a valid name of a Python package"
+        return "the name is not a valid name of a Python package"
     if name.lower() in _VALUES:
         return "is a value in YAML, not a name"
     if name.lower() in _OWN:
@@ -68,7 +68,7 @@ def _problem(name: str) -> str | None:
 
 def _stock(name: str) -> str | None:
     files = sorted(configs_dir().rglob("*.yaml"))
-    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # tasks first
+    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # Search the tasks first.
         if file.stem == name:
             return file.relative_to(configs_dir()).with_suffix("").as_posix()
     return None
@@ -77,12 +77,8 @@ def _stock(name: str) -> str | None:
 def _nearest(name: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9]+", "_", Path(name).name).strip("_") or _FALLBACK
     plain = plain if plain[0].isalpha() else f"robot_{plain}"
-    options = [plain, f"{plain}_robot", f"my_{plain}"]
-    return next(option for option in _numbered(options) if _problem(option) is None)
-
-
-def _numbered(options: list[str]) -> list[str]:
-    return options + [f"{options[-1]}{number}" for number, _ in zip(count(2), range(100), strict=False)]
+    options = chain([plain, f"{plain}_robot", f"my_{plain}"], (f"my_{plain}{number}" for number in count(2)))
+    return next(option for option in options if _problem(option) is None)
 
 
 _TEMPLATES = {
@@ -93,7 +89,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # a robot of a wrong size was exported in a wrong unit
+_NEVER_SILENCED = ("missing_files", "robot_size")  # A finding of robot_size means that the file has a wrong unit.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -103,7 +99,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its assets and configs."""
+    """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its asset and config folders."""
     rows = [
         f"| `configs/{file}` | {_PURPOSES[group]} |" for file in configs if (group := file.split("/")[0]) in _PURPOSES
     ]
@@ -122,7 +118,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def write(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write texts to paths below a folder."""
+    """Write texts to files below a folder."""
     for file, text in texts.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -131,15 +127,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Created:
-    """A new project.
-
-    Attributes:
-        path: its folder.
-        name: the name of the project, its package, its task, and its robot.
-        files: its files, relative to ``path``.
-        robot: the survey of the robot.
-        accepted: findings of `check --physics`, by rule; the task silences these rules.
-    """
+    """A new project at ``path``. ``accepted`` contains the findings that the task silences, by rule."""
 
     path: Path
     name: str
@@ -149,15 +137,11 @@ class Created:
 
 
 def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
-    """Create a project.
+    """Create a project in the new folder ``place``, whose last part is the name of the project.
 
-    Args:
-        place: the new folder; its last part is the project's name.
-        source: the robot's USD or URDF; by default the stock robot.
-        allow_missing: whether colliders can be missing together with their files.
-
-    Raises:
-        WheellegError: the name, the place, or the robot's file is invalid; nothing was written.
+    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. With ``allow_missing``,
+    colliders whose files are missing are accepted. An invalid name, place, or robot file raises WheellegError, and no
+    file remains.
     """
     path = Path(place).expanduser().absolute()
     name = path.name
@@ -165,7 +149,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     _require_place(path)
     if source is not None:
         _require_source(source)
-    # A draft next to the target can be renamed atomically, so a failed check leaves nothing behind.
+    # Write a draft folder next to the target and rename it, so that a failed check leaves no files at the target.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
         draft.mkdir()
@@ -188,7 +172,7 @@ def _require_place(path: Path) -> None:
 
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
-        raise NameTaken("exists already, and nothing is overwritten", key=str(path), expected="a new name")
+        raise NameTaken("the folder exists already, and no file is overwritten", key=str(path), expected="a new name")
 
 
 def _require_source(source: Path) -> None:
@@ -198,7 +182,7 @@ def _require_source(source: Path) -> None:
     beside = [file.name for file in folder.iterdir()] if folder.is_dir() else []
     nearest = None if source.is_dir() else nearest_name(source.name, beside)
     raise AssetError(
-        "is a folder" if source.is_dir() else "there is no such file",
+        "the path is a folder" if source.is_dir() else "there is no such file",
         key=f"--robot {source}",
         expected="a USD or URDF file",
         nearest=str(source.with_name(nearest)) if nearest else None,
@@ -206,7 +190,6 @@ def _require_source(source: Path) -> None:
 
 
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
-    """Write all files of a project, and check them as any task is checked."""
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
@@ -216,7 +199,9 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
     write(draft, project_files(name, asset, list(texts)))
     try:
-        _require_valid(draft, name)
+        _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
+        if mistakes:
+            raise_all(mistakes)
         accepted = _accept(draft, name)
     finally:
         projects.forget(draft)
@@ -226,7 +211,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
 def _surveyed(
     source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float], allow_missing: bool
 ) -> Survey:
-    """Copy and survey a robot. An error names the given file, not the copy."""
+    """Copy and survey a robot. An error names the file of the user, not the copy."""
     try:
         return survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
     except AssetError as error:
@@ -237,16 +222,10 @@ def _surveyed(
         raise
 
 
-def _require_valid(draft: Path, name: str) -> None:
-    _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
-    if mistakes:
-        raise_all(mistakes)
-
-
 def _accept(draft: Path, name: str) -> dict[str, str]:
-    """Silence the findings of `wheelleg check --physics` in the task, with the finding as the reason.
+    """Silence the findings of `wheelleg check --physics` in the task file, with the message as the reason.
 
-    Rules in `_NEVER_SILENCED` are not silenced.
+    Findings of the rules in `_NEVER_SILENCED` are not silenced.
     """
     found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
     rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)

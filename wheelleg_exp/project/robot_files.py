@@ -1,4 +1,4 @@
-"""Copy a robot's file with all files that it names."""
+"""Copy a robot's file and all files that the robot's file names."""
 
 from __future__ import annotations
 
@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 
 
 def copy_robot(source: Path, folder: Path) -> Path:
-    """Copy a robot's file, and every layer, texture, or mesh that it names, to ``folder``.
+    """Copy a robot's file, and every layer, texture, or mesh that the file names, to ``folder``.
 
-    Files next to the source or below it keep their relative path. Other files are copied below the folder, too, and
-    their names in the copy are rewritten.
-
-    Returns:
-        The copy of ``source``.
-
-    Raises:
-        AssetError: the source cannot be read, or is not a robot's file.
+    Files in the folder of the source keep their relative path. Other files are copied below ``folder`` too, and the
+    copy of the source, which is returned, names the new paths.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
@@ -52,10 +46,9 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 
 
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
-    """Return a filter that selects the files of a robot for the USD library.
+    """Return a filter for the USD library that selects the layers, textures, and materials of a robot.
 
-    It selects layers of the stage, and plain files with a suffix of textures and materials. A robot that names
-    ``/etc/passwd`` gets no copy of it.
+    A robot file that names ``/etc/passwd`` therefore gets no copy of that file.
     """
     from pxr import UsdUtils
 
@@ -69,7 +62,6 @@ def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdU
 
 
 def _all_layers(source: Path) -> list[Sdf.Layer]:
-    """Open every layer of the stage, and every layer that an attribute names."""
     found: dict[str, Sdf.Layer] = {}
     todo = open_layers(source)
     while todo:
@@ -84,7 +76,6 @@ def _all_layers(source: Path) -> list[Sdf.Layer]:
 
 
 def _asset_paths(layer: Sdf.Layer) -> set[str]:
-    """Return every path that a layer names."""
     from pxr import Sdf, UsdUtils
 
     found: set[str] = set()
@@ -100,7 +91,7 @@ def _asset_paths(layer: Sdf.Layer) -> set[str]:
 
 
 def _is_look(file: Path) -> bool:
-    """Return whether a path is a texture or material; a pattern of several files has no file of its own."""
+    """Return whether a path is a texture or a material, or the pattern of several such files."""
     if file.suffix.lower() not in LOOKS:
         return False
     return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
@@ -109,7 +100,7 @@ def _is_look(file: Path) -> bool:
 def _localize(
     source: Path, folder: Path, chosen: Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]
 ) -> None:
-    """Copy a stage with files outside its folder by the USD library, which rewrites its paths."""
+    """Copy a stage and files outside its folder. The USD library rewrites the paths in the copy."""
     from pxr import UsdUtils
 
     done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
@@ -119,13 +110,13 @@ def _localize(
 
 
 def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
-    """Copy files if all of them are below the source's folder; otherwise copy nothing and return False."""
+    """Copy the robot's files if all of them are below the source's folder. Otherwise return False."""
     home = source.resolve().parent
     if not all(file.is_relative_to(home) for file in files):
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # the source is a link to the copied file
+    if source.name != source.resolve().name:  # ``source`` is a symbolic link to the copied file.
         _copy(source, folder / source.name)
     return True
 
@@ -157,7 +148,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return a mesh's path relative to the URDF if its name is this path; None if the name must be rewritten."""
+    """Return the relative path of a mesh that the URDF names by this path; None if the name must be rewritten."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None
@@ -174,7 +165,6 @@ def _free(name: str, taken: dict[Path, str]) -> str:
 
 
 def _renamed(text: bytes, name: str, place: str) -> bytes:
-    """Return a URDF in which a mesh has another file name; all other bytes are unchanged."""
     from xml.sax.saxutils import escape
 
     written = {escape(name), name}

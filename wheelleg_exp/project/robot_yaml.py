@@ -1,6 +1,6 @@
 """Write a project's robot YAML from measurements.
 
-Gains and limits are the file's own if it gives them, else modest ones from the inertias.
+Gains and limits come from the robot's file. Missing gains and limits are estimated from the inertias.
 """
 
 from __future__ import annotations
@@ -18,35 +18,33 @@ from wheelleg_exp.project.survey import Survey
 WIDTH = 110
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
 _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
-_LEG_RATE = 2 * math.pi * 3  # rad/s: bandwidth of a leg joint
+_LEG_RATE = 2 * math.pi * 3  # The bandwidth of a leg joint, rad/s.
 _DAMPING_RATIO = 0.7
-_SAG = 0.05  # rad (m): largest static error of a leg joint under the weight
-_STRENGTH = 3.0  # effort, as multiple of the torque that holds the pose
-_LEVER = 0.25  # share of the leg's length: smallest assumed lever of the weight, for every default pose
-_BENDS = 0.35  # rad (m): the leg buckles at a larger static error
-_FULL = 4.0  # largest torque at an error of 0.05 rad, as multiple of the effort: a stiffer drive only switches
-_SLIPS = 5.0  # multiple of the torque at which a wheel slips: a larger effort limit is a placeholder
-_FAST = 100.0  # rad/s: a larger speed limit is a placeholder
-_WEAK = 0.3  # smallest effort, as share of the torque that holds the weight at its smallest lever
-_STEP = 0.005  # s, physics time step of the task
+_SAG = 0.05  # The largest position error of a leg joint that carries the robot's weight, rad or m.
+_STRENGTH = 3.0  # The ratio of the effort to the torque that holds the pose.
+_LEVER = 0.25  # The weight acts at a lever of at least this share of the leg's length.
+_BENDS = 0.35  # A leg whose static error exceeds this value, rad or m, buckles.
+# The largest ratio of the torque at an error of 0.05 rad to the effort. A drive above this ratio saturates at small
+# errors.
+_FULL = 4.0
+_SLIPS = 5.0  # An effort limit beyond this multiple of the slip torque is a placeholder.
+_FAST = 100.0  # A speed limit above this value, rad/s, is a placeholder.
+_WEAK = 0.3  # The smallest ratio of the effort to the torque that holds the weight at the smallest lever.
+_STEP = 0.005  # The physics time step of the task, s.
 _LEG_SPEED = 15.0  # rad/s
-_WHEEL_TIME = 0.1  # s, time constant of a wheel's speed
-_TRACTION = 1.5  # multiple of the torque at which a wheel slips
+_WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
+_TRACTION = 1.5  # The ratio of a wheel's effort to the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
-_ENDLESS = 1e6  # larger limits mean unlimited
+_ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Numbers of an actuator group, by joint.
+    """The numbers of an actuator group, by joint.
 
-    Attributes:
-        stiffness: N·m/rad.
-        damping: N·m·s/rad.
-        effort: largest torque, N·m.
-        velocity: largest speed, rad/s.
-        given: quantities from the file.
-        refused: unusable values of the file, with the reason.
+    Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
+    contains the names of the quantities that come from the robot's file. ``refused`` lists unusable values of the file,
+    with the reasons.
     """
 
     stiffness: dict[str, float]
@@ -58,11 +56,12 @@ class Gains:
 
 
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
-    """Return the gains of position-controlled joints, by default the legs'.
+    """Return the gains of position-controlled joints, by default of the leg joints.
 
-    Without a usable drive in the file: a stiffness for a bandwidth of 3 Hz and a static error of at most 0.05 rad under
-    the weight, with a damping ratio of 0.7 under load; three times the torque that holds the weight. A stiffness of the
-    file is refused if the weight would bend the joint by more than 0.35 rad, or if it is unstable at the physics step.
+    If the file has no usable drive, the stiffness gives a bandwidth of 3 Hz and a static error of at most 0.05 rad
+    under the weight. The damping ratio is then 0.7 under load, and the effort is three times the torque that carries
+    the weight. A stiffness of the file is refused if the weight would bend the joint by more than 0.35 rad, or if the
+    drive would be unstable at the physics step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -116,12 +115,10 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
 class _Load:
     """The load of a leg joint.
 
-    Attributes:
-        inertia: that a torque accelerates while all other joints are free, kg·m².
-        carried: of its share of the robot at the lever of the weight, kg·m².
-        holds_now: torque that holds the default pose, N·m.
-        hold: the same at a lever of at least a quarter of the leg's length.
-        stiffest: stiffness at which an undamped joint turns by one radian per step, a stable value, N·m/rad.
+    ``inertia`` (kg·m²) is the inertia that a torque accelerates while all other joints are free. ``carried`` (kg·m²) is
+    the inertia of the joint's share of the robot. ``holds_now`` (N·m) is the torque that holds the default pose,
+    ``hold`` (N·m) the torque at a lever of at least a quarter of the leg's length. ``stiffest`` (N·m/rad) is a stable
+    stiffness: with it, an undamped joint turns by one radian per step.
     """
 
     inertia: float
@@ -143,10 +140,10 @@ def _load(robot: Survey, name: str) -> _Load:
 
 
 def wheel_gains(robot: Survey) -> Gains:
-    """Return the wheels' gains, without stiffness, because wheels follow speeds.
+    """Return the gains of the wheels, whose stiffness is 0 because wheels follow speeds.
 
-    Without a usable drive in the file: a damping that accelerates the wheel's share of the robot in 0.1 s, 1.5 times
-    the torque at which the wheel slips, and a speed of 2 m/s on the ground.
+    Without a usable drive in the file, the damping accelerates the wheel's share of the robot in 0.1 s, the effort is
+    1.5 times the torque at which the wheel slips, and the velocity is 2 m/s on the ground.
     """
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
@@ -187,7 +184,7 @@ def _traction(robot: Survey) -> float:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return a value for each joint, equal on both sides, and whether the file gives all of them."""
+    """Return a value for each joint, equal on both sides, and whether the file contains all values."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -206,7 +203,7 @@ def _damping(dof: Dof) -> float | None:
 
 
 def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a velocity drive; a position drive's damping has another purpose."""
+    """Return the damping of a velocity drive; None for a position drive, whose damping has another purpose."""
     drive = dof.drive
     return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
 
@@ -223,27 +220,30 @@ def _velocity(dof: Dof) -> float | None:
 
 
 _TOUCH = "whether the robot's own bodies can touch; null means as in the asset"
-_HEIGHT_STEP = 1e-4  # m; the height is rounded up, so that no part starts inside the ground
+_HEIGHT_STEP = 1e-4  # The height (m) is rounded up, so that no part starts inside the ground.
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:
-    """Return ``robot/<name>.yaml``; ``asset`` is the robot's file, relative to the project's assets."""
+    """Return the text of ``robot/<name>.yaml``; ``asset`` is the robot's file, relative to the project's assets."""
     facts = robot.facts
     rotation = ", ".join(number(part, 6) for part in robot.rotation)
     moved = {joint: value for joint, value in robot.positions.items() if value != 0.0}
+    size = f" of {1e3 * robot.radius:.3g} mm radius" if robot.wheels else ""
+    held = f"; {_counted(len(robot.held), 'other joint')} held still" if robot.held else ""
+    as_in_file = ", as the file has it" if robot.standing is None or robot.standing.frame is None else ""
     kept = (
         f"  # rad (m for a slide){_pose_note(robot)}; other joints are 0{_limits(robot)}"
         if moved
         else "  # rad; all joints are 0"
     )
     return f"""# @package env.robot
-# {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_wheels(robot)}{_held(robot)}.
+# {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_counted(len(robot.wheels), "wheel")}{size}{held}.
 profile: {name}    # name in results
 asset: {word(asset)}    # below this project's assets/
 base: floating                     # auto | floating | fixed
 init_state:
   pos: [0.0, 0.0, {spawn_height(robot)!r}]    # root link, m: the lowest collider of the default pose touches the ground
-  rot: [{rotation}]    # (w, x, y, z){_rotation_note(robot)}
+  rot: [{rotation}]    # (w, x, y, z){as_in_file}
 {kept}
   joint_pos:{mapping(moved, 4)}
   joint_vel: {{".*": 0.0}}         # rad/s
@@ -282,10 +282,6 @@ self_collisions: false             # {_TOUCH}
 """
 
 
-def _rotation_note(robot: Survey) -> str:
-    return ", as the file has it" if robot.standing is None or robot.standing.frame is None else ""
-
-
 def _pose_note(robot: Survey) -> str:
     stance = robot.standing.stance if robot.standing is not None else None
     if stance is None:
@@ -297,15 +293,6 @@ def _pose_note(robot: Survey) -> str:
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def _wheels(robot: Survey) -> str:
-    size = f" of {1e3 * robot.radius:.3g} mm radius" if robot.wheels else ""
-    return _counted(len(robot.wheels), "wheel") + size
-
-
-def _held(robot: Survey) -> str:
-    return f"; {_counted(len(robot.held), 'other joint')} held still" if robot.held else ""
 
 
 def _limits(robot: Survey) -> str:
@@ -347,7 +334,7 @@ def _group(name: str, joints: list[str], gains: Gains) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return a number with few significant digits that YAML reads as a float."""
+    """Return the text of a number with few significant digits, which YAML reads as a float."""
     if not math.isfinite(value):
         raise ValueError(f"{value} is not a finite number")
     text = repr(float(f"{value:.{digits}g}"))
@@ -361,9 +348,9 @@ def word(name: str) -> str:
 
 
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
-    """Return expressions of names as a flow list, on several lines if too long.
+    """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is that of the following lines, and ``used`` is the number of characters before the list.
+    ``indent`` is the indentation of further lines, and ``used`` is the number of characters before the list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"
@@ -381,14 +368,14 @@ def names(values: Sequence[str], indent: int, used: int = 0) -> str:
 
 
 def by_joint(values: Mapping[str, float], indent: int) -> str:
-    """Return the text after a key's colon: a number if all joints share it, else one joint per line."""
+    """Return the text after a key: one number for all joints, or one line per joint."""
     if len({number(value) for value in values.values()}) <= 1:
         return f" {number(next(iter(values.values()), 0.0))}"
     return mapping(values, indent)
 
 
 def mapping(values: Mapping[str, float], indent: int) -> str:
-    """Return the text after a key's colon: values by name on separate lines, or an empty mapping."""
+    """Return the text after a key: one line per name, or an empty mapping."""
     if not values:
         return " {}"
     space = "\n" + " " * indent

@@ -1,4 +1,4 @@
-"""Read a robot's file and measure what a project needs: the role of each joint, drives, and how the robot stands."""
+"""Measure a robot for a new project: the role of each joint, the drives, and a pose in which the robot stands."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from wheelleg_exp.sim.robot import Robot
 Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
-_ALONG = math.cos(math.radians(15))  # axes within 15 degrees count as equal
+_ALONG = math.cos(math.radians(15))  # Axes within 15 degrees count as equal.
 _LEAN = math.radians(0.5)  # smaller leans are ignored
 
 
@@ -43,12 +43,10 @@ _LEAN = math.radians(0.5)  # smaller leans are ignored
 class Standing:
     """How a robot stands.
 
-    Attributes:
-        frame: the root link's new frame in the file's, (w, x, y, z); None if that has x forwards and z upwards.
-        rotation: of the root link in that frame, in the world, (w, x, y, z).
-        positions: of the legs' joints, rad (m), by name; empty for a robot that does not roll.
-        stance: the solved stance; None for a robot that does not roll.
-        lean: of the base, rad; positive forwards down; 0 if the legs alone balance the robot.
+    ``frame`` is the root link's new frame in the frame of the file, a quaternion (w, x, y, z); None if the file's frame
+    has x forwards and z upwards. ``rotation`` is the rotation of the root link in the world (w, x, y, z). ``positions``
+    are leg joint positions, rad or m. ``stance`` is None for a robot that does not roll. ``lean`` is the lean of the
+    base, rad, positive forwards down.
     """
 
     frame: Quaternion | None
@@ -59,7 +57,7 @@ class Standing:
 
 
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
-    """Choose how a robot stands, near the pose ``qpos`` (nq,), for which ``anatomy`` was found."""
+    """Choose how a robot stands, near the pose ``qpos`` of shape (nq,)."""
     stance = solve_stance(model, anatomy, qpos)
     lean = 0.0
     if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN:
@@ -72,7 +70,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     """Return the frame with x forwards, y to the left, and z upwards while the base leans.
 
-    Axes near the file's own axes are replaced by them.
+    An axis that is nearly an axis of the file is replaced by the file's axis.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -92,35 +90,22 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # share of the standing height: a body this near to the ground stands on it
-_LEVEL = 0.99  # smallest cosine of an upright root link's tilt
+_GROUND = 0.05  # A body this near to the ground, as a share of the standing height, stands on the ground.
+_LEVEL = 0.99  # The smallest cosine of the tilt of an upright root link.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
 @dataclass(frozen=True)
 class Survey:
-    """A robot, read and measured at its default pose.
+    """A robot, measured in its default pose.
 
-    Attributes:
-        dofs: the degrees of freedom by name, in the robot's order: breadth first.
-        legs: the driven joints between base and wheels; without wheels, all driven joints.
-        held: other driven joints, such as those of an arm: their drives hold them, and no action moves them.
-        wheels: the wheels' joints.
-        passive: joints without a drive.
-        positions: default positions, rad (m), by joint.
-        rotation: of the root link, (w, x, y, z).
-        standing: how the pose was chosen; None if the pose was given.
-        overlaps: depth, m, of each pair of links that overlap in this pose and can touch.
-        facts: masses, inertias, and heights at the default pose.
-        anatomy: the robot's anatomy.
-        radius: of the wheels, m; 0 without wheels.
-        size: the larger of the heights of root link and centre of mass over the ground, m.
-        up: the root link's axis that points up, (0, 0, 1) for most robots.
-        trunk: the heaviest of the root link and links fixed to it: the root itself is often a frame without mass.
-        trunk_mass: kg.
-        wheel_bodies: the link of each wheel that reaches lowest, and so touches the ground.
-        raised_bodies: links with colliders that are not on the ground.
-        notes: information for the user.
+    ``dofs`` are in the robot's order, breadth first. ``legs`` are the driven joints between base and wheels; without
+    wheels, all driven joints. ``held`` are other driven joints, such as those of an arm, which no action moves.
+    ``passive`` joints have no drive. ``positions`` are in rad or m. ``standing`` is None if the pose was given.
+    ``overlaps`` is the depth, m, of each pair of overlapping links that can touch. ``radius`` is that of the wheels, m.
+    ``size`` (m) is the height of the root link or of the centre of mass, whichever is larger. ``up`` is the root link's
+    axis that points up. ``trunk`` is the heaviest link fixed to the root, with ``trunk_mass`` in kg. ``wheel_bodies``
+    touch the ground. ``raised_bodies`` have colliders but do not touch the ground. ``notes`` are texts for the user.
     """
 
     dofs: dict[str, Dof]
@@ -152,15 +137,9 @@ class Survey:
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    Args:
-        source: the robot's file.
-        env: sections ``sim`` and ``scene`` for the model.
-        pose: default positions by joint expression, in place of the file's.
-        allow_missing: whether colliders can be missing together with their files.
-
-    Raises:
-        AssetError: the file cannot be read, or its robot has no joints, a ball joint, a fixed base, or missing
-            colliders.
+    ``env`` contains the sections ``sim`` and ``scene`` for the model. ``pose`` replaces default positions of the file,
+    by joint expression. With ``allow_missing``, colliders whose files are missing are accepted. An unreadable file, or
+    a robot without joints, with a ball joint, or with a fixed base raises AssetError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
@@ -231,7 +210,9 @@ def _measured(
     touching = {
         min(wheel.bodies, key=lambda name: lowest_point(model, data, [model.body(name).id])) for wheel in anatomy.wheels
     }
-    raised = _raised(model, data, robot.body_names, facts.standing_height)
+    lows = {name: lowest_point(model, data, [model.body(name).id]) for name in robot.body_names}
+    least = min(lows.values()) + _GROUND * facts.standing_height
+    depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
     root = robot.body_names[0]
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(root).id])
     trunk = int(fixed[np.argmax(model.body_mass[fixed])])
@@ -247,7 +228,7 @@ def _measured(
         positions={name: positions[name] for name in dofs},
         rotation=(w, x, y, z),
         standing=standing,
-        overlaps=_overlaps(model, data),
+        overlaps={(model.body(a).name, model.body(b).name): depth for (a, b), depth in depths},
         facts=facts,
         anatomy=anatomy,
         radius=facts.wheel_radius,
@@ -256,13 +237,13 @@ def _measured(
         trunk=model.body(trunk).name,
         trunk_mass=float(model.body_mass[trunk]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
-        raised_bodies=[name for name in raised if name not in turned],
+        raised_bodies=[n for n, low in lows.items() if math.isfinite(low) and low > least and n not in turned],
         notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive, missing_colliders(conversion.report, model)),
     )
 
 
 def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> mujoco.MjData:
-    """Return the robot with its root over the origin and its joints at the default positions."""
+    """Return the simulation data of the robot in its default pose, with its root at the origin."""
     data = mujoco.MjData(model)
     data.qpos[3:7] = robot.default_root_quat.numpy()
     for name in robot.joint_names:
@@ -271,31 +252,19 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
     return data
 
 
-def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str], float]:
-    depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
-    return {(model.body(one).name, model.body(other).name): depth for (one, other), depth in depths}
-
-
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the driven joints without the wheels, and the joints without a drive.
 
-    A file without any drives, or without drives for legs or for wheels, does not define which of these joints are
-    driven: then all of them are, except followers.
+    If the file has no drive for any leg joint, or for any wheel, all of these joints count as driven, except followers.
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []
-    # Legs and wheels are decided separately, because some files drive only one of them.
+    # Legs and wheels are decided separately, because some files contain drives for only one of these groups.
     for group in ([name for name in dofs if name not in wheels], wheels):
         free = [name for name in group if name not in followers]
         driven = [name for name in free if dofs[name].drive is not None]
         passive += [name for name in group if name not in (driven or free)]
     return [name for name in dofs if name not in wheels and name not in passive], passive
-
-
-def _raised(model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str], height: float) -> list[str]:
-    lows = {name: lowest_point(model, data, [model.body(name).id]) for name in names}
-    ground = min(lows.values())
-    return [name for name, low in lows.items() if math.isfinite(low) and low > ground + _GROUND * height]
 
 
 def _notes(

@@ -9,21 +9,21 @@ from wheelleg_exp.project.robot_yaml import leg_gains, names, number, wheel_gain
 from wheelleg_exp.project.survey import Survey
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
-_CONTACT = 0.02  # share of the weight: a larger force is a contact
-_FORCE = 0.02  # share of the weight, as force on the base
-_TORQUE = 0.01  # share of weight times standing height, as torque on the base
-_LOAD = (-0.05, 0.1)  # share of the trunk's mass
-_ERROR = 0.2  # share of the standing height: an error that costs 1/s
-_COST = 0.15  # per second, of a motion at a tenth of the natural speeds of the robot's height
-_TILT = 0.03  # rad, of the stock event
-_DIP = 0.003  # share of the robot's size: largest depth of a wheel in the ground by a tilt
+_CONTACT = 0.02  # A contact force above this share of the weight counts as a contact.
+_FORCE = 0.02  # The permanent force on the base that an event draws, as a share of the weight.
+_TORQUE = 0.01  # The permanent torque on the base that an event draws, as a share of weight times standing height.
+_LOAD = (-0.05, 0.1)  # The mass that an event adds to the trunk, as a share of the trunk's mass.
+_ERROR = 0.2  # A height error of this share of the standing height costs a reward of 1 per second.
+_COST = 0.15  # A motion at a tenth of the robot's natural speeds costs this reward per second.
+_TILT = 0.03  # The tilt that the stock event draws, rad.
+_DIP = 0.003  # A tilt may put a wheel into the ground by this share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
-_LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
-_WHEEL_EFFORT = 0.25  # share of the largest torque, at standstill per unit of action
+_LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation by one unit of action, rad.
+_WHEEL_EFFORT = 0.25  # One unit of action at standstill takes this share of the largest torque.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
-    """Return the texts of the task and its own terms, by path below ``configs/``."""
+    """Return the texts of the task file and of the project's own terms, by path below ``configs/``."""
     files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
     if robot.legs:
         files[f"action/{name}_legs.yaml"] = _leg_action(name, robot)
@@ -36,7 +36,7 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
 
 
 def task_yaml(name: str, robot: Survey) -> str:
-    """Return ``task/<name>.yaml``: stand and stay in place."""
+    """Return the text of ``task/<name>.yaml``, in which the robot learns to stand and stay in place."""
     legs, wheels = bool(robot.legs), bool(robot.wheels)
     actions = _chosen((f"{name}_legs", legs), (f"{name}_wheels", wheels))
     seen = _chosen(
@@ -52,6 +52,8 @@ def task_yaml(name: str, robot: Survey) -> str:
     ends = _chosen(
         "time_out", (f"{name}_contact", bool(robot.raised_bodies)), ("bad_orientation", robot.level), "non_finite_state"
     )
+    limit = "  terminations:\n    bad_orientation: {limit_angle: 0.8}   # rad, of tilt from upright\n"
+    ends_at = limit if robot.level else ""
     return f"""# @package _global_
 # {name} learns to stand on flat ground. `wheelleg train task={name}`
 defaults:
@@ -89,7 +91,7 @@ env:
       history_length: 1          # the present state is enough: nothing is noisy or delayed
       flatten_history_dim: true
     critic: {{concatenate_terms: true, enable_corruption: false, history_length: 1, flatten_history_dim: true}}
-{_events(robot)}{_rewards(robot)}{_ends(robot)}  scene:
+{_events(robot)}{_rewards(robot)}{ends_at}  scene:
     sensors:
       contact_forces: {{force_threshold: {_threshold(robot)}}}   # N
 
@@ -128,9 +130,10 @@ def _events(robot: Survey) -> str:
 
 
 def _tilt(robot: Survey) -> str:
-    """Return the tilts at the start of episodes, if the stock ones would put a wheel or foot into the ground."""
+    """Return the start tilts, if those of the stock task would put a wheel or foot into the ground."""
     anatomy = robot.anatomy
-    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)  # of feet, whose positions are unknown
+    # The positions of feet are unknown, so assume half of the robot's size.
+    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
     if anatomy.forward is not None:
         along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
         arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
@@ -177,11 +180,6 @@ def _motion(robot: Survey) -> str:
 """
 
 
-def _ends(robot: Survey) -> str:
-    limit = "  terminations:\n    bad_orientation: {limit_angle: 0.8}   # rad, of tilt from upright\n"
-    return limit if robot.level else ""
-
-
 def _leg_action(name: str, robot: Survey) -> str:
     return f"""# Legs: position targets around the default pose.
 {name}_legs:
@@ -193,12 +191,12 @@ def _leg_action(name: str, robot: Survey) -> str:
 
 
 def _tolerance(robot: Survey) -> float:
-    """Return a drift speed that standing should avoid, m/s: that of one unit of wheel action."""
+    """Return a drift speed that a standing robot should avoid, m/s: that of one unit of wheel action."""
     return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the speed of one unit of action, rad/s: a quarter of the torque at standstill."""
+    """Return the wheel speed of one unit of action, rad/s, which takes a quarter of the torque at standstill."""
     gains = wheel_gains(robot)
     return min(
         min(max(_WHEEL_EFFORT * gains.effort[wheel] / gains.damping[wheel], 0.1 * gains.velocity[wheel]), top)
@@ -207,7 +205,7 @@ def _wheel_scale(robot: Survey) -> float:
 
 
 def _leg_scale(robot: Survey) -> float:
-    """Return the rotation of the legs by one unit of action, rad, within torques and limits if possible."""
+    """Return the leg rotation of one unit of action, rad, within the torques and limits if possible."""
     gains, reach = leg_gains(robot), []
     for name in robot.legs:
         low, high = robot.dofs[name].range or (-math.inf, math.inf)
@@ -226,6 +224,8 @@ def _wheel_action(name: str, robot: Survey) -> str:
 
 
 def _leg_positions(name: str, robot: Survey) -> str:
+    endless = [name for name in robot.legs if robot.dofs[name].range is None]
+    clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
     return f"""# Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance.
 {name}_leg_pos:
   _target_: wheelleg_exp.mdp.observations.joint_pos_rel
@@ -233,12 +233,7 @@ def _leg_positions(name: str, robot: Survey) -> str:
     {_ENTITY}
     name: robot
     joint_names: {names(robot.legs, 6, 17)}
-{_clip(robot)}"""
-
-
-def _clip(robot: Survey) -> str:
-    endless = [name for name in robot.legs if robot.dofs[name].range is None]
-    return f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
+{clip}"""
 
 
 def _contact(name: str, robot: Survey) -> str:

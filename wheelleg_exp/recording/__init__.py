@@ -1,15 +1,16 @@
-"""Recordings for rerun: what a recording contains, how it grows, and how it is read back.
+"""Recordings for rerun: the contents of a recording, how it grows, and how it is read back.
 
 | module | offers |
 |---|---|
 | ``layout`` | the entity paths of a recording |
 | ``blueprint`` | the layout of the viewer |
 | ``recording_options`` | the config section ``recording``, and the choice of the recorded episodes |
-| ``rrd_file``, ``rerun_program`` | the frame of an rrd file, and rerun's command-line program |
+| ``rrd_file``, ``rerun_program`` | the messages of an rrd file, and rerun's command-line program |
 | ``writing``, ``reading`` | from the environment into a file, and back |
 """
 
 import os
 
-# rerun reads the variable at its import. A growing file has no index on purpose; rerun would warn of it each time.
+# rerun reads RUST_LOG when Python imports rerun. An rrd file that is still being written has no index, and rerun would
+# warn about each file without an index.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")

@@ -1,7 +1,7 @@
-"""The entity paths of a recording, by environment and subject.
+"""Define the rerun entity paths of a recording, by environment and subject.
 
-One recorded environment has plain paths (``base/height``, ``world/<body>``). Of several environments, each has a
-branch of its own (``env_3/base/height``, ``world/env_3/<body>``).
+A single recorded environment has plain paths (``base/height``, ``world/<body>``). Each of several recorded environments
+has its own branch (``env_3/base/height``, ``world/env_3/<body>``).
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
 LOG = "log"
-HIDDEN = "__"  # prefix of entities that rerun hides, such as properties
+HIDDEN = "__"  # rerun's viewer hides entities whose path starts with two underscores.
 PROPERTIES = "__properties"
-OWN = "wheelleg"  # the name of this program's properties
+OWN = "wheelleg"  # A recording stores its properties under the name `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
-FORMAT_VERSION = 2  # 1 had no properties, and one vector for each observation group
-
+FORMAT_VERSION = 2  # Recordings of format 1 have no properties, and store one vector for each observation group.
 STEP, SIM_TIME, ITERATION = "step", "sim_time", "iteration"
 
 _METRES, _ANGLE, _SPEED, _TURNING, _TORQUE = "m", "rad", "m/s", "rad/s", "N·m"
@@ -44,42 +43,38 @@ _UNITS: dict[tuple[str, ...], str] = {
 
 
 def join(*parts: str) -> str:
-    """Return the entity path of literal parts; special characters are escaped."""
-    import rerun as rr  # lazy, because importing rerun takes 0.25 s
+    """Join literal parts to a rerun entity path and escape special characters."""
+    import rerun as rr  # The import of rerun takes 0.25 s.
 
     return "/".join(rr.escape_entity_path_part(part) for part in parts if part)
 
 
 def join_key(root: str, key: str) -> str:
-    """Return the path of a key such as ``Episode_Reward/alive`` below ``root``."""
+    """Return the rerun entity path of a scalar's key, such as ``Episode_Reward/alive``, below the entity ``root``."""
     return join(root, *key.split("/"))
 
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """The paths of one recorded environment.
-
-    Attributes:
-        branch: the environment's branch; empty for a single environment.
-    """
+    """The rerun entity paths of one recorded environment. ``branch`` is empty if only one environment is recorded."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the path of numbers and text."""
+        """Return the rerun entity path of numbers or texts of the environment."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:
-        """Return the path of a body, or of a part that is fixed to the body."""
+        """Return the rerun entity path of a MuJoCo body, or of a geom that is fixed to the body."""
         return join(WORLD, self.branch, name, *parts)
 
     def overlay(self, *parts: str) -> str:
-        """Return the path of an overlay of the world: arrows, colliders."""
+        """Return the rerun entity path of an overlay in the 3D view, such as arrows or colliders."""
         return join(OVERLAY, self.branch, *parts)
 
 
 def unit(entity: str) -> str | None:
-    """Return the unit of an entity's numbers; None when they have no unit or several units."""
+    """Return the unit of an entity's numbers; None when the numbers have no unit or several units."""
     parts = entity.strip("/").split("/")
     if parts[0].startswith("env_") and len(parts) > 2:
         parts = parts[1:]

@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. Options that runs of all versions have get no default.
+    """The config section ``recording``. Only options that old runs lack have a default.
 
     Attributes:
         enabled: whether a recording is written.
@@ -17,9 +17,9 @@ class RecordingOptions:
         interval: iterations between the starts of two samples of whole episodes.
         steps: control steps after which a sample ends with its current episode.
         max_mb: largest size of the recorded motion, MB; scalars are not limited.
-        live: whether a viewer is opened that shows the run.
-        video_every: iterations between two films of the first of ``env_ids``, ``steps`` control steps long; 0 makes no
-            films. Runs of earlier versions do not have this option.
+        live: whether a viewer shows the run.
+        video_every: iterations between two videos of the first of ``env_ids``, each ``steps`` control steps long; 0
+            makes no videos.
     """
 
     enabled: bool
@@ -32,13 +32,10 @@ class RecordingOptions:
 
 
 class Sample:
-    """Decides for each control step whether it is recorded.
+    """A choice of the control steps of one environment that are recorded; ``steps`` are the recorded control steps.
 
-    A sample starts with the next episode, and ends with the episode in which it has enough steps. A checkpoint need not
-    contain the sample's state, because the state follows from the recorded steps.
-
-    Attributes:
-        steps: the recorded control steps in order, including those of an earlier file.
+    A sample starts with the next episode, and ends with the episode in which the sample reaches its number of steps. A
+    checkpoint need not contain the state of a sample, because the state follows from the recorded steps.
     """
 
     def __init__(self) -> None:
@@ -47,24 +44,22 @@ class Sample:
         self._is_in_episode = False
 
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
-        """Start or continue a sample.
+        """Start or resume a sample of which ``taken`` control steps are already recorded.
 
-        Args:
-            enough: recorded control steps after which no other episode is started; 0 records nothing.
-            most: recorded control steps after which even the current episode is cut off.
-            taken: number of control steps that are already recorded.
-            is_in_episode: whether the current episode is recorded.
+        After ``enough`` recorded control steps, the sample includes no further episode; 0 records nothing. After
+        ``most`` recorded control steps, the current episode is truncated. ``is_in_episode`` is true if the current
+        episode is being recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0
 
     def takes(self, episode_step: int) -> bool:
-        """Return whether a control step is recorded, given its number within its episode, from 1."""
+        """Return whether to record a control step, given its number within the episode, counted from 1."""
         begins = episode_step == 1 and self._taken < self._enough
         self._is_in_episode = (self._is_in_episode or begins) and self._taken < self._most
         return self._is_in_episode
 
     def took(self, *, ends: bool) -> None:
-        """Count a recorded step; ``ends`` says whether its episode ended."""
+        """Count a recorded control step; ``ends`` is true if the episode ended with this step."""
         self._taken += 1
         self._is_in_episode = not ends

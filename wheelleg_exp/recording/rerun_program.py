@@ -1,4 +1,4 @@
-"""Find rerun's command-line program, and rewrite recordings with it.
+"""Run rerun's command-line program, which rewrites recordings.
 
 A rewritten recording has few large chunks instead of thousands of small ones, and an index at its end.
 """
@@ -20,7 +20,7 @@ _LONGEST_REASON = 200
 
 
 def rerun_program() -> str:
-    """Return the path of rerun's own program, not of the Python script that starts it."""
+    """Return the path of rerun's executable, not of the Python script that starts the executable."""
     package = importlib.util.find_spec("rerun_cli")
     if package is not None and package.origin is not None:
         program = Path(package.origin).with_name("rerun")
@@ -30,7 +30,10 @@ def rerun_program() -> str:
 
 
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
-    """Run ``rerun rrd`` with arguments; return the reason of its failure or None, and the lines it logged."""
+    """Run ``rerun rrd`` with arguments.
+
+    Return the reason of a failure (None on success) and the lines of rerun's log.
+    """
     command = [rerun_program(), "rrd", *words]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, stdin=subprocess.DEVNULL)
@@ -45,10 +48,10 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Rewrite a closed recording to a third of its size; return None, or the reason why it was not rewritten.
+    """Shrink a closed recording to about a third of its size; return the reason of a failure or None.
 
-    The content does not change by a bit. At any moment the file is either the old or the new one. Without room on the
-    disk, or without rerun's program, the old file remains. It lacks only the index.
+    The recorded values remain bitwise equal. The new file replaces the old file atomically. If the disk is full or
+    rerun's program is missing, the recording remains unchanged and without an index.
     """
     rewritten = temporary_name(path)
     try:

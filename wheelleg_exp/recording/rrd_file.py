@@ -1,14 +1,17 @@
-"""The frame of an rrd file: where its messages are. rerun's SDK writes and reads the messages themselves.
+"""Read and write the messages of an rrd file, the format of rerun recordings.
+
+rerun's SDK encodes and decodes the messages themselves.
 
 An rrd file is a header of 12 bytes and messages. A message is a kind (u64), a length (u64), and that many bytes. A
-closed file ends with a message that contains an index, and 32 bytes that say where the index is.
+closed file ends with a message that contains an index, and 32 bytes that contain the position of the index.
 
 A recording grows by whole messages of files that the SDK has written, without their index. Measured with rerun 0.41:
 
-- The SDK's own file stream leaves two threads and about 1 MB in the process for ever, and waits without end when the
-  disk is full. ``write_rrd`` does neither. It takes 9 ms for 16 rows of 60 entities.
-- The SDK's reader raises at a file that is cut off. It terminated the process at 4 of 300 damaged files without an
-  index, and at none of 400 damaged closed files. So rerun's own program first rewrites what is not closed.
+- The SDK's own file stream leaves two threads and about 1 MB in the process for ever, and never returns when the
+  disk is full. ``write_rrd`` does neither. ``write_rrd`` takes 9 ms for 16 rows of 60 entities.
+- The SDK's reader raises an error for a truncated file. rerun's reader terminated the process for 4 of 300 damaged
+files without an index, and for none of 400 damaged files with an index. So rerun's own program first rewrites files
+that have no index.
 """
 
 from __future__ import annotations
@@ -17,13 +20,13 @@ import os
 import struct
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 MAGIC = b"RRF2"
 HEADER_SIZE = 12
-SERIALIZER_AT, PROTOBUF = 9, 2  # the byte of the header that names the encoding of messages, and its present value
+SERIALIZER_AT, PROTOBUF = 9, 2  # Byte 9 of the rrd header is the encoding of the messages; 2 means protobuf.
 INDEX, STORE_INFO, ROWS, BLUEPRINT_ACTIVATION = range(4)
 APPLICATION = "wheelleg"
 
@@ -32,7 +35,7 @@ _FOOTER_SIZE, _FOOTER_MARK = 32, b"RRF2FOOT"
 
 
 class Message(NamedTuple):
-    """A whole message: its kind, and where it begins and ends in the file, in bytes."""
+    """A whole message of an rrd file: its kind, and its first byte and end byte in the file."""
 
     kind: int
     begin: int
@@ -40,14 +43,7 @@ class Message(NamedTuple):
 
 
 class RrdFile:
-    """An rrd file as far as it reached when it was opened.
-
-    Args:
-        path: the file.
-
-    Raises:
-        OSError: the file cannot be opened.
-    """
+    """An rrd file, read up to its size at the time of opening or of the last ``refresh``."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDONLY)
@@ -55,20 +51,20 @@ class RrdFile:
         self.size = os.fstat(self._descriptor).st_size
 
     def refresh(self) -> None:
-        """Take the bytes into account that were written since the file was opened."""
+        """Update ``size``, because another process can append to the file."""
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, begin: int, end: int) -> bytes:
-        """Return the bytes from ``begin`` to ``end``; fewer when the file has become shorter."""
+        """Return the bytes of the file from ``begin`` to ``end``, or fewer bytes if the file has been truncated."""
         return os.pread(self._descriptor, end - begin, begin)
 
     @property
     def header(self) -> bytes:
-        """The first 12 bytes."""
+        """The first 12 bytes of the rrd file."""
         return self.read(0, HEADER_SIZE)
 
     def messages(self, begin: int = HEADER_SIZE) -> Iterator[Message]:
-        """Yield the whole messages from an offset on, up to the first one that is not whole."""
+        """Yield the complete messages from an offset up to the index or the first incomplete message."""
         while begin + _HEAD.size <= self.size:
             head = self.read(begin, begin + _HEAD.size)
             if len(head) < _HEAD.size:
@@ -83,13 +79,13 @@ class RrdFile:
             begin = end
 
     def is_closed(self, last: Message | None) -> bool:
-        """Return whether the file ends with an index, given its last whole message."""
+        """Return whether the rrd file ends with an index, given the last complete message of the file."""
         if last is None or last.kind != INDEX or self.size - last.end != _FOOTER_SIZE:
             return False
         return _FOOTER_MARK in self.read(last.end, self.size)
 
     def is_followed_by_damage(self, last: Message | None) -> bool:
-        """Return whether bytes that no writer writes follow the last whole message, instead of a part of a message."""
+        """Return whether the bytes after the last complete message are not the start of a message."""
         begin = HEADER_SIZE if last is None else last.end
         rest = self.read(begin, begin + _FOOTER_SIZE + 1)
         if last is not None and last.kind == INDEX:
@@ -97,55 +93,41 @@ class RrdFile:
         return len(rest) >= 8 and int.from_bytes(rest[:8], "little") > BLUEPRINT_ACTIVATION
 
     def body(self, begin: int = HEADER_SIZE) -> Iterator[bytes]:
-        """Yield the bytes of the whole messages from an offset on, without the index."""
+        """Yield the bytes of the complete messages from an offset to the end of the rrd file, without the index."""
         for message in self.messages(begin):
             if message.kind != INDEX:
                 yield self.read(message.begin, message.end)
 
 
 def encoded_header() -> bytes:
-    """Return the header of a new file."""
-    return _encode([], "")[:HEADER_SIZE]
+    """Return the header of a new rrd file."""
+    return _chunk_file([], "").header
 
 
 def encoded_chunks(chunks: Iterable[Any], recording_id: str) -> bytes:
-    """Return chunks as messages of one recording, without a header and an index.
-
-    Raises:
-        OSError: there is no room for a temporary file.
-    """
-    return _body(_encode(chunks, recording_id))
+    """Return chunks as messages of one recording; raise OSError if a temporary file cannot be written."""
+    return b"".join(_chunk_file(chunks, recording_id).body())
 
 
 def encoded_blueprint(blueprint: Any) -> bytes:
-    """Return the messages that make a blueprint the layout that a recording opens with."""
-    with tempfile.TemporaryFile() as file:
-        blueprint.to_blueprint().save(APPLICATION, f"/dev/fd/{file.fileno()}")
-        file.seek(0)
-        return _body(file.read())
+    """Return the rrd messages that make a blueprint the default layout of a recording."""
+    return b"".join(_temporary_file(lambda path: blueprint.to_blueprint().save(APPLICATION, path)).body())
 
 
-def _encode(chunks: Iterable[Any], recording_id: str) -> bytes:
+def _chunk_file(chunks: Iterable[Any], recording_id: str) -> RrdFile:
     from rerun.chunk import LazyChunkStream
 
+    stream = LazyChunkStream.from_iter(chunks)
+    try:
+        return _temporary_file(
+            lambda path: stream.write_rrd(path, application_id=APPLICATION, recording_id=recording_id)
+        )
+    except RuntimeError as error:
+        raise OSError(str(error)) from error
+
+
+def _temporary_file(write: Callable[[str], None]) -> RrdFile:
     with tempfile.TemporaryFile() as file:
         path = f"/dev/fd/{file.fileno()}"
-        try:
-            LazyChunkStream.from_iter(chunks).write_rrd(path, application_id=APPLICATION, recording_id=recording_id)
-        except RuntimeError as error:
-            raise OSError(str(error)) from error
-        file.seek(0)
-        return file.read()
-
-
-def _body(data: bytes) -> bytes:
-    """Return the messages of a closed file without its header and its index."""
-    found, begin = [], HEADER_SIZE
-    while begin + _HEAD.size <= len(data):
-        kind, length = _HEAD.unpack_from(data, begin)
-        end = begin + _HEAD.size + length
-        if kind == INDEX:
-            break
-        found.append(data[begin:end])
-        begin = end
-    return b"".join(found)
+        write(path)
+        return RrdFile(Path(path))

@@ -13,24 +13,18 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# Channels and data type of one pixel.
+# The number of channels and the data type of one pixel.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # share of the farthest distance from which the depth buffer is empty
+_BEYOND = 0.999  # A depth beyond this share of the clipping distance means that the pixel has no surface.
 _AMBIENT = 0.4
-_HIDDEN = 5  # a geom group that MuJoCo does not draw
+_HIDDEN = 5  # MuJoCo does not draw this geom group.
 
 
 @dataclass(frozen=True)
 class CameraOrder:
-    """A camera to draw.
+    """A camera of a compiled scene to draw, with the picture's size, px, and the clipping range along its axis, m.
 
-    Attributes:
-        model: the compiled scene.
-        camera: one of its cameras.
-        width: px.
-        height: px.
-        clipping_range: nearest and farthest distance along the camera's axis, m.
-        layers: colours; distances along the axis, m, inf without a surface; geom ids, -1 without a geom.
+    A layer has colours, distances along the camera's axis, m (inf without a surface), or geom ids (-1 without a geom).
     """
 
     model: Any
@@ -43,7 +37,7 @@ class CameraOrder:
 
 @dataclass(frozen=True)
 class Poses:
-    """Positions of some simulations, (n, nq). Each simulation is drawn alone, with all its layers."""
+    """The joint positions of n simulations, (n, nq). Each simulation is drawn alone, with all its layers."""
 
     qpos: Array
 
@@ -64,7 +58,7 @@ def _prepared(order: CameraOrder) -> Any:
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # A light at the camera: a surface facing it has its material's brightness, without highlights.
+    # With a light at the camera, a surface that faces the camera has its material's brightness, without highlights.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range
@@ -92,25 +86,22 @@ class _Draw:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        for _ in range(2):  # MuJoCo centres an infinite plane at the camera's previous position
+        for _ in range(2):  # Update twice, because MuJoCo centres an infinite plane at the camera's previous position.
             self._renderer.update_scene(self._data, self._order.camera, self._option)
         return [getattr(self, layer)() for layer in self._order.layers]
 
     def colour(self) -> np.ndarray[Any, Any]:
-        """Return the colours, (height, width, 3) uint8."""
         self._renderer.disable_depth_rendering()
         self._renderer.disable_segmentation_rendering()
         return np.asarray(self._renderer.render())
 
     def depth(self) -> np.ndarray[Any, Any]:
-        """Return the distances along the axis, m, (height, width) float32."""
         self._renderer.enable_depth_rendering()
         far = self._order.clipping_range[1]
         depth = np.asarray(self._renderer.render())
         return np.where(depth < _BEYOND * far, depth, np.float32(np.inf))
 
     def geom(self) -> np.ndarray[Any, Any]:
-        """Return the geom ids, (height, width) int32."""
         import mujoco
 
         self._renderer.enable_segmentation_rendering()

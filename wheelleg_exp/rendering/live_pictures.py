@@ -1,6 +1,6 @@
 """Pictures of running simulations and of camera sensors.
 
-Both are drawn from copied positions alone, so that drawing never changes the simulation.
+All pictures are drawn from copied positions, so that drawing never changes the simulation.
 """
 
 from __future__ import annotations
@@ -24,11 +24,9 @@ _SAMPLES = 4
 
 
 class LivePictures:
-    """Draw a compiled scene at positions; the camera follows the robot at one distance.
+    """Draws a compiled scene at positions; the camera follows the root body ``root`` at a fixed distance.
 
-    The child process starts with the first picture and stops with ``close``.
-
-    ``root`` is the name of the robot's root body.
+    The drawing process starts with the first picture and stops when ``close`` is called.
     """
 
     def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:
@@ -39,15 +37,15 @@ class LivePictures:
         self._started = False
 
     def draw(self, qpos: Array) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3) of the scene at positions (nq,).
-
-        Raises:
-            NoGraphics: drawing is not possible on this machine; the message names the packages to install.
-            SimulationFailure: the graphics driver failed.
-        """
+        """Return a picture (height, width, 3) at positions (nq,); NoGraphics or SimulationFailure if drawing fails."""
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         if not self._started:
-            self._start(qpos)
+            scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
+            cloud = points(scene, self._poses.xpos[1:], self._poses.xquat[1:]) - self._poses.xpos[self._root]
+            self._centre = np.array([0.0, 0.0, (cloud[:, 2].min() + cloud[:, 2].max()) / 2])
+            self._distance = render_scene.camera_distance(cloud - self._centre, self._width / self._height)
+            self._process = self._open.enter_context(drawing(Order(scene, self._width, self._height, _SAMPLES)))
+            self._started = True
         self._poses.update(qpos)
         pos, quat = self._poses.xpos[1:].copy(), self._poses.xquat[1:].copy()
         lookat = pos[self._root - 1] + self._centre
@@ -55,29 +53,15 @@ class LivePictures:
         return self._process.draw(view).copy()
 
     def close(self) -> None:
-        """Stop the child process. The next picture starts another one."""
+        """Stop the drawing process; the next picture starts a new process."""
         self._open.close()
         self._started = False
 
-    def _start(self, qpos: Array) -> None:
-        scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
-        cloud = points(scene, self._poses.xpos[1:], self._poses.xquat[1:]) - self._poses.xpos[self._root]
-        self._centre = np.array([0.0, 0.0, (cloud[:, 2].min() + cloud[:, 2].max()) / 2])
-        self._distance = render_scene.camera_distance(cloud - self._centre, self._width / self._height)
-        self._process = self._open.enter_context(drawing(Order(scene, self._width, self._height, _SAMPLES)))
-        self._started = True
-
 
 class CameraPictures:
-    """Draw the pictures of one camera. The child process starts with the first picture and stops with the object.
+    """Draws the pictures of one camera of a compiled scene (see ``CameraOrder``).
 
-    Args:
-        model: the compiled scene.
-        camera: the name of one of its cameras.
-        width: px.
-        height: px.
-        clipping_range: nearest and farthest distance along the camera's axis, m.
-        layers: the layers (see ``CameraOrder``).
+    The drawing process starts with the first picture and stops when this object is deleted.
     """
 
     def __init__(
@@ -95,12 +79,7 @@ class CameraPictures:
         weakref.finalize(self, self._open.close)
 
     def draw(self, qpos: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return each layer, (n, height, width, channels), of the scene at positions (n, nq).
-
-        Raises:
-            NoGraphics: drawing is not possible on this machine; the message names the packages to install.
-            SimulationFailure: the graphics driver failed.
-        """
+        """Return each layer, (n, height, width, channels), of the scene at positions (n, nq)."""
         if self._worker is None:
             self._worker = self._open.enter_context(working("wheelleg_exp.rendering.camera_job", self._order))
         order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]
@@ -115,6 +94,6 @@ class CameraPictures:
         }
 
     def close(self) -> None:
-        """Stop the child process. The next picture starts another one."""
+        """Stop the drawing process; the next picture starts a new process."""
         self._open.close()
         self._worker = None

@@ -18,7 +18,7 @@ from wheelleg_exp.rendering.render_scene import Array, Scene
 
 @dataclass(frozen=True)
 class Order:
-    """A scene to draw, the picture's size, px, and the number of samples per pixel."""
+    """A request to draw a scene, with the picture's size, px, and the number of samples per pixel."""
 
     scene: Scene
     width: int
@@ -38,10 +38,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class View:
-    """The view of one picture: poses of the bodies, (B, 3) and (B, 4), wxyz, arrows, and camera.
-
-    Angles are in degrees, as in MuJoCo's camera.
-    """
+    """The body poses of one picture, (B, 3) and (B, 4), wxyz, its arrows, and its camera, with angles in degrees."""
 
     pos: Array
     quat: Array
@@ -75,22 +72,16 @@ def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, A
     camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
     renderer.update_scene(data, camera)
     for arrow in view.arrows:
-        _add(renderer.scene, arrow)
+        scene, kind = renderer.scene, mujoco.mjtGeom.mjGEOM_ARROW
+        if scene.ngeom >= scene.maxgeom:
+            break
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
+        # MuJoCo draws an arrow with half of the given length.
+        mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        scene.ngeom += 1
     return np.asarray(renderer.render())
-
-
-def _add(scene: Any, arrow: Arrow) -> None:
-    import mujoco
-
-    if scene.ngeom >= scene.maxgeom:
-        return
-    geom = scene.geoms[scene.ngeom]
-    kind = mujoco.mjtGeom.mjGEOM_ARROW
-    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
-    # MuJoCo draws an arrow at half of the given length.
-    mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
-    geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
-    scene.ngeom += 1
 
 
 if __name__ == "__main__":

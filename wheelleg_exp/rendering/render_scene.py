@@ -1,6 +1,6 @@
 """A scene to draw, as plain arrays: shapes, moving bodies, the ground, and the camera's place.
 
-The camera always sees the same side of the robot, near enough to fill the picture.
+The camera follows the robot at a fixed angle, and the robot fills the picture.
 """
 
 from __future__ import annotations
@@ -14,22 +14,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # m; nothing beyond this distance is drawn
+FAR = 1e6  # m; objects beyond this distance are not drawn
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape in the frame of its body.
+    """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh.
 
-    Attributes:
-        kind: box, ellipsoid, cylinder, capsule, or mesh.
-        size: half sizes, m; radius and half length of a cylinder or capsule; empty for a mesh.
-        pos: centre, m.
-        quat: orientation, wxyz.
-        rgba: colour, 0 to 1.
-        vertices: vertices of a mesh, (n, 3), m.
-        faces: triangles of a mesh, (m, 3).
-        normals: normals of a mesh, (n, 3), or None.
+    ``size`` has half edges of a box, m, or the radius and half length of a cylinder or capsule; a mesh has an empty
+    ``size``. ``quat`` is wxyz, ``rgba`` is 0 to 1. A mesh has vertices (n, 3), m, triangles ``faces`` (m, 3), and
+    normals (n, 3) or None.
     """
 
     kind: str
@@ -46,9 +40,8 @@ class Shape:
         if self.vertices is not None:
             low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         else:
-            half = np.asarray(self.size if len(self.size) == 3 else (self.size[0], self.size[0], sum(self.size)))
-            if self.kind == "cylinder":
-                half = np.asarray((self.size[0], self.size[0], self.size[1]))
+            tall = self.size[1] if self.kind == "cylinder" else sum(self.size)
+            half = np.asarray(self.size if len(self.size) == 3 else (self.size[0], self.size[0], tall))
             low, high = -half, half
         signs = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
         return rotated(self.quat, np.where(signs == 1, high, low)) + np.asarray(self.pos)
@@ -76,14 +69,9 @@ class Ground:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene to draw.
+    """A scene to draw: the shapes of each moving body by name, the ``fixed`` shapes, and the ground, if any.
 
-    Attributes:
-        bodies: the shapes of each moving body, by name.
-        fixed: static shapes.
-        ground: the plane, or None.
-        root: the body that the camera follows.
-        size: approximate height of the robot, m.
+    The camera follows the body ``root``; ``size`` is the approximate height of the robot, m.
     """
 
     bodies: Mapping[str, Sequence[Shape]]
@@ -94,7 +82,7 @@ class Scene:
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot with its bodies at (B, 3), (B, 4)."""
+    """Return points (n, 3), m, that enclose the robot, for poses (B, 3) and (B, 4) of the bodies."""
     found = [
         rotated(quat[b], np.concatenate([shape.corners() for shape in shapes])) + pos[b]
         for b, shapes in enumerate(scene.bodies.values())
@@ -104,12 +92,12 @@ def points(scene: Scene, pos: Array, quat: Array) -> Array:
 
 
 AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as in MuJoCo's camera
-FOV = 30.0  # degrees, vertical: a long lens, so that small robots are not distorted
-_FILLED = 0.64  # the robot's share of the picture's height and width; arrows and captions need the remaining space
+FOV = 30.0  # the vertical angle of view, degrees; a small angle does not distort small robots
+_FILLED = 0.64  # the robot's share of the picture's height and width
 
 
 def camera_distance(cloud: Array, aspect: float) -> float:
-    """Return the distance at which a cloud of points around the origin fills its share of the picture."""
+    """Return the camera's distance at which points around the origin fill the robot's share of the picture."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
     wide = tall * aspect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,10 +19,7 @@ from wheelleg_exp.rendering.render_job import Order, View
 
 
 def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
-    """Return the error for more environments than a camera may draw, or None.
-
-    ``limit`` is the camera's ``max_num_envs``.
-    """
+    """Return the error for more environments than a camera's ``max_num_envs``, or None."""
     if num_envs <= limit:
         return None
     return ConfigError(
@@ -44,26 +41,14 @@ class NoGraphics(WheellegError):
 
 
 class GraphicsWorker(Worker):
-    """A worker with a graphics driver.
-
-    Args:
-        module: the module of the process.
-        order: what it prepares.
-        backend: MuJoCo's backend.
-        errors: an empty file for its standard error.
-        folder: the working folder.
-    """
+    """A worker process with a graphics driver; MuJoCo writes its log to the worker's folder."""
 
     def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
-        super().__init__(module, order, _environment(backend), errors, folder)  # MuJoCo writes its log into the folder
+        super().__init__(module, order, _environment(backend), errors, folder)
         self.backend = backend
 
     def ask(self, request: Any, count: int) -> bytes:
-        """Return the ``count`` bytes of the answer.
-
-        Raises:
-            SimulationFailure: the graphics driver failed.
-        """
+        """Return ``count`` bytes from the worker process; SimulationFailure if the graphics driver failed."""
         data = super().ask(request, count)
         if len(data) != count:
             raise SimulationFailure(f"the graphics driver failed while drawing ({self.backend}): {self.last_line()}")
@@ -71,63 +56,43 @@ class GraphicsWorker(Worker):
 
 
 class Drawing:
-    """Draw views in a worker."""
+    """Draws views in a worker process."""
 
     def __init__(self, worker: GraphicsWorker, order: Order) -> None:
         self._worker, self._size = worker, (order.height, order.width, 3)
         self.backend = worker.backend
 
     def draw(self, view: View) -> NDArray[np.uint8]:
-        """Return a picture, (height, width, 3).
-
-        Raises:
-            SimulationFailure: the graphics driver failed.
-        """
+        """Return a picture, (height, width, 3); SimulationFailure if the graphics driver failed."""
         data = self._worker.ask(view, int(np.prod(self._size)))
         return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
 
 
 @contextmanager
 def drawing(order: Order) -> Iterator[Drawing]:
-    """Yield a ``Drawing`` of a scene.
-
-    Raises:
-        NoGraphics: no backend works here; the message names the packages to install.
-    """
+    """Yield a ``Drawing`` of a scene; NoGraphics, with the packages to install, if no backend works."""
     with working("wheelleg_exp.rendering.render_job", order) as worker:
         yield Drawing(worker, order)
 
 
 @contextmanager
 def working(module: str, order: Any) -> Iterator[GraphicsWorker]:
-    """Yield a worker whose graphics driver works.
-
-    Raises:
-        NoGraphics: no backend works here; the message names the packages to install.
-    """
+    """Yield a worker whose graphics driver works; NoGraphics, with the packages to install, if no backend works."""
     with tempfile.TemporaryDirectory(prefix="wheelleg-") as folder, tempfile.TemporaryFile() as errors:
-        found = _first_that_works(module, order, errors, Path(folder))
-        try:
-            yield found
-        finally:
-            found.close()
-
-
-def _first_that_works(module: str, order: Any, errors: IO[bytes], folder: Path) -> GraphicsWorker:
-    reasons = []
-    for backend in backends():
-        candidate = GraphicsWorker(module, order, backend, errors, folder)
-        if candidate.is_ready:
-            return candidate
-        candidate.close()
-        reasons.append(f"{backend}: {candidate.last_line()}")
-        errors.seek(0)
-        errors.truncate()
+        reasons = []
+        for backend in backends():
+            with closing(GraphicsWorker(module, order, backend, errors, Path(folder))) as worker:
+                if worker.is_ready:
+                    yield worker
+                    return
+            reasons.append(f"{backend}: {worker.last_line()}")
+            errors.seek(0)
+            errors.truncate()
     raise NoGraphics(f"drawing is not possible on this machine ({'; '.join(reasons)})", expected=INSTALL)
 
 
 def backends() -> Sequence[str]:
-    """Return the backends to try, the one in MUJOCO_GL first."""
+    """Return the backends to try, starting with the backend in MUJOCO_GL."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     return tuple(dict.fromkeys([*([wanted] if wanted in BACKENDS else []), *BACKENDS]))
 

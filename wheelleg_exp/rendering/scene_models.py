@@ -1,13 +1,11 @@
 """Convert between compiled MuJoCo models and scenes.
 
-``scene_of_model`` returns the visible geoms of a compiled model with their colours and surfaces. ``Kinematics``
-computes the poses of its bodies. ``build_model`` makes a MuJoCo model of a scene: every body is a mocap body, the
-floor is checkered, and a light follows the robot.
+A scene consists of the visible geoms of a compiled model. In the MuJoCo model of a scene, every body is a mocap body,
+the floor is checkered, and a light follows the robot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -16,9 +14,8 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
-VISUAL_GROUP = 2  # MuJoCo's convention for visual geoms
+VISUAL_GROUP = 2  # By MuJoCo's convention, this group contains visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_PLANE_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE),)
 _SOLIDS = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
@@ -38,12 +35,9 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled model.
+    """Return the scene of a compiled model, whose bodies except the world become the scene's bodies, in order.
 
-    Args:
-        model: the model; its bodies except the world become the scene's, in order.
-        root: the body that the camera follows.
-        size: height of the robot, m.
+    The camera follows the body ``root``; ``size`` is the height of the robot, m.
     """
     bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
     planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
@@ -79,25 +73,20 @@ def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
     return np.round(np.clip(rgba, 0.0, 1.0) * 255).astype(np.uint8)
 
 
-def is_collider(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom can collide."""
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-
-
 def is_plane(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom is an infinite plane. Planes are drawn as ground, not as shapes."""
-    return int(model.geom_type[geom]) in _PLANE_TYPES
+    """Return whether a geom is an infinite plane, which is drawn as ground, not as a shape."""
+    return bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to draw, and its colliders if they are others.
+    """Return a body's geoms to draw, and its colliders if the colliders differ from the geoms to draw.
 
     A body without geoms in the visual group is drawn by its colliders.
     """
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
-    colliders = [g for g in geoms if is_collider(model, g)]
+    colliders = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     return (visual, colliders) if visual else (colliders, [])
 
 
@@ -108,7 +97,7 @@ def mesh(model: mujoco.MjModel, geom: int) -> Surface:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return a mesh with one normal per face. MuJoCo averages normals, which is wrong at sharp edges."""
+    """Return a mesh with one normal per face, because MuJoCo's averaged normals are wrong at sharp edges."""
     number = int(model.geom_dataid[geom])
     faces = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
     corners = model.mesh_vertadr[number] + model.mesh_face[faces].ravel()
@@ -120,7 +109,6 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
 
 
 def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return the surface of a height field as a mesh. Its data is row by row along x, scaled by the elevation."""
     field = int(model.geom_dataid[geom])
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     radius_x, radius_y, elevation, _ = model.hfield_size[field]
@@ -131,13 +119,10 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
-    return Surface(vertices, triangles.reshape(-1, 3), _grid_normals(height.reshape(rows, columns), x, y))
-
-
-def _grid_normals(height: Array, x: Array, y: Array) -> Array:
-    slope_y, slope_x = np.gradient(height, y[:, 0], x[0])
-    normals = np.stack((-slope_x, -slope_y, np.ones_like(height)), axis=-1).reshape(-1, 3)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    slope_y, slope_x = np.gradient(height.reshape(rows, columns), y[:, 0], x[0])
+    normals = np.stack((-slope_x, -slope_y, np.ones_like(slope_x)), axis=-1).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Surface(vertices, triangles.reshape(-1, 3), normals)
 
 
 class Kinematics:
@@ -164,12 +149,10 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return the height of the tree below ``root`` at ``qpos``, m: the vertical extent of its bounding spheres.
-
-        It is at least 1 cm, so that it can serve as a length scale.
-        """
+        """Return the height of the robot with the root body ``root`` at ``qpos``, m; at least 0.01."""
         self.update(qpos)
-        geoms = [g for g in tree_geoms(self._model, root) if not is_plane(self._model, g)]
+        below = np.flatnonzero(np.isin(self._model.geom_bodyid, tree_bodies(self._model, root))).tolist()
+        geoms = [g for g in below if not is_plane(self._model, g)]
         if not geoms:
             return 0.1
         centre, radius = self._data.geom_xpos[geoms, 2], self._model.geom_rbound[geoms]
@@ -177,17 +160,12 @@ class Kinematics:
 
 
 def tree_bodies(model: mujoco.MjModel, root: int) -> list[int]:
-    """Return ``root`` and all bodies below it."""
+    """Return the body ``root`` and all bodies below it."""
     bodies = [root]
     for body in range(root + 1, model.nbody):
         if int(model.body_parentid[body]) in bodies:
             bodies.append(body)
     return bodies
-
-
-def tree_geoms(model: mujoco.MjModel, root: int) -> list[int]:
-    """Return the geoms of ``root`` and of all bodies below it."""
-    return np.flatnonzero(np.isin(model.geom_bodyid, tree_bodies(model, root))).tolist()
 
 
 RIG = "rig"
@@ -204,14 +182,15 @@ _KINDS = {
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a scene.
+    """Return the compiled MuJoCo model of a scene; its mocap bodies follow the light's rig, in order.
 
-    ``scene`` is the scene; its mocap bodies follow the light's rig, in order. ``samples`` are the samples per
-    pixel, against jagged edges; 0 if the driver has none.
+    ``samples`` are the samples per pixel, against jagged edges; 0 if the driver has none.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)
-    _shadows(spec.visual, is_fine=height > _FINE_SHADOWS_FROM, is_wide=bool(scene.fixed))
+    # A terrain needs a larger shadow area, so that the area's border is outside the picture.
+    spec.visual.map.shadowclip = 8.0 if scene.fixed else 2.5
+    spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
     _lights(spec, scene.size)
@@ -244,18 +223,12 @@ def _look(spec: Any, size: float, width: int, height: int, samples: int) -> None
     )  # fmt: skip
 
 
-def _shadows(visual: Any, *, is_fine: bool, is_wide: bool) -> None:
-    """Set the extent of the shadows. On a terrain their border would be visible, so it must be out of sight."""
-    visual.map.shadowclip = 8.0 if is_wide else 2.5
-    visual.quality.shadowsize = 4096 if is_fine or is_wide else 2048
-
-
 def _floor(spec: Any, height: float, tile: float) -> None:
     texture = spec.add_texture(
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # A texture has two tiles along an edge.
+    # A checker texture has two squares along each edge.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(
@@ -282,7 +255,7 @@ def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:
             return
         fields["meshname"] = name
     else:
-        fields["size"] = _three([max(float(part), 1e-6) for part in shape.size])
+        fields["size"] = [*(max(float(part), 1e-6) for part in shape.size), 0.0, 0.0][:3]
     body.add_geom(type=_KINDS[shape.kind], pos=shape.pos, quat=shape.quat, rgba=shape.rgba, **fields)
 
 
@@ -302,7 +275,3 @@ def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
     if shape.normals is not None:
         mesh.usernormal = shape.normals.ravel()
     return True
-
-
-def _three(size: Sequence[float]) -> list[float]:
-    return [*size, 0.0, 0.0, 0.0][:3]

@@ -26,27 +26,21 @@ def write(
     size: tuple[int, int],
     progress: Callable[[int], None] | None = None,
 ) -> str:
-    """Write pictures (height, width, 3) as a video, complete or not at all, and return the codec's name.
+    """Write pictures (height, width, 3) as a video atomically, and return the codec's name.
 
-    Args:
-        path: the file: .mp4, .mkv or .mov; it must not exist.
-        pictures: the pictures in order.
-        fps: pictures per second.
-        size: width and height, px, even.
-        progress: called with the number of finished pictures.
-
-    Raises:
-        WheellegError: the file cannot be written, or there is no encoder.
+    The file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the even width and height, px; ``progress``
+    receives the number of finished pictures. WheellegError if the file cannot be written, or if no encoder exists.
     """
     import av
 
     kind = KINDS[path.suffix.lower()]
-
     aside = path.with_name(f".{path.name}.tmp")
     try:
         with for_people(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            with av.open(str(aside), "w", format=kind, options=_options(kind)) as container:
+            # Write the index at the front of an MP4 file, so that a browser can start playing before the download ends.
+            options = {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
+            with av.open(str(aside), "w", format=kind, options=options) as container:
                 stream, codec = _stream(container, fps, size)
                 for done, pixels in enumerate(pictures, start=1):
                     container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), "rgb24")))
@@ -61,13 +55,11 @@ def write(
     return codec
 
 
-def _options(kind: str) -> dict[str, str]:
-    """Return the container's options: the index is at the front, so that a browser starts early."""
-    return {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
-
-
 def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return an encoder and its name: H.264 if PyAV has it, or else a codec that every player supports."""
+    """Return a video stream and its codec's name.
+
+    The codec is H.264, or MPEG-4 if PyAV has no H.264 encoder.
+    """
     import av
 
     for codec in _CODECS:
@@ -75,7 +67,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             continue
         try:
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # the name is a decoder only
+        except (ValueError, av.FFmpegError):  # PyAV has a decoder but no encoder with this name.
             continue
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"

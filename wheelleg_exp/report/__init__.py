@@ -2,7 +2,7 @@
 
 | module | offers |
 |---|---|
-| ``report_subject`` | the files of a run, read as far as they can be read |
+| ``report_subject`` | the files of a run, read as far as possible |
 | ``report_page`` | the page of a run: its sections in order, rendered and written |
 | ``headline`` | the sentence and key figures at the top |
 | ``performance_section``, ``pictures_section``, ``training_section`` | the robot, and its training |
@@ -20,14 +20,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Report:
-    """A written report.
-
-    Attributes:
-        run: the run's folder.
-        path: the file.
-        size: its size in bytes.
-        notes: what is missing in it and why.
-    """
+    """A written report: the run's folder, the file with its size in bytes, and notes about missing content."""
 
     run: Path
     path: Path
@@ -45,19 +38,14 @@ def make_report(
 ) -> Report:
     """Write the report of one run, or one report of several runs.
 
-    Args:
-        run: a path, an id, ``latest``, the folder of an agent's run, or a sweep; or several of these.
-        root: the folder of all runs.
-        output: the file; by default ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for
-            several runs.
-        command: the command line, for the manifest.
-        pictures: whether to draw pictures of the robot.
-
-    Raises:
-        WheellegError: the run does not exist, or the file cannot be written or is not a report of this run.
+    Each argument is a run's path, a run's id, ``latest``, the folder of a deployed agent's run, or a sweep. The default
+    output is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for several runs. ``command``
+    is the command line for the manifest. ``pictures`` is true if the report shows pictures of the robot. The function
+    raises WheellegError if a run does not exist, the file cannot be written, or the file exists and is not a report of
+    the run.
     """
-    from wheelleg_exp.report import provenance_section as trust
     from wheelleg_exp.report.pictures_section import Look
+    from wheelleg_exp.report.provenance_section import judge
     from wheelleg_exp.report.report_page import compile_page, render_page, report_path, write_report
     from wheelleg_exp.report.report_subject import open_subject
     from wheelleg_exp.report.several_runs_page import COMPARISON, open_several, several_page
@@ -67,12 +55,10 @@ def make_report(
     if several is not None:
         about, runs = several
         path = report_path(about, Path(COMPARISON) if output is None and len(names) > 1 else output)
-        written = write_report(about, path, render_page(several_page(about, runs, command)), command)
-        return Report(about.path, written.path, written.size, ())
-    run = names[0]
-    subject = open_subject(run, root)
+        write_report(about, path, render_page(several_page(about, runs, command)), command)
+        return Report(about.path, path, path.stat().st_size, ())
+    subject = open_subject(names[0], root)
     path = report_path(subject, output)
     look = Look(subject, pictures)
-    html = render_page(compile_page(subject, look, trust.judge(subject)))
-    written = write_report(subject, path, html, command)
-    return Report(subject.path, written.path, written.size, tuple(look.notes))
+    write_report(subject, path, render_page(compile_page(subject, look, judge(subject))), command)
+    return Report(subject.path, path, path.stat().st_size, tuple(look.notes))

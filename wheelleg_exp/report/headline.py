@@ -1,7 +1,8 @@
-"""Headline of a report: one sentence that says whether the robot stands, and the key figures."""
+"""Headline of a report: one sentence on whether the robot stands, and the key figures."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
@@ -11,17 +12,17 @@ from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
-_GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out, for the colour of a card
+_GOOD, _FAIR = 0.95, 0.5  # A card is green from 95 % survival and yellow from 50 %.
 _TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def tone(subject: Subject) -> Tone:
-    """Return the tone of the run's status."""
+    """Return the colour tone in which the report shows a run's status."""
     return _TONES.get(subject.status, "")
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the figures of the run's last play, or of the agent's run; empty if there are none."""
+    """Return the metrics of the run's last play, or of the agent's run; empty without metrics."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -30,13 +31,13 @@ def played(subject: Subject) -> dict[str, Any]:
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
-    """Return how many episodes of a play ended; None if unknown."""
+    """Return the number of episodes that ended in a play; None if the number is unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
 
 
 def planned(subject: Subject) -> int | None:
-    """Return the planned number of iterations: that of the config, or of the last resume."""
+    """Return the planned number of training iterations, from the run's config or from its last resume."""
     found = subject.setting("agent.max_iterations")
     for entry in subject.manifest.get("resumes", []):
         for text in entry.get("overrides") or []:
@@ -46,16 +47,16 @@ def planned(subject: Subject) -> int | None:
 
 
 def done(subject: Subject) -> int:
-    """Return the number of finished iterations."""
+    """Return the number of finished training iterations."""
     last = max((series.at[-1] for series in subject.scalars.values()), default=-1)
     kept = (subject.manifest.get("results") or {}).get("iterations")
     return kept if isinstance(kept, int) and subject.status == "finished" else last + 1
 
 
 def seconds(subject: Subject) -> float | None:
-    """Return the duration of the training, s: that of its results, else from its start to its end.
+    """Return the duration of the training, s, from its results or from its start and end.
 
-    It is None for a resumed run, which was stopped for an unknown time.
+    The time between a stop and a resume is unknown, so the duration of a resumed run is None.
     """
     if subject.manifest.get("resumes"):
         return None
@@ -69,7 +70,7 @@ def seconds(subject: Subject) -> float | None:
 
 
 def target_height(subject: Subject) -> float | None:
-    """Return the base height of the task's rewards, m; None if no reward names one."""
+    """Return the base's target height, m, from the task's reward terms; None without a target height."""
     rewards = subject.setting("env.rewards")
     for term in rewards.values() if isinstance(rewards, Mapping) else ():
         height = term.get("target_height") if isinstance(term, Mapping) else None
@@ -79,7 +80,7 @@ def target_height(subject: Subject) -> float | None:
 
 
 def time_outs(subject: Subject) -> list[str]:
-    """Return the names of the terminations that are time-outs."""
+    """Return the names of the termination terms that are time-outs."""
     terms = subject.setting("env.terminations")
     found = terms.items() if isinstance(terms, Mapping) else ()
     return [str(name) for name, term in found if isinstance(term, Mapping) and term.get("time_out")]
@@ -88,7 +89,7 @@ def time_outs(subject: Subject) -> list[str]:
 def reached_end(subject: Subject) -> float | None:
     """Return the share of environments whose last training episode reached the time-out and did not fail.
 
-    A run that does not count such episodes only has the share of all time-outs, which includes simultaneous failures.
+    Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
     """
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
@@ -153,7 +154,11 @@ def cards(subject: Subject, verdict: Card | None) -> list[Card]:
     figures = played(subject)
     found = list(_of_play(subject, figures) if figures else _of_training(subject))
     if subject.status != AGENT:
-        found.append(_effort(subject))
+        count, total, spent = done(subject), planned(subject), seconds(subject)
+        note = f"in {duration(spent)}" if spent is not None else ""
+        if total and count < total:
+            note = f"of {number(total)} planned" + (f", {note}" if note else "")
+        found.append(Card("Iterations", number(count), "", note))
     return [*found, *([verdict] if verdict else [])]
 
 
@@ -164,7 +169,10 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
         yield _with_unit("Survival", percent(survival), note, tone_of(survival))
     height, error, goal = figures.get("height_mean_m"), figures.get("height_rmse_m"), target_height(subject)
     if isinstance(height, (int, float)):
-        note = f"; RMS error {_mm(error)} against {exact(1e3 * goal)} mm" if goal and is_number(error) else ""
+        note = ""
+        if goal and isinstance(error, (int, float)):
+            shown = number(1e3 * error, 2 if error < 0.01 else 3)
+            note = f"; RMS error {shown} mm against {exact(1e3 * goal)} mm"
         yield Card("Base height", number(1e3 * height), "mm", f"mean {when}{note}")
     if is_number(figures.get("pitch_rms_deg")):
         lean = figures.get("pitch_mean_deg")
@@ -177,7 +185,6 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
 
 
 def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
-    """Yield drift, torque, smoothness, and power. Older plays lack them."""
     turned = figures.get("yaw_drift_deg")
     if is_number(figures.get("drift_m")):
         note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
@@ -197,9 +204,8 @@ def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
 def _of_training(subject: Subject) -> Iterator[Card]:
     share = reached_end(subject)
     if share is not None:
-        yield _with_unit(
-            "Reached the time-out", percent(share), "of the environments, in their last episode", tone_of(share)
-        )
+        note = "of the environments, in their last episode"
+        yield _with_unit("Reached the time-out", percent(share), note, tone_of(share))
     steps, step_s = subject.last("Train/mean_episode_length"), subject.step_s
     if steps is not None and step_s is not None:
         length = subject.setting("env.episode_length_s")
@@ -209,16 +215,8 @@ def _of_training(subject: Subject) -> Iterator[Card]:
         yield Card("Return", number(subject.last("Train/mean_reward")), "", f"mean of {LAST}, with exploration")
 
 
-def _effort(subject: Subject) -> Card:
-    count, total, spent = done(subject), planned(subject), seconds(subject)
-    note = f"in {duration(spent)}" if spent is not None else ""
-    if total and count < total:
-        note = f"of {number(total)} planned" + (f", {note}" if note else "")
-    return Card("Iterations", number(count), "", note)
-
-
 def tone_of(share: float) -> Tone:
-    """Return the tone of a share of episodes that reached the time-out."""
+    """Return the colour tone of a card for the share of episodes that reached the time-out."""
     return "good" if share >= _GOOD else "warn" if share >= _FAIR else "bad"
 
 
@@ -245,8 +243,6 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
 
 def command(subject: Subject) -> str:
     """Return the command line of the run."""
-    import shlex
-
     words = subject.manifest.get("command")
     return shlex.join(str(word) for word in words) if isinstance(words, list) else ""
 
@@ -254,7 +250,3 @@ def command(subject: Subject) -> str:
 def _with_unit(label: str, text: str, note: str, mood: Tone) -> Card:
     value, _, unit = text.partition(" ")
     return Card(label, value, unit, note, mood)
-
-
-def _mm(value: Any) -> str:
-    return f"{number(1e3 * value, 2 if value < 0.01 else 3)} mm"

@@ -1,7 +1,8 @@
-"""Plots as inline SVG of a page.
+"""Draw matplotlib plots as inline SVG of an HTML page.
 
-``drawn`` draws panels one by one, as narrow as a phone, with their titles as text of the page. ``clean`` makes an
-SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference leaves the page.
+``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the page. ``clean``
+makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference leaves the
+page.
 """
 
 from __future__ import annotations
@@ -39,13 +40,10 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 
 
 def clean(svg: str, prefix: str, title: str) -> str:
-    """Return an SVG without prolog, scripts, links, and foreign styles.
+    """Return an SVG without prolog, scripts, links, and foreign styles; raise ValueError for text that is not SVG.
 
-    ``prefix`` is a prefix for its ids, so that two drawings of a page share no id. ``title`` is the description for
-    readers who do not see the drawing.
-
-    Raises:
-        ValueError: the text is not SVG.
+    ``prefix`` is prepended to the ids in the SVG, so that two drawings of a page share no id. ``title`` is the
+    description for readers who do not see the drawing.
     """
     try:
         root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
@@ -58,14 +56,15 @@ def clean(svg: str, prefix: str, title: str) -> str:
     kept.set("viewBox", " ".join(box))
     kept.set("width", box[2])
     kept.set("height", box[3])
-    kept.set("stroke-linejoin", "round")  # from the drawing's style sheet, which would apply to the whole page
+    # matplotlib sets this attribute in a style sheet, which would apply to the whole HTML page.
+    kept.set("stroke-linejoin", "round")
     kept.set("role", "img")
     kept.set("aria-label", title)
     return ElementTree.tostring(kept, encoding="unicode")
 
 
 def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
-    """Return a copy with the allowed elements and without namespaces, which HTML does not need."""
+    """Return a copy of an SVG element without namespaces, with only the allowed child elements."""
     copy = ElementTree.Element(_local(element.tag), dict(_attributes(element, prefix)))
     copy.text, copy.tail = element.text, element.tail
     for child in element:
@@ -77,7 +76,7 @@ def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
 def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
     for name, value in element.attrib.items():
         local = _local(name)
-        # References inside the drawing get the prefix of their targets' ids; all other references are dropped.
+        # References inside the SVG get the prefix of their targets' ids; all references to other files are removed.
         if local == "href" and value.startswith("#"):
             yield "href", f"#{prefix}-{value[1:]}"
         elif local == "id":
@@ -94,18 +93,15 @@ def _length(root: ElementTree.Element, name: str) -> str:
     return re.sub(r"[^\d.]", "", root.get(name, "")) or "100"
 
 
-# Inches. A phone's column is about 345 px wide, on which 8.5 pt letters then have the right size.
+# The width of a drawing in inches. In this width, letters of 8.5 pt are readable on a phone's screen, about 345 px
+# wide.
 _WIDTH, _HEIGHT = 3.9, 2.15
 _MOST_COLUMNS = 3
-_LETTER, _LEGEND_ROW = 0.075, 0.17  # inches, of a legend below its panel
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # inches per character and per row of a legend
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
-    """Return panels as drawings of the page.
-
-    ``prefix`` is the prefix of the ids inside the drawings; unique per page. ``paired`` says whether the panels
-    form pairs.
-    """
+    """Return plot panels as drawings of the page, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
 
@@ -116,15 +112,19 @@ def _plot(panel: Panel, prefix: str) -> Plot:
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))
     axes = figure.axes[0]
     if not axes.axison and not [*axes.lines, *axes.collections, *axes.patches, *axes.images]:
-        return Plot("", panel.title, " ".join(text.get_text() for text in axes.texts))  # a panel of text only
+        # A panel that contains only text needs no drawing.
+        return Plot("", panel.title, " ".join(text.get_text() for text in axes.texts))
     with styled():
         rows = _legends_below(figure)
     figure.set_size_inches(_WIDTH, height + _LEGEND_ROW * rows)
-    return Plot(_rounded(clean(figure_svg(figure), prefix, panel.title)), panel.title)
+    svg = clean(figure_svg(figure), prefix, panel.title)
+    # Differences of a hundredth of a point are invisible, so coordinates are rounded to save space.
+    number = r"(?<=[\s\"(,])-?\d+\.\d{3,}(?=[\s\"),])"
+    return Plot(re.sub(number, lambda match: f"{float(match.group()):.2f}", svg), panel.title)
 
 
 def _legends_below(figure: Figure) -> int:
-    """Move legends from beside the axes to below them, because a page can be narrow. Return their number of rows."""
+    """Move the legends below the axes, because a page can be narrow; return the number of legend rows."""
     rows = 0
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -138,8 +138,3 @@ def _legends_below(figure: Figure) -> int:
         figure.legend(handles, labels, loc="outside lower left", ncols=columns)
         rows += -(-len(labels) // columns)
     return rows
-
-
-def _rounded(svg: str) -> str:
-    """Return the drawing with coordinates rounded to a hundredth of a point, which is not visible."""
-    return re.sub(r"(?<=[\s\"(,])-?\d+\.\d{3,}(?=[\s\"),])", lambda match: f"{float(match.group()):.2f}", svg)

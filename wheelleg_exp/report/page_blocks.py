@@ -22,14 +22,9 @@ class Card:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table.
+    """One cell of a table; ``bar`` is a share in -1 … 1 that is drawn as a bar behind the text, or None.
 
-    Attributes:
-        text: its text.
-        number: whether it is right-aligned with digits of equal width.
-        code: whether it is code or a digest.
-        bar: a share in -1 … 1 to draw as a bar behind the text, or None.
-        tone: good, warn, bad, or neutral.
+    ``number`` aligns the text to the right, with digits of equal width. ``code`` marks code and digests.
     """
 
     text: str
@@ -41,10 +36,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph."""
+    """A paragraph of text."""
 
     text: str
-    kind: str = "text"
 
 
 @dataclass(frozen=True)
@@ -52,7 +46,6 @@ class Heading:
     """A heading within a section."""
 
     text: str
-    kind: str = "heading"
 
 
 @dataclass(frozen=True)
@@ -61,38 +54,34 @@ class Note:
 
     text: str
     tone: Tone = "warn"
-    kind: str = "note"
 
 
 @dataclass(frozen=True)
 class Code:
-    """Lines to type, or a program's output."""
+    """A block of a report page with commands for the user, or with the output of a program."""
 
     text: str
     label: str = ""
-    kind: str = "code"
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Pairs of a name and a value."""
+    """A block of a report page with pairs of a name and a value."""
 
     rows: Sequence[tuple[str, str]]
-    kind: str = "facts"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under headings; the first cell of a row is its heading.
+    """A table of a report page; the first cell of a row is the heading of the row.
 
-    ``titled`` says whether the title is shown; a heading above can replace it.
+    ``titled`` is false if the table's title is hidden, because a heading above the table replaces the title.
     """
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     titled: bool = True
-    kind: str = "table"
 
 
 @dataclass(frozen=True)
@@ -106,11 +95,10 @@ class Plot:
 
 @dataclass(frozen=True)
 class Plots:
-    """Drawings side by side if there is room; ``paired`` drawings always one or two in a row."""
+    """Drawings of a report page, side by side on a wide screen; ``paired`` drawings are one or two in a row."""
 
     plots: Sequence[Plot]
     paired: bool = False
-    kind: str = "plots"
 
 
 @dataclass(frozen=True)
@@ -130,24 +118,21 @@ class Strip:
 
     title: str
     pictures: Sequence[Picture]
-    kind: str = "strip"
 
 
 @dataclass(frozen=True)
 class Beside:
-    """Blocks side by side if there is room."""
+    """Blocks of a report page that are side by side on a wide screen."""
 
     blocks: Sequence[Block]
-    kind: str = "beside"
 
 
 @dataclass(frozen=True)
 class More:
-    """Blocks that are collapsed on the screen and always printed."""
+    """Blocks of a report page that are collapsed on the screen and always printed."""
 
     summary: str
     blocks: Sequence[Block]
-    kind: str = "more"
 
 
 Block = Text | Heading | Note | Code | Facts | Table | Plots | Strip | Beside | More
@@ -155,7 +140,7 @@ Block = Text | Heading | Note | Code | Facts | Table | Plots | Strip | Beside | 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page under its own heading."""
+    """A part of a report page under its own heading."""
 
     id: str
     title: str
@@ -165,7 +150,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """The whole report."""
+    """The content of a whole report."""
 
     run: str
     task: str

@@ -20,19 +20,18 @@ from wheelleg_exp.report.value_format import brief, capital, counted, exact, mom
 if TYPE_CHECKING:
     from wheelleg_exp.inspection.episode_measures import EffortUse, ForceExtreme, TrackingError
     from wheelleg_exp.inspection.plot_style import Panel
-    from wheelleg_exp.inspection.recording_plots import Plot
     from wheelleg_exp.inspection.recording_summary import Summary
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
-_HIGH, _FULL = 0.01, 0.1  # shares of the time at the effort limit, for the colour of a cell
+_HIGH, _FULL = 0.01, 0.1  # A cell is yellow or red from 1 % or 10 % of the time at the effort limit.
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Tables of a recording; a table is empty if the recording lacks its data."""
+    """The report's tables about a recording; a table is empty if the recording lacks the table's data."""
 
     scope: Sequence[Block] = ()
     tracking: Sequence[Block] = ()
@@ -41,19 +40,17 @@ class Measured:
 
 
 def measured(recording: Recording) -> Measured:
-    """Return the tables of a recording.
-
-    Raises:
-        RunDirectoryError: rows are damaged.
-    """
+    """Return the report's tables about a recording; no tables if the recording's rows are damaged."""
     from wheelleg_exp.inspection.recording_summary import summarize
 
-    found = summarize(recording)
+    try:
+        found = summarize(recording)
+    except RunDirectoryError:
+        return Measured()
     return Measured(_scope(found), _tracking(found.tracking), _forces(found.forces), _efforts(found.efforts))
 
 
 def _scope(found: Summary) -> list[Block]:
-    """Return a sentence on the environments and episodes of the curves and tables."""
     steps, count = (found.frames or (0, 0))[0], found.figures.count
     which = ", ".join(map(str, found.env_ids))
     many = len(found.env_ids) > 1
@@ -63,7 +60,7 @@ def _scope(found: Summary) -> list[Block]:
 
 
 def health(recording: Recording) -> list[Block]:
-    """Return what is missing in a recording, why, and how to repair the file; empty if it is complete."""
+    """Return sentences about missing parts of a recording and about the repair; empty for a complete recording."""
     notes = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
     if recording.health.is_whole:
         return list(notes)
@@ -141,16 +138,17 @@ _FORMATS: Mapping[str, Callable[[Any], str]] = {
 _SHOWN_ELSEWHERE = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")
 _OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
 _PLAYS_SHOWN = 12
-_FIRST = ("Height", "Pitch")  # the panels of the tracking plot that show whether the robot stands
+_FIRST = ("Height", "Pitch")  # The plot panels of height and pitch show whether the robot is upright.
 
 
 def performance_blocks(subject: Subject) -> list[Block]:
-    """Return the tables of plays and evaluations; without any, the command that plays the policy."""
+    """Return the report's tables of plays and evaluations; without a play, return the command that plays the policy."""
     figures = played(subject)
     found: list[Block] = [*_evaluations(subject)]
     if figures:
         found.append(Beside([_figures(subject, figures), *_endings(figures)]))
-        found += _settled(figures)
+        if figures.get("pitch_rms_deg", 0.0) is None:
+            found.append(Text("Height and pitch are measured after settling; no episode lasted that long."))
     elif subject.status != AGENT:
         found.append(Note("The policy has not been played, so these are only the figures of its training.", ""))
         found.append(Code(f"wheelleg play {subject.id}", "To see how it stands without exploration noise:"))
@@ -158,7 +156,7 @@ def performance_blocks(subject: Subject) -> list[Block]:
 
 
 def recording_of_play(subject: Subject) -> Path | None:
-    """Return the recording of the last play, or of the agent's run."""
+    """Return the path of the recording of the last play or of the agent's run, or None."""
     if subject.status == AGENT:
         return subject.file("recording.rrd")
     for entry in reversed(subject.additions("play")):
@@ -169,16 +167,14 @@ def recording_of_play(subject: Subject) -> Path | None:
 
 def motion(recording: Recording) -> list[Block]:
     """Return the curves of a play's recording: height and pitch open; velocities, forces, and joints collapsed."""
-    from wheelleg_exp.inspection.recording_plots import PLOTS
-
-    tracking = _panels(PLOTS["tracking"], recording)
+    tracking = _panels("tracking", recording)
     first = [panel for panel in tracking if panel.title.startswith(_FIRST)]
     rest = [panel for panel in tracking if panel not in first]
-    tables = _measured_blocks(recording)
+    tables = measured(recording)
     groups = [
         ("Velocities and tilt", rest, tables.tracking),
-        ("Contact forces", _panels(PLOTS["contact_forces"], recording), tables.forces),
-        ("Joints", _panels(PLOTS["joints"], recording), tables.efforts),
+        ("Contact forces", _panels("contact_forces", recording), tables.forces),
+        ("Joints", _panels("joints", recording), tables.efforts),
     ]
     found: list[Block] = list(tables.scope)
     found += [drawn(first, "play")] if first else []
@@ -188,18 +184,13 @@ def motion(recording: Recording) -> list[Block]:
     return found
 
 
-def _measured_blocks(recording: Recording) -> Measured:
-    try:
-        return measured(recording)
-    except RunDirectoryError:
-        return Measured()
+def _panels(name: str, recording: Recording) -> list[Panel]:
+    from wheelleg_exp.inspection.plot_data import Source
+    from wheelleg_exp.inspection.recording_plots import PLOTS
 
-
-def _panels(plot: Plot, recording: Recording) -> list[Panel]:
-    """Return a plot's panels; empty if the recording lacks their data."""
     try:
-        return plot.each(recording)
-    except RunDirectoryError:
+        return PLOTS[name].panels(Source(recording))
+    except RunDirectoryError:  # The recording lacks the data for this plot.
         return []
 
 
@@ -221,12 +212,10 @@ def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
 
 
 def _by_group(value: Any) -> list[tuple[str, Any]]:
-    """Return a figure's values, each with a suffix of its label: the actuator group if there are several."""
     return [(f" ({group})", each) for group, each in value.items()] if isinstance(value, Mapping) else [("", value)]
 
 
 def _of(key: str, figures: Mapping[str, Any]) -> str:
-    """Return what a figure is averaged over, if the play recorded it."""
     if key == "episodes":
         return "the first of each environment"
     if key in ("survival", "mean_return"):
@@ -235,20 +224,10 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
     steps, settled = figures.get("settled_steps"), figures.get("settled_episodes")
     if key in ("drift_m", "yaw_drift_deg"):
         return counted(settled, "episode") if isinstance(settled, int) else ""
-    if (
-        not (key.startswith(("height_", "pitch_")) or key in MOTION)
-        or not isinstance(steps, int)
-        or not isinstance(settled, int)
-    ):
-        return ""
-    return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
-
-
-def _settled(figures: Mapping[str, Any]) -> list[Block]:
-    """Return the reason for missing height and pitch, if they are missing."""
-    if figures.get("pitch_rms_deg", 0.0) is not None:
-        return []
-    return [Text("Height and pitch are measured after settling; no episode lasted that long.")]
+    is_settled = key.startswith(("height_", "pitch_")) or key in MOTION
+    if is_settled and isinstance(steps, int) and isinstance(settled, int):
+        return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
+    return ""
 
 
 def _endings(figures: Mapping[str, Any]) -> list[Block]:
@@ -260,30 +239,19 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
         [Cell(spoken(name)), Cell(number(times), number=True), Cell(percent(times / count), bar=times / count)]
         for name, times in counts.items()
     ]
-    # Older plays count an episode once for each of its terminations.
+    # Old plays count an episode once for each termination term that ended the episode.
     twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
     title = f"How its {counted(count, 'ended episode')} ended{twice}"
     return [Table(title, ("Ended by", "Episodes", "Share"), rows)]
 
 
 def _plays(subject: Subject) -> list[Block]:
-    """Return a table with one row per play, if there was more than one."""
     plays = subject.additions("play")[-_PLAYS_SHOWN:]
     if len(plays) < 2:
         return []
     rows = [[Cell(moment(entry.get("when"))), *_play_row(numbers(entry.get("results") or {}))] for entry in plays]
-    columns = (
-        "When",
-        "Checkpoint",
-        "Changed",
-        "Episodes",
-        "Survival",
-        "Height RMSE",
-        "Pitch RMS",
-        "Of",
-        "Return, mean",
-    )
-    return [Table("All plays", columns, rows)]
+    columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height RMSE", "Pitch RMS")
+    return [Table("All plays", (*columns, "Of", "Return, mean"), rows)]
 
 
 def _play_row(results: Mapping[str, Any]) -> list[Cell]:
@@ -295,7 +263,6 @@ def _play_row(results: Mapping[str, Any]) -> list[Cell]:
 
 
 def _evaluations(subject: Subject) -> list[Block]:
-    """Return the recorded figures of the last evaluation without a protocol."""
     entries = [one for one in subject.additions("evaluation") if "protocol" not in (one.get("results") or {})]
     results = entries[-1].get("results") if entries else None
     if not isinstance(results, Mapping) or not results:
@@ -331,7 +298,7 @@ _TITLES = {
     "strip": "Onto rough ground and off it",
     "robust": "A changed world",
 }
-_SHOWN_FIRST = 12  # metrics of a test; the remaining ones are collapsed
+_SHOWN_FIRST = 12  # The less important metrics of a test are in a collapsed block.
 
 
 def evaluated(subject: Subject) -> bool:
@@ -344,12 +311,22 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     entry = _last(subject, "evaluation")
     if entry is None:
         return []
-    content = _content(subject, entry)
+    from wheelleg_exp.inspection.evaluation_plots import panels
+    from wheelleg_exp.jobs.evaluate_policy import EPISODES, RESULT, read_content, read_episodes
+
+    recorded = [str(name) for name in entry.get("files", {})]
+    files = {kind: next((n for n in recorded if n.endswith(f"/{kind}")), None) for kind in (RESULT, EPISODES)}
+    result, episodes = (subject.file(files[kind] or "") for kind in (RESULT, EPISODES))
+    content = None if result is None else read_content(result.parent)
     if content is None:
         return [Note("The files of the last evaluation cannot be read."), *_repeat_command(subject, "PROTOCOL")]
-    reference = _reference(subject, str(content.get("scenarios_sha256")))
+    # Metrics of the policy and of the reference controller are comparable only if both were measured in the same
+    # scenarios.
+    other = _last(subject, "reference")
+    is_same = other is not None and other["results"].get("scenarios_sha256") == str(content.get("scenarios_sha256"))
+    reference: Mapping[str, Any] | None = other["results"]["metrics"] if other is not None and is_same else None
     found: list[Block] = [Text(_about_evaluation(entry, content, reference is not None))]
-    plots = _plots(subject, entry)
+    plots = {} if episodes is None else panels(read_episodes(episodes))
     for test, names in groupby(content["metrics"], lambda name: str(name).partition("/")[0]):
         listed = list(names)
         title = _TITLES.get(test, capital(spoken(test)))
@@ -364,41 +341,11 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
 
 
 def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
-    """Return the last addition of a kind with the metrics of a protocol."""
     for entry in reversed(subject.additions(kind)):
         results = entry.get("results")
         if isinstance(results, Mapping) and isinstance(results.get("metrics"), Mapping) and "protocol" in results:
             return entry
     return None
-
-
-def _file(subject: Subject, entry: Mapping[str, Any], ending: str) -> Path | None:
-    names = [name for name in entry.get("files", {}) if str(name).endswith(ending)]
-    return subject.file(names[0]) if names else None
-
-
-def _content(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any] | None:
-    from wheelleg_exp.jobs.evaluate_policy import RESULT, read_content
-
-    path = _file(subject, entry, f"/{RESULT}")
-    return None if path is None or not path.is_file() else read_content(path.parent)
-
-
-def _reference(subject: Subject, scenarios: str) -> Mapping[str, Any] | None:
-    """Return the metrics of the reference controller in the same scenarios, or None."""
-    entry = _last(subject, "reference")
-    if entry is None or entry["results"].get("scenarios_sha256") != scenarios:
-        return None
-    found: Mapping[str, Any] = entry["results"]["metrics"]
-    return found
-
-
-def _plots(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any]:
-    from wheelleg_exp.inspection.evaluation_plots import panels
-    from wheelleg_exp.jobs.evaluate_policy import EPISODES, read_episodes
-
-    path = _file(subject, entry, f"/{EPISODES}")
-    return {} if path is None or not path.is_file() else panels(read_episodes(path))
 
 
 def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_reference: bool) -> str:

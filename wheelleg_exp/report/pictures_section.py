@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.report import performance_section as standing
@@ -26,16 +25,16 @@ if TYPE_CHECKING:
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
-_HERO, _STRIP = (960, 720), (480, 360)  # px
+_HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
-_FIRST, _LAST, _PLAY = 0, -1, 1  # the episode of a recording to show
+_FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the last, and the play's episode.
 
 
 @dataclass(frozen=True)
 class Episode:
     """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it.
 
-    ``is_whole`` says whether it was recorded from its start to its end.
+    ``is_whole`` is true if the episode was recorded from its start to its end.
     """
 
     start: float
@@ -46,15 +45,15 @@ class Episode:
 
     @property
     def seconds(self) -> float:
-        """Its recorded duration, s."""
+        """The recorded duration of the episode, s."""
         return self.end - self.start + self.step_s
 
 
 @dataclass
 class Look:
-    """The recordings of a run, each opened once. The page notes a recording that cannot be read.
+    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read.
 
-    ``pictures`` says whether to draw pictures of the robot.
+    ``pictures`` is true if the report shows pictures of the robot.
     """
 
     subject: Subject
@@ -64,19 +63,22 @@ class Look:
 
     @cached_property
     def training(self) -> Recording | WheellegError | None:
-        """The training's recording, or the error that occurred on opening it, or None if there is none."""
+        """The training's recording, or the error from opening this recording, or None if the run has no recording."""
         return None if self.subject.status == AGENT else _opened(self.subject.file("recording.rrd"))
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last play or agent's run, or the error that occurred on opening it, or None."""
+        """The recording of the last play or agent's run, or the error from opening this recording, or None."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
-        """Return the picture at the top: the robot in its last episode."""
+        """Return the picture at the top of the page: the robot in its last episode."""
         for recording in (self.play, self.training):
-            episode = _last_episode(recording, is_play=recording is self.play)
-            if episode is not None and recording is not None and not isinstance(recording, WheellegError):
+            if recording is None or isinstance(recording, WheellegError):
+                continue
+            found = _shown(_source(recording), _PLAY if recording is self.play else _LAST)
+            if found is not None:
+                episode = found[1]
                 where = "in the last play" if recording is self.play else "in the last recorded episode of the training"
                 where = "in this run" if self.subject.status == AGENT else where
                 at = episode.start + 0.5 * (episode.end - episode.start)
@@ -110,7 +112,7 @@ class Look:
             found.append(Note("No motion of this training was recorded, so there are no pictures of it.", ""))
         if len(samples) > 1:
             found += self._strip(recording, _LAST, "At last")
-        return [*found, *self._without()]
+        return [*found, *([Note(f"There are no pictures of the robot: {self._missing}.", "")] if self._missing else [])]
 
     def _strip(self, recording: Recording, which: int, label: str) -> list[Block]:
         source = _source(recording)
@@ -128,7 +130,7 @@ class Look:
     def _pictures(
         self, recording: Recording, times: list[float], size: tuple[int, int], alts: list[str], captions: list[str]
     ) -> list[Picture]:
-        """Return pictures. After the first failure, no more pictures are drawn."""
+        """Return pictures of the robot; after the first failure, return no further pictures."""
         if not self.pictures or self._missing is not None:
             return []
         try:
@@ -139,18 +141,15 @@ class Look:
             uris = shots(self._sceneries[recording.path], times, size)
         except WheellegError as error:
             self._missing = str(error)
-        except Exception as error:  # a graphics driver can raise any error; the report then has no pictures
+        except Exception as error:  # A graphics driver can raise any error; then the report has no pictures.
             self._missing = f"{type(error).__name__}: {error}"
         else:
             return [Picture(u, *size, alt=a, caption=c) for u, a, c in zip(uris, alts, captions, strict=True)]
         return []
 
-    def _without(self) -> list[Block]:
-        return [Note(f"There are no pictures of the robot: {self._missing}.", "")] if self._missing else []
-
     @property
     def notes(self) -> Sequence[str]:
-        """The reason for missing pictures, for the command's output."""
+        """The reason why the report has no pictures of the robot; the command prints the reason."""
         return [f"no pictures of the robot: {self._missing}"] if self._missing else []
 
 
@@ -163,7 +162,7 @@ def _opened(path: Path | None) -> Recording | WheellegError | None:
         return Recording(path)
     except WheellegError as error:
         return error
-    except Exception as error:  # a damaged file can raise any error
+    except Exception as error:  # A damaged recording can raise any error.
         return WheellegError(f"{type(error).__name__}: {error}")
 
 
@@ -174,11 +173,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode to show, and its sample.
+    """Return the episode that the pictures show, and the sample of this episode.
 
-    ``_FIRST`` shows the first training episode and ``_PLAY`` the first episode of a play, whose figures the page lists.
-    ``_LAST`` shows the first complete episode of the last sample that has one. Older recordings have none; then it
-    shows the longest episode of the last sample.
+    ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the page
+    lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without complete
+    episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
     """
     samples = source.samples()
     if which == _LAST:
@@ -192,15 +191,8 @@ def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
     return (samples[0], found[0]) if found else None
 
 
-def _last_episode(recording: Recording | WheellegError | None, *, is_play: bool) -> Episode | None:
-    if recording is None or isinstance(recording, WheellegError):
-        return None
-    found = _shown(_source(recording), _PLAY if is_play else _LAST)
-    return None if found is None else found[1]
-
-
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
-    """Return the episodes of a stretch of recorded steps. The first and the last one can be incomplete."""
+    """Return the episodes of consecutive recorded control steps. The first and the last episode can be incomplete."""
     clock = source.clock()
     if clock is None:
         return []
@@ -234,22 +226,18 @@ def _clock(seconds: float) -> str:
 
 
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
-    """Return pictures of moments as data URIs, all from one distance.
+    """Return pictures of the robot at several moments as data URIs, all with the same camera distance.
 
-    ``shown`` is the recording's scene and motion. ``size`` is the width and height, px.
-
-    Raises:
-        WheellegError: a moment is not in the recording, or drawing is not possible on this machine.
+    ``shown`` is the recording's scene and motion. ``size`` is the width and height of each picture, px.
     """
+    from PIL import Image
+
     from wheelleg_exp.inspection.recording_pictures import pictures, row_at
 
     rows = [row_at(shown, time_s=time) for time in times]
-    return [_jpeg(pixels) for pixels in pictures(shown, rows, *size)]
-
-
-def _jpeg(pixels: NDArray[np.uint8]) -> str:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "JPEG", quality=84, optimize=True)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    found = []
+    for pixels in pictures(shown, rows, *size):
+        buffer = io.BytesIO()
+        Image.fromarray(pixels).save(buffer, "JPEG", quality=84, optimize=True)
+        found.append("data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"))
+    return found

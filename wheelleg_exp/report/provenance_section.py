@@ -1,7 +1,7 @@
 """Report sections on provenance and reproducibility.
 
-They list source, machine, threads, versions, the robot's conversion, resumes, and files. They check the run against
-its manifest, its replays, and equal runs.
+The sections list the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One
+section compares the run with its manifest, its replays, and runs of the same settings and seed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def source(subject: Subject) -> list[Block]:
 
 def _repository(record: Mapping[str, Any], place: int) -> list[Block]:
     changes = {True: "local changes", False: "no local changes"}.get(record.get("dirty"), "–")  # type: ignore[arg-type]
-    patch = record.get("patch")
+    patch, remote = record.get("patch"), record.get("remote") or ""
     rows = [
         ("Repository" if not place else f"Repository {place + 1}", str(record.get("root") or "–")),
         ("Source", _ENTRY_STATES.get(str(record.get("status")), str(record.get("status")))),
@@ -79,20 +79,14 @@ def _repository(record: Mapping[str, Any], place: int) -> list[Block]:
         ("Branch", str(record.get("branch") or "–")),
         ("Working tree", f"{changes}; tree {record.get('tree') or '–'}"),
         ("Patch", f"source/{patch}, {size(record.get('patch_bytes'))}" if patch else "none"),
-        ("Remote", _remote(record.get("remote"))),
+        ("Remote", ", ".join(str(part) for part in remote.values() if part) if isinstance(remote, Mapping) else remote),
     ]
-    found: list[Block] = [Facts([(name, value) for name, value in rows if value not in ("–", "")])]
+    found: list[Block] = [Facts([(name, str(value)) for name, value in rows if value not in ("–", "")])]
     if record.get("note"):
         found.append(Note(str(record["note"])))
     found += _file_list("Untracked files, saved in the patch", record.get("untracked"))
     refused = [f"{e.get('path')}: {e.get('reason', 'left out')}" for e in _mappings(record.get("refused"))]
     return [*found, *_file_list("Files left out of the patch", refused)]
-
-
-def _remote(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(str(part) for part in value.values() if part)
-    return str(value) if value else ""
 
 
 def _file_list(title: str, names: Any) -> list[Block]:
@@ -104,7 +98,7 @@ def _file_list(title: str, names: Any) -> list[Block]:
 
 
 def machine(subject: Subject) -> list[Block]:
-    """Return the machine, threads, environment variables, and versions."""
+    """Return blocks about the run's machine, threads, environment variables, and versions."""
     manifest = subject.manifest
     hardware, threads = dict(manifest.get("hardware") or {}), dict(manifest.get("threads") or {})
     process = manifest.get("process") or {}
@@ -124,12 +118,13 @@ def machine(subject: Subject) -> list[Block]:
         found.append(Code("\n".join(f"{k}={v}" for k, v in variables.items()), "Environment variables in force:"))
     versions = [(str(name), str(value)) for name, value in (manifest.get("versions") or {}).items()]
     if versions:
-        found.append(More("Versions", [Facts(versions), *_installed(subject)]))
+        exists = subject.file("environment.txt") is not None
+        installed = [Text("environment.txt lists every installed distribution.")] if exists else []
+        found.append(More("Versions", [Facts(versions), *installed]))
     return found if found[1:] else [Note("The machine was not recorded.", "")]
 
 
 def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the facts on threads and arithmetic."""
     mkl, numerics = threads.get("mkl"), threads.get("numerics")
     numerics = numerics if isinstance(numerics, Mapping) else {}
     reasons = threads.get("dependent_because") or []
@@ -141,30 +136,23 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("Numbers depend on torch's threads", "no" if threads["independent"] else why))
     if threads.get("variables_in_time") is False:
         rows.append(("Thread variables", "were set after torch was imported"))
-    rows += [(name, _plain(numerics[key])) for key, name in _NUMERICS.items() if key in numerics]
+    for key, name in _NUMERICS.items():
+        if key in numerics:
+            value = numerics[key]
+            rows.append((name, ("yes" if value else "no") if isinstance(value, bool) else brief(value)))
     libraries = numerics.get("libraries") or []
     return [*rows, *(("Library", str(line)) for line in libraries if isinstance(line, str))]
 
 
-def _plain(value: Any) -> str:
-    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else brief(value)
-
-
-def _installed(subject: Subject) -> list[Block]:
-    exists = subject.file("environment.txt") is not None
-    return [Text("environment.txt lists every installed distribution.")] if exists else []
-
-
 def robot(subject: Subject) -> list[Block]:
-    """Return what the robot's conversion read, assumed, and left out."""
+    """Return blocks about what the robot's conversion read, assumed, and omitted."""
     report = _json(subject, "asset/report.json")
     if not report:
         return [Note("There is no report of the robot's conversion.", "")]
     totals = dict(report.get("totals") or {})
     rows = [("Source", str(report.get("source", "–"))), ("Base", str(report.get("base", "–")))]
-    rows += [
-        (str(name).capitalize(), number(value) + (" kg" if name == "mass" else "")) for name, value in totals.items()
-    ]
+    units = {"mass": " kg"}
+    rows += [(str(name).capitalize(), number(value) + units.get(name, "")) for name, value in totals.items()]
     found: list[Block] = [Heading("Robot"), Facts(rows)]
     for key, tone, words in _CONVERSION:
         entries = _mappings(report.get(key))
@@ -185,7 +173,7 @@ def _findings(entries: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def resumes(subject: Subject) -> list[Block]:
-    """Return a table with one row per resume."""
+    """Return a table with one row per resume of the run."""
     entries = _mappings(subject.manifest.get("resumes"))
     if not entries:
         return []
@@ -204,7 +192,7 @@ def resumes(subject: Subject) -> list[Block]:
 
 
 def files(subject: Subject) -> list[Block]:
-    """Return every recorded file with its size and digest, except reports."""
+    """Return a table of every file in the run's manifest with its size and digest; reports are omitted."""
     if subject.run is None:
         return [Note("An agent's run keeps no record of its files.", "")]
     records = dict(subject.run.manifest().recorded_files())
@@ -217,10 +205,8 @@ def files(subject: Subject) -> list[Block]:
         for name, record in sorted(records.items())
     ]
     lead = f"{counted(len(rows), 'file')}, {size(total)} in all; each with its digest in the manifest."
-    return [
-        Text(lead),
-        More("Names, sizes and digests", [Table("Files", ("File", "Size", "sha256"), rows, titled=False)]),
-    ]
+    table = Table("Files", ("File", "Size", "sha256"), rows, titled=False)
+    return [Text(lead), More("Names, sizes and digests", [table])]
 
 
 def _json(subject: Subject, name: str) -> dict[str, Any]:
@@ -233,7 +219,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # replays, and equal runs; each comparison opens checkpoints
+_COMPARED = 3  # Each comparison of two runs opens checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -241,14 +227,10 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 
 @dataclass(frozen=True)
 class Repeat:
-    """Another run that should have the same numbers.
+    """Another run that should be bitwise equal to the reported run, and the result of the comparison.
 
-    Attributes:
-        label: its task and id.
-        how: ``replay`` or ``same settings``.
-        verdict: the verdict of the comparison, or why there is none.
-        reason: one sentence.
-        lines: the whole comparison.
+    ``label`` is the other run's task and id. ``how`` is ``replay``, ``original``, or ``same settings``. ``verdict`` is
+    the verdict of the comparison, or the reason why the runs were not compared. ``lines`` is the whole comparison.
     """
 
     label: str
@@ -260,7 +242,7 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The known facts on a run's reproducibility, as a key figure and as a section of the page."""
+    """The facts about a run's reproducibility, for a card and a section of the report."""
 
     card: Card | None
     findings: RunFindings | None
@@ -269,25 +251,31 @@ class Verdict:
     problem: str = ""
 
     def blocks(self) -> list[Block]:
-        """Return the section of the page."""
-        return [*_found(self), *_repeated(self), *_proof(self)]
+        """Return the section of the report on reproducibility."""
+        subject, found = self.subject, [*_found(self), *_repeated(self)]
+        if original := subject.manifest.get("replay_of"):
+            found.append(Text(f"This run is itself a replay of {original}."))
+        if subject.status == "running":
+            return [*found, Note("The run is still running, so it cannot be compared.", "")]
+        lines = f"wheelleg verify {subject.id}\nwheelleg replay {subject.id}"
+        return [*found, Code(lines, "Check the files; train the run from its snapshot and compare to the bit:")]
 
 
 def judge(subject: Subject) -> Verdict:
-    """Check a run against its manifest, and compare it with its repetitions."""
+    """Check a run against its manifest, and compare the run with its replays and with runs of the same settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run
 
     odd = odd_entries(subject.path)
-    if odd:  # a link can point to private files outside the run
+    if odd:  # A symbolic link can point to private files outside the run directory.
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
         name, what = next(iter(odd.items()))
         return Verdict(damaged, None, [], subject, f"{name} is {what}, which may lead anywhere")
     repeats = list(_repeats(subject, subject.run)) if subject.status != "running" else []
     try:
         findings = verify_run(subject.run)
-    except Exception as error:  # damaged files can raise any error
+    except Exception as error:  # Damaged files can raise any error.
         return Verdict(None, None, repeats, subject, str(error))
     failed = [check for check in findings.checks if _lines(subject, check.failures)]
     return Verdict(_card(subject, bool(failed), repeats), findings, repeats, subject)
@@ -322,16 +310,14 @@ def _found(verdict: Verdict) -> list[Block]:
         text = "; ".join([_text(subject, check), *notes])
         rows.append([Cell(check.name), Cell(state, tone=_STATES.get(state, "")), Cell(text)])
         wrong += failures
-    summary = (
-        Note("The run is what its manifest says, and agrees with itself.", "good")
-        if not wrong
-        else Note(f"The run is not what its manifest says: {'; '.join(wrong[:10])}.", "bad")
-    )
+    summary = Note("The run is what its manifest says, and agrees with itself.", "good")
+    if wrong:
+        summary = Note(f"The run is not what its manifest says: {'; '.join(wrong[:10])}.", "bad")
     return [summary, Table("Checks against its own manifest", ("Part", "State", "Checked"), rows)]
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return what was checked. Reports are not counted, so that writing a report changes no other report."""
+    """Return the result of the manifest check. Report files are ignored, so that one report does not change another."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)
@@ -344,7 +330,6 @@ def _reports(subject: Subject) -> set[str]:
 
 
 def _lines(subject: Subject, lines: Sequence[str]) -> list[str]:
-    """Return the lines that are not about an earlier report."""
     own = tuple(f"{name} " for name in _reports(subject))
     return [line for line in lines if not (own and line.startswith(own))]
 
@@ -361,25 +346,18 @@ def _repeated(verdict: Verdict) -> list[Block]:
     return [table, *([More("The comparisons", details)] if details else [])]
 
 
-def _proof(verdict: Verdict) -> list[Block]:
-    subject = verdict.subject
-    of = subject.manifest.get("replay_of")
-    found: list[Block] = [Text(f"This run is itself a replay of {of}.")] if of else []
-    if subject.status == "running":
-        return [*found, Note("The run is still running, so it cannot be compared.", "")]
-    lines = f"wheelleg verify {subject.id}\nwheelleg replay {subject.id}"
-    return [*found, Code(lines, "Check the files; train the run from its snapshot and compare to the bit:")]
-
-
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
     known = str(subject.manifest.get("id") or run.id)
-    others = [*_named(_replays(run, known), "replay"), *_named(_equals(run, subject), "same settings")]
-    for how, folder in [*_named(_original(run, subject), "original"), *others]:
-        yield _compared(run, folder, how)
+    kinds = {
+        "original": _original(run, subject),
+        "replay": _replays(run, known),
+        "same settings": _equals(run, subject),
+    }
+    for how, folders in kinds.items():
+        yield from (_compared(run, folder, how) for folder in folders[-_COMPARED:])
 
 
 def _original(run: RunDirectory, subject: Subject) -> list[Path]:
-    """Return the folder of the run that this one replays, if it still exists."""
     of = subject.manifest.get("replay_of")
     if not isinstance(of, str) or Path(of).name != of:
         return []
@@ -389,18 +367,12 @@ def _original(run: RunDirectory, subject: Subject) -> list[Path]:
         return []
 
 
-def _named(folders: Sequence[Path], how: str) -> list[tuple[str, Path]]:
-    return [(how, folder) for folder in folders[-_COMPARED:]]
-
-
 def _replays(run: RunDirectory, known: str) -> list[Path]:
-    """Return the folders of the run's replays, oldest first."""
     found = sorted((run.root / REPLAYS).glob(f"*/*/{MANIFEST_NAME}"))
     return [path.parent for path in found if path.parent != run.path and _data(path).get("replay_of") == known]
 
 
 def _equals(run: RunDirectory, subject: Subject) -> list[Path]:
-    """Return the folders of finished runs with the same task, parameters, and seed, oldest first."""
     if subject.manifest.get("replay_of"):
         return []
     found = []
@@ -430,7 +402,7 @@ def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:
     label = f"{folder.parent.name}/{folder.name}"
     try:
         found = compare_runs(run, RunDirectory.open(folder, run.root), common=True)
-    except Exception as error:  # damaged files can raise any error
+    except Exception as error:  # Damaged files can raise any error.
         return Repeat(label, how, "not compared", str(error), [])
     verdict = "not compared" if found.parts["files"].state == "different" else found.verdict
     return Repeat(label, how, verdict, f"{counted(found.iterations, 'iteration')}: {found.reason}", found.lines())

@@ -1,4 +1,4 @@
-"""The run or agent's run of a report: its files, read as far as they can be read."""
+"""The run or agent's run of a report: its files, read as far as possible."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from wheelleg_exp.config.config_tree import at
+from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import read_json, read_lines, read_yaml
 from wheelleg_exp.packages import own_folders
@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # kind of the manifest's entries for reports
+KIND = "report"  # The manifest's entries for reports have the kind `report`.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Series:
-    """One scalar over the iterations; ``at`` and ``values`` have the same length."""
+    """One training scalar over the training iterations ``at``; ``at`` and ``values`` have equal lengths."""
 
     at: tuple[int, ...]
     values: tuple[float, ...]
@@ -35,20 +35,12 @@ class Series:
 
 @dataclass
 class Subject:
-    """One run, or one agent's run.
+    """One training run, or one run of a deployed agent.
 
-    Attributes:
-        path: its folder.
-        run: the run directory; None for an agent's run, which has no manifest.
-        manifest: the manifest's content; empty without one.
-        status: the manifest's status, ``crashed``, or ``agent``.
-        config: the saved ``env`` and ``agent``, resolved and plain.
-        overrides: the typed overrides; None if unknown.
-        choices: the saved choices of Hydra (``task``, ``robot``, …).
-        config_dirs: the user's config folders of the run.
-        scalars: the training's scalars by name.
-        agent_figures: the figures of an agent's run.
-        problems: what could not be read, and why.
+    ``run`` is None for an agent's run, which has no manifest. ``status`` is the status in the manifest, ``crashed``, or
+    ``agent``. ``config`` contains the saved config sections ``env`` and ``agent`` without interpolations. ``overrides``
+    are the user's Hydra overrides; None if unknown. ``choices`` are Hydra's saved choices of config groups (``task``,
+    ``robot``, …). ``problems`` are sentences about unreadable files.
     """
 
     path: Path
@@ -65,41 +57,41 @@ class Subject:
 
     @property
     def id(self) -> str:
-        """The folder's name."""
+        """The name of the run directory."""
         return self.path.name
 
     @property
     def task(self) -> str:
-        """The task's name."""
+        """The name of the task."""
         return str(self.manifest.get("task") or self.path.parent.name)
 
     @property
     def step_s(self) -> float | None:
-        """Duration of a control step, s; None if the config lacks it."""
+        """The duration of a control step, s; None if the config lacks the duration."""
         dt, decimation = self.setting("env.sim.dt"), self.setting("env.decimation")
         return dt * decimation if is_number(dt) and is_number(decimation) else None
 
     def setting(self, path: str) -> Any:
-        """Return the value at a key of the config, or None."""
+        """Return the value at a dotted key of the run's config; None if the key does not exist."""
         return at(self.config, path)
 
     def last(self, name: str) -> float | None:
-        """Return the last value of a scalar, or None."""
+        """Return the last value of a training scalar; None if the scalar was not logged."""
         series = self.scalars.get(name)
         return series.values[-1] if series and series.values else None
 
     def additions(self, kind: str) -> list[dict[str, Any]]:
-        """Return the entries of later commands of a kind, oldest first."""
+        """Return the manifest's entries for later commands of a kind, such as ``play``, oldest first."""
         return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
 
     def file(self, name: str) -> Path | None:
-        """Return a file in the folder by its relative name; None if it is missing or a link leads elsewhere."""
+        """Return a file in the run directory by its name; None for a missing file or an outside link."""
         path = self.path / name
         inside = path.resolve().is_relative_to(self.path.resolve())
         return path if inside and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
-        """Return the result of ``read``; if it fails, store the reason and return ``instead``."""
+        """Return the result of ``read``; if ``read`` fails, add the reason to ``problems`` and return ``instead``."""
         try:
             return read()
         except WheellegError as error:
@@ -110,59 +102,43 @@ class Subject:
 
 
 def open_subject(name: str | Path, root: Path) -> Subject:
-    """Return the run by path, id, or ``latest``, or the agent's run by path.
-
-    Raises:
-        RunDirectoryError: it is neither, or the manifest is damaged.
-    """
+    """Open a training run by path, id, or ``latest``, or an agent's run by path."""
     folder = Path(name)
     if (folder / _FIGURES).is_file() and (folder / _SETTINGS).is_file() and not (folder / MANIFEST_NAME).exists():
-        return _agent(folder.resolve())
+        subject = Subject(folder.resolve(), None)
+        subject.agent_figures = subject.tried(lambda: dict(read_json(folder / _FIGURES)), {})
+        subject.config = subject.tried(lambda: _mapping(subject, _SETTINGS), {})
+        return subject
     return _training(RunDirectory.open(name, root, odd=True))
 
 
 def _training(run: RunDirectory) -> Subject:
     manifest = run.manifest()
     subject = Subject(run.path, run, manifest.data, effective_status(manifest))
-    subject.overrides = subject.tried(partial(_overrides, subject), None)
     nothing: dict[str, Any] = {}
+    overrides = subject.file(OVERRIDES)
+    typed = subject.tried(lambda: read_yaml(overrides) if overrides else None, None)
+    subject.overrides = [str(text) for text in typed] if isinstance(typed, list) else None
     subject.config = {part: subject.tried(partial(_mapping, subject, f"params/{part}.yaml"), nothing) for part in PARTS}
-    runtime = subject.tried(partial(_runtime, subject), nothing)
+    runtime = subject.tried(lambda: dict(_mapping(subject, ".hydra/hydra.yaml")["hydra"]["runtime"]), nothing)
     subject.choices = subject.tried(lambda: dict(runtime.get("choices") or {}), nothing)
     subject.config_dirs = subject.tried(lambda: tuple(_own_folders(runtime.get("config_sources") or [])), ())
     subject.scalars = subject.tried(lambda: _scalars(subject), {})
     return subject
 
 
-def _agent(folder: Path) -> Subject:
-    subject = Subject(folder, None)
-    subject.agent_figures = subject.tried(lambda: dict(read_json(folder / _FIGURES)), {})
-    subject.config = subject.tried(lambda: _mapping(subject, _SETTINGS), {})
-    return subject
-
-
 def _mapping(subject: Subject, name: str) -> dict[str, Any]:
     path = subject.file(name)
     if path is None:
-        raise RunDirectoryError(f"the run has no {name}")
+        raise RunDirectoryError(f"the run has no file {name}")
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise RunDirectoryError(f"{name} is not a mapping")
     return content
 
 
-def _runtime(subject: Subject) -> dict[str, Any]:
-    return dict(_mapping(subject, ".hydra/hydra.yaml")["hydra"]["runtime"])
-
-
-def _overrides(subject: Subject) -> list[str] | None:
-    path = subject.file(OVERRIDES)
-    content = read_yaml(path) if path else None
-    return [str(text) for text in content] if isinstance(content, list) else None
-
-
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the registered folders of Hydra's search path. Other recorded folders are not trusted."""
+    """Return the user's registered folders on Hydra's search path. Folders that are not registered are not trusted."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 
@@ -172,22 +148,15 @@ def _scalars(subject: Subject) -> dict[str, Series]:
     if path is None:
         return {}
     rows: dict[int, Mapping[str, Any]] = {}
-    broken = sum(not _take(line, rows) for line in read_lines(path))
+    broken = 0
+    for line in read_lines(path):
+        try:
+            entry = json_value(line)
+            rows[int(entry["iteration"])] = dict(entry["scalars"])
+        except (ValueError, TypeError, KeyError, OverflowError):
+            broken += 1
     if broken:
         subject.problems.append(f"{broken} of the lines of iterations.jsonl cannot be read and are left out")
-    return _by_name(rows)
-
-
-def _take(line: bytes, rows: dict[int, Mapping[str, Any]]) -> bool:
-    try:
-        entry = json_value(line)
-        rows[int(entry["iteration"])] = dict(entry["scalars"])
-    except (ValueError, TypeError, KeyError, OverflowError):
-        return False
-    return True
-
-
-def _by_name(rows: Mapping[int, Mapping[str, Any]]) -> dict[str, Series]:
     found: dict[str, list[tuple[int, float]]] = {}
     for iteration in sorted(rows):
         for name, value in rows[iteration].items():

@@ -1,8 +1,4 @@
-"""Report section on settings.
-
-The section lists how the run's config differs from its task's defaults, who set each value, and what the user's
-files set.
-"""
+"""Report section on settings: the differences between the run's config and its task's defaults, and their origin."""
 
 from __future__ import annotations
 
@@ -33,10 +29,7 @@ _LETTERS = 20_000
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of the run that differs from its task's default.
-
-    ``default`` is the task's default, as text. ``value`` is the run's value, as text.
-    """
+    """One config value of the run that differs from the task's default value; both values are texts."""
 
     path: str
     default: str
@@ -45,8 +38,13 @@ class Setting:
 
 
 def settings_blocks(subject: Subject) -> list[Block]:
-    """Return the overrides, the values that differ from the task's defaults, and the values of the user's files."""
-    found: list[Block] = [_typed(subject)]
+    """Return tables of the run's overrides, of the changes to the task's defaults, and of the user's files' values."""
+    found: list[Block] = [Text("Nothing was changed on the command line.")]
+    if subject.overrides is None:
+        found = [Note("The overrides on the command line were not recorded.", "")]
+    elif subject.overrides:
+        label = f"{counted(len(subject.overrides), 'override')} on the command line:"
+        found = [Code("\n".join(subject.overrides), label)]
     try:
         default, again = _composed(subject)
     except WheellegError as error:
@@ -57,7 +55,10 @@ def settings_blocks(subject: Subject) -> list[Block]:
             [Cell(s.path, code=True), Cell(s.default, code=True), Cell(s.value, code=True), Cell(s.origin)]
             for s in settings
         ]
-        found.append(_table("Values that differ from the task's defaults", rows))
+        columns = ("Key", "Default", "This run", "Set by")
+        shown = Table("Values that differ from the task's defaults", columns, rows[:_ROWS])
+        more = f"{counted(len(rows), 'value')} differ; the first {_ROWS}"
+        found.append(shown if len(rows) <= _ROWS else More(more, [shown]))
     else:
         found.append(Text("Every other value is the task's current default."))
     found.append(Text("Compared are env and agent. The seed is listed above; recording and run decide no number."))
@@ -72,10 +73,8 @@ def settings_blocks(subject: Subject) -> list[Block]:
 def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
     """Yield the run's parameters that differ from the task's defaults.
 
-    Args:
-        subject: the run.
-        default: the task without any override.
-        again: the task with the run's overrides, composed here. It shows who set a value, if the values agree.
+    ``default`` is the task's config without overrides. ``again`` is the task's config with the run's overrides,
+    composed on this machine. If ``again`` and the run agree, ``again`` shows the origin of a value.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -87,7 +86,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
 
 
 def own_leaves(composed: Composed | None) -> Iterator[Setting]:
-    """Yield the values that the user's files set."""
+    """Yield the config values that the user's YAML files set."""
     if composed is None:
         return
     folders = composed.config_dirs
@@ -96,21 +95,7 @@ def own_leaves(composed: Composed | None) -> Iterator[Setting]:
             yield Setting(source.path, "", brief(source.value), source.where)
 
 
-def _typed(subject: Subject) -> Block:
-    if subject.overrides is None:
-        return Note("The overrides on the command line were not recorded.", "")
-    if not subject.overrides:
-        return Text("Nothing was changed on the command line.")
-    label = f"{counted(len(subject.overrides), 'override')} on the command line:"
-    return Code("\n".join(subject.overrides), label)
-
-
 def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
-    """Return the task with its defaults, and with the run's overrides if they still compose.
-
-    Raises:
-        WheellegError: the task cannot be composed here.
-    """
     from wheelleg_exp.config.composing.compose import compose
 
     folders = list(subject.config_dirs)
@@ -128,7 +113,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 
 
 def _require_harmless(words: Sequence[str]) -> None:
-    """Raise ConfigError for recorded words that would make Hydra read folders, modules, or environment variables."""
+    """Raise ConfigError if recorded arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
         raise ConfigError("the recorded command line could read other files, so it is not composed here")
 
@@ -138,7 +123,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    """Return who set a value. This is known only if composing here gives the run's value."""
+    # The origin of a value is known only if this machine composes the value that the run has.
     if again is None:
         return _THEN
     node: Any = again.config
@@ -150,23 +135,10 @@ def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: 
 
 
 def _who(keys: Keys, again: Composed, mounts: Sequence[Mount]) -> str | None:
-    """Return who set or removed a key, or who chose its section, if that is one of ``mounts``."""
     places, path = again.provenance, dotted(keys)
     found = places.below(path) or places.deleted_below(path)
-    chosen = _chosen(keys, mounts)
+    mount = next((m for m in mounts if m.several and m.package == dotted(keys[:-1])), None)
+    chosen = str(mount.choices[-1].where) if mount is not None and mount.choices else None
     if chosen is not None and (not found or chosen.startswith("override")):
         return chosen
     return found[0].where if found else None
-
-
-def _chosen(keys: Keys, mounts: Sequence[Mount]) -> str | None:
-    """Return who last chose the section of a key."""
-    mount = next((m for m in mounts if m.several and m.package == dotted(keys[:-1])), None)
-    return str(mount.choices[-1].where) if mount is not None and mount.choices else None
-
-
-def _table(title: str, rows: list[list[Cell]]) -> Block:
-    shown = Table(title, ("Key", "Default", "This run", "Set by"), rows[:_ROWS])
-    if len(rows) <= _ROWS:
-        return shown
-    return More(f"{counted(len(rows), 'value')} differ; the first {_ROWS}", [shown])

@@ -1,6 +1,6 @@
-"""The page of several runs or of a sweep: which setting is better, and how certain that is.
+"""The page of several runs or of a sweep: the best setting, and how certain that result is.
 
-Runs are grouped by their settings. Each group shows the spread over its seeds.
+Runs are grouped by their settings. The page shows for each group the spread over the group's seeds.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wheelleg_exp import __version__
-from wheelleg_exp.config.config_tree import leaves
+from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.definitions import LAST, curve_title, scalar_definition
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.report.headline import done, played
@@ -26,7 +26,6 @@ from wheelleg_exp.report.report_subject import AGENT, Subject, open_subject
 from wheelleg_exp.report.training_section import picked
 from wheelleg_exp.report.value_format import brief, counted, number, percent
 from wheelleg_exp.run.run_config import written_config
-from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.run.run_list import find_sweep
 
 if TYPE_CHECKING:
@@ -35,13 +34,13 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.plot_style import Panel
 
 
-# Settings that do not separate groups: seeds, names, and output options.
+# Runs in one group can differ in these keys: seeds, names, and output options.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
 BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
-# Returns cannot be compared if these settings differ.
+# The returns of two runs are not comparable if these sections or keys differ.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
@@ -50,27 +49,27 @@ _MOST_DIFFERENCES = 12
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with the same settings except for their seeds.
-
-    ``settings`` are the settings that differ from those of other groups, by key.
-    """
+    """Runs with the same settings except for their seeds; ``settings`` are the settings that differ between groups."""
 
     settings: Mapping[str, str]
     runs: Sequence[Subject]
 
     @property
     def label(self) -> str:
-        """Its name in legends: its settings, by the last part of their keys."""
+        """The name of the group in legends: its settings, by the last part of their keys."""
         return ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings.items()) or "all runs"
 
     def last(self, key: str) -> list[float]:
-        """Return the last value of a scalar in each run that has it."""
+        """Return the last value of a training scalar for each run that logged the scalar."""
         return [run.scalars[key].values[-1] for run in self.runs if key in run.scalars]
 
 
 def grouped(subjects: Sequence[Subject]) -> list[Group]:
-    """Return runs by their settings, in the order of first occurrence."""
-    configs = [_settings(subject) for subject in subjects]
+    """Group runs by their settings, in the order of the first run of each group."""
+    configs = []
+    for subject in subjects:
+        values = {".".join(map(str, keys)): value for keys, value in leaves(written_config(subject.path))}
+        configs.append({key: brief(value) for key, value in values.items() if not _below(key, _ASIDE)})
     keys = sorted({key for config in configs for key in config})
     differing = [key for key in keys if len({config.get(key, _ABSENT) for config in configs}) > 1]
     found: dict[tuple[str, ...], list[Subject]] = {}
@@ -79,21 +78,15 @@ def grouped(subjects: Sequence[Subject]) -> list[Group]:
     return [Group(dict(zip(differing, values, strict=True)), runs) for values, runs in found.items()]
 
 
-def _settings(subject: Subject) -> dict[str, str]:
-    """Return the settings of a run by key."""
-    found = {".".join(map(str, keys)): value for keys, value in leaves(written_config(subject.path))}
-    return {key: brief(value) for key, value in found.items() if not _below(key, _ASIDE)}
-
-
 def _below(key: str, keys: Sequence[str]) -> bool:
     return any(key == own or key.startswith(f"{own}.") for own in keys)
 
 
 def sentence(groups: Sequence[Group]) -> str:
-    """Return the headline: what was compared, and the group with the highest mean return.
+    """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the settings change the meaning of a return, the time-out shares of the training are compared instead, or else
-    the survival in the last plays.
+    If the settings change the meaning of a return, the sentence compares the training's time-out shares, or else the
+    survival in the last plays.
     """
     runs = sum(len(group.runs) for group in groups)
     text = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
@@ -109,7 +102,6 @@ def sentence(groups: Sequence[Group]) -> str:
 
 
 def _highest(what: str, known: Sequence[tuple[Group, Sequence[float]]], form: Callable[[float], str]) -> str:
-    """Return a sentence on the group with the highest mean; empty if fewer than two groups have a value."""
     means = [(statistics.fmean(values), group.label) for group, values in known if values]
     if len(means) < 2:
         return ""
@@ -128,17 +120,16 @@ def figures(groups: Sequence[Group]) -> list[Block]:
     """Return the final figures of the groups: mean and standard deviation over their runs."""
     shown = list(groups[0].settings)[:_MOST_DIFFERENCES]
     columns = [*(shown or ["setting"]), "runs", *_FIGURES, "survived the last play"]
-    rows = []
-    for group in groups:
-        rows.append(
-            [
-                *([Cell(group.settings[key], code=True) for key in shown] or [Cell(group.label)]),
-                Cell(str(len(group.runs)), number=True),
-                *(Cell(_spread(group.last(key)), number=True) for key in (_RETURN, _LENGTH)),
-                Cell(_spread(group.last(_TIME_OUT), share=True), number=True),
-                Cell(_spread(_survivals(group), share=True), number=True),
-            ]
-        )
+    rows = [
+        [
+            *([Cell(group.settings[key], code=True) for key in shown] or [Cell(group.label)]),
+            Cell(str(len(group.runs)), number=True),
+            *(Cell(_spread(group.last(key)), number=True) for key in (_RETURN, _LENGTH)),
+            Cell(_spread(group.last(_TIME_OUT), share=True), number=True),
+            Cell(_spread(_survivals(group), share=True), number=True),
+        ]
+        for group in groups
+    ]
     blocks: list[Block] = [Table("Final figures", columns, rows, titled=False)]
     more = len(groups[0].settings) - len(shown)
     if more > 0:
@@ -154,7 +145,6 @@ def figures(groups: Sequence[Group]) -> list[Block]:
 
 
 def _spread(values: Sequence[float], *, share: bool = False) -> str:
-    """Return mean ± sample standard deviation of the runs' values; a single value alone."""
     if not values:
         return _ABSENT
     form = percent if share else number
@@ -192,12 +182,10 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return iterations, and the mean and sample standard deviation of the runs there (0 for one run).
+    """Return iterations, and the mean and sample standard deviation of several runs at these iterations.
 
-    Only iterations that all runs have are used, so that the end of one run does not move the mean. Long trainings are
-    thinned evenly, (n,). A run without any value is skipped.
-
-    ``series`` are the iterations and values of each run.
+    ``series`` contains the iterations and values of each run. The standard deviation of a single run is 0. Iterations
+    that a run lacks are ignored, so that the mean does not jump where a run ends. Long trainings are thinned evenly.
     """
     runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
     runs = [run for run in runs if run]
@@ -211,7 +199,7 @@ def course(
 
 
 def members(groups: Sequence[Group]) -> list[Block]:
-    """Return a table of the runs."""
+    """Return a table with one row per run."""
     rows = [
         [
             Cell(run.id, code=True),
@@ -238,21 +226,18 @@ COMPARISON = "comparison.html"
 
 
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
-    """Return the subject of a page about several runs, and the runs; None if one run is named.
+    """Return the subject of a page about several runs, and the runs; None if ``names`` contains only one run.
 
-    The subject is the sweep, or the current folder.
-
-    ``names`` are the runs and sweeps, by path, id or (of runs) ``latest``. ``root`` is the folder of all runs.
-
-    Raises:
-        RunDirectoryError: a name is neither a run nor a sweep, or is an agent's run, or a sweep has no run yet.
+    The subject is the sweep, or the current folder. ``names`` are runs and sweeps by path or id; ``latest`` is the
+    latest run.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:
         return None
     runs: dict[Path, Subject] = {}
     for name, index in zip(names, sweeps, strict=True):
-        for subject in [open_subject(name, root)] if index is None else _runs_of(index):
+        folders = [name] if index is None else [f for job in index.jobs if (f := index.run_of(job)) and f.is_dir()]
+        for subject in [open_subject(folder, root if index is None else Path(folder).parent) for folder in folders]:
             if subject.status == AGENT:
                 raise RunDirectoryError(f"'{name}' is not a training", expected="runs of 'wheelleg train', or a sweep")
             runs[subject.path] = subject
@@ -262,16 +247,8 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
     return Subject(about, None), list(runs.values())
 
 
-def _runs_of(index: SweepIndex) -> list[Subject]:
-    folders = [folder for job in index.jobs if (folder := index.run_of(job)) is not None]
-    return [open_subject(folder, folder.parent) for folder in folders if folder.is_dir()]
-
-
 def several_page(about: Subject, runs: Sequence[Subject], command: Sequence[str]) -> Page:
-    """Return the page about several runs.
-
-    ``about`` is the subject of the page, see ``open_several``.
-    """
+    """Return the page about several runs; ``about`` is the subject of the page from ``open_several``."""
     groups = grouped(runs)
     tasks = list(dict.fromkeys(run.task for run in runs))
     unfinished = sum(run.status != "finished" for run in runs)

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LONGEST = 160  # longer values are cut
+_LONGEST = 160  # Values with more characters are truncated.
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Return a number with this many significant digits, without a needless exponent; a dash for None."""
+    """Format a number with ``digits`` significant digits, without an unnecessary exponent; None becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return "–" if value is None else brief(value)
     if isinstance(value, int):
@@ -27,7 +27,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def numbers(value: Any) -> Any:
-    """Return a value of a JSON file with None for ``nan``, which JSON cannot express."""
+    """Return a value of a JSON file; None replaces the text ``nan``, because JSON has no NaN."""
     if isinstance(value, Mapping):
         return {key: numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -37,14 +37,14 @@ def numbers(value: Any) -> Any:
 
 
 def exact(value: Any) -> str:
-    """Return a number without rounding to few digits: ``5``, ``0.07``, ``−50``; a dash for None."""
+    """Format a number with up to six digits, such as ``5``, ``0.07``, ``−50``; None becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–" if value is None else brief(value)
     return f"{value:.6g}".replace("-", "−")
 
 
 def percent(share: Any) -> str:
-    """Return a share as a percentage, never rounded up to 100 %."""
+    """Format a share as a percentage; a share below 1 is never rounded up to 100 %."""
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not math.isfinite(share):
         return "–"
     value = 100.0 * share
@@ -55,7 +55,7 @@ def percent(share: Any) -> str:
 
 
 def duration(seconds: Any) -> str:
-    """Return a duration in its two largest units."""
+    """Format a duration in its two largest units, such as hours and minutes."""
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < 1e12:
         return "–"
     if seconds < 60:
@@ -70,7 +70,7 @@ def duration(seconds: Any) -> str:
 
 
 def size(octets: Any) -> str:
-    """Return a size in bytes, kB, MB or GB (powers of 1000)."""
+    """Format a file size in bytes, kB, MB, or GB (powers of 1000)."""
     if isinstance(octets, bool) or not isinstance(octets, (int, float)) or not math.isfinite(octets):
         return "–"
     value = float(octets)
@@ -89,7 +89,7 @@ def moment(text: Any) -> str:
 
 
 def brief(value: Any) -> str:
-    """Return a value as YAML on one line; a long value is cut."""
+    """Format a value as YAML on one line; a long value is truncated."""
     text = plain(value)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
 
@@ -105,9 +105,9 @@ def plain(value: Any) -> str:
     return str(value)
 
 
-def counted(count: int, one: str, several: str | None = None) -> str:
-    """Return ``1 episode``, ``2 episodes``."""
-    return f"{number(count)} {one if count == 1 else several or one + 's'}"
+def counted(count: int, one: str) -> str:
+    """Return a number with a noun: ``1 episode``, ``2 episodes``."""
+    return f"{number(count)} {one if count == 1 else one + 's'}"
 
 
 def spoken(name: str) -> str:

@@ -11,6 +11,6 @@
 | `export` | the policy for deployment |
 | `rollout_log` | what a rollout reports: episodes, failures, means over steps |
 | `ranks` | several processes that train one policy |
-| `symmetry`, `mirror_rules`, `mirror_images` | mirror images of observations and actions |
+| `symmetry`, `mirror_rules`, `mirror_pairs` | mirror images of observations and actions |
 | `determinism` | guards that keep a training reproducible |
 """

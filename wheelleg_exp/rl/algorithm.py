@@ -23,29 +23,15 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_m
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# Keys of the agent section that rsl_rl does not know.
+# The keys of the agent section that rsl_rl does not know.
 OWN_KEYS = (
-    "device",
-    "torch_threads",
-    "matmul",
-    "graph_update",
-    "max_iterations",
-    "average_iterations",
-    "save_interval",
-    "clip_actions",
-    "logger",
-    "max_non_finite",
-    "symmetry",
-    "teacher_checkpoint",
+    *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations"),
+    *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint"),
 )
 
 
 def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
-    """Build rsl_rl's algorithm from the ``agent`` section.
-
-    Raises:
-        ConfigError: an observation group is missing, or rsl_rl rejects a value.
-    """
+    """Build rsl_rl's algorithm from the ``agent`` section; ConfigError if rsl_rl or this project rejects a value."""
     observations = env.get_observations()
     for role, groups in agent["obs_groups"].items():
         for group in groups:
@@ -62,14 +48,16 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
                 message, key = "a network takes one flat vector a group", f"env.observations.{group}.{name}"
                 raise ConfigError(message, key=key, expected=f"{name}: true")
     if env.num_actions == 0:
-        raise ConfigError("there are no actions to learn", key="env.actions", expected="at least one action term")
+        raise ConfigError(
+            "the environment has no actions to learn", key="env.actions", expected="at least one action term"
+        )
     _require_device(str(agent["device"]))
     require_agent(agent, env.num_envs)
     if torch.device(agent["device"]).type == "cpu":
         _require_memory(env, observations, agent)
     options = options_of(agent)
     env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
-    # A copy, because rsl_rl changes the dictionary. rsl_rl also prints the networks.
+    # Copy the config, because rsl_rl changes the dictionary. Redirect stdout, because rsl_rl prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
@@ -77,9 +65,9 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
             algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except Exception as error:  # any error, because the classes may be user-defined
+    except Exception as error:  # User-defined classes of networks can raise any error.
         raise ConfigError(
-            f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
+            f"rsl_rl rejects the agent section: {in_words(error).splitlines()[0]}",
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
@@ -88,25 +76,24 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
-    """Return the mirror for every second environment, if ``agent.symmetry.mirrored_envs`` is set.
-
-    Raises:
-        ConfigError: there is only one environment, or a term has no mirror rule.
-    """
+    """Return the mirror for every second environment, or None unless ``agent.symmetry.mirrored_envs`` is set."""
     options = options_of(agent)
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:
-        message, key = "every second robot is met in a mirror, and there is one", "agent.symmetry.mirrored_envs"
+        message, key = (
+            "the mirror applies to every second environment, and there is only one",
+            "agent.symmetry.mirrored_envs",
+        )
         raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
     groups = _seen(agent, env.get_observations(), options)
     return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 
 
 def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:
-    """Return the observation groups that need mirror images: those of actor and critic, and of RND.
+    """Return the observation groups that need mirror images: those of actor, critic, and RND.
 
-    RND, which rewards new states, must not treat a mirrored robot as new.
+    RND rewards new states, and must not treat a mirrored robot as new.
     """
     novel = options.mirrored_envs and agent["algorithm"].get("rnd_cfg")
     roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
@@ -115,7 +102,7 @@ def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions)
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
-    """Raise ConfigError if rollouts and networks do not fit into memory (four bytes for each number)."""
+    """Raise ConfigError if rollouts and networks do not fit into memory, with four bytes for each number."""
     steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
     samples = env.num_envs * steps
     numbers = sum(widths.values()) + 3 * env.num_actions + 6
@@ -125,11 +112,8 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Each weight has a gradient and the two means of Adam.
+        # Each weight takes 16 bytes: with its gradient and the two running means of Adam.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
-
-
-_ALSO = {"gpu": "cuda"}  # common wrong names of a device
 
 
 def _require_device(name: str) -> None:
@@ -142,5 +126,5 @@ def _require_device(name: str) -> None:
             f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
             key="agent.device",
             expected="cpu, or a device that this torch and this machine have",
-            nearest=nearest_name(_ALSO.get(name, name), known.group(1).split(", ")) if known else None,
+            nearest=nearest_name("cuda" if name == "gpu" else name, known.group(1).split(", ")) if known else None,
         ) from error

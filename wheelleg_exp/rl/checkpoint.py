@@ -1,4 +1,4 @@
-"""Checkpoints: everything that training depends on, in one file that loads without running code from the file."""
+"""Checkpoints: files with everything that training depends on, which load without running code from the file."""
 
 from __future__ import annotations
 
@@ -18,30 +18,26 @@ from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
-_READABLE = (1, FORMAT_VERSION)  # version 1 has the same networks, but lacks state that a resume needs
+# Checkpoints of version 1 contain the networks, but lack state that a resume needs.
+_READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
-ROLES = ("actor", "critic", "student", "teacher")  # of networks; an algorithm has two of them
-# Limits for a loaded tree: number of parts, depth of nesting, and size of the tensors relative to the file.
+# The roles of networks. An algorithm has the first two or the last two roles.
+ROLES = ("actor", "critic", "student", "teacher")
+# The limits for a loaded tree are the number of parts, the depth, and the size of the tensors relative to the file.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
 def serialize(state: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a checkpoint. Equal states give equal bytes."""
+    """Return the bytes of a checkpoint file. Equal states give equal bytes."""
     buffer = io.BytesIO()
     torch.save(_rebuilt(dict(state)), buffer)
     return buffer.getvalue()
 
 
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
-    """Read a checkpoint.
+    """Read a checkpoint; with ``finite``, reject networks whose parameters are NaN or inf.
 
-    Args:
-        path: the file.
-        finite: whether to refuse networks whose parameters are NaN or inf.
-
-    Raises:
-        RunDirectoryError: the file is missing, damaged, or not a checkpoint of this program; or a parameter is not
-            finite.
+    A file that is missing, damaged, or not a checkpoint of this program raises RunDirectoryError.
     """
     if not path.is_file():
         raise RunDirectoryError(
@@ -50,39 +46,30 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
-        with warnings.catch_warnings():  # torch warns about other kinds of files
+        with warnings.catch_warnings():  # torch warns about files of other formats.
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
         _require_bounded(state, path.stat().st_size)
-    except Exception as error:  # a damaged archive can raise any error; no code in it runs
-        raise RunDirectoryError(
-            "cannot be read as a checkpoint: it is damaged, or holds something else than numbers and names",
-            key=str(path),
-            expected="a model_<iteration>.pt of a run",
-        ) from error
+    except Exception as error:  # A damaged archive can raise any error. No code in the archive runs.
+        message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
+        raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
     state = state if isinstance(state, dict) else {}
     networks = [f"{role}_state_dict" for role in (ROLES[2:] if "student_state_dict" in state else ROLES[:2])]
     needed = _NEEDED | dict.fromkeys([*networks, *({STATE} & state.keys())], Mapping)
     missing = [key for key, kind in needed.items() if key not in state or not isinstance(state[key], kind)]
     if missing:
-        raise RunDirectoryError(
-            f"is not a checkpoint of this program: it lacks '{missing[0]}'",
-            key=str(path),
-            expected="a model_<iteration>.pt of a run",
-        )
+        message = f"the file is not a checkpoint of this program: it lacks '{missing[0]}'"
+        raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run")
     if type(state["format_version"]) is not int or state["format_version"] not in _READABLE:
-        raise RunDirectoryError(
-            f"has format version {state['format_version']}",
-            key=str(path),
-            expected=f"version {FORMAT_VERSION}",
-        )
+        message = f"the checkpoint has format version {state['format_version']}"
+        raise RunDirectoryError(message, key=str(path), expected=f"version {FORMAT_VERSION}")
     if finite:
         _require_finite(state, path)
     return state
 
 
 def _require_finite(state: Mapping[str, Any], path: Path) -> None:
-    """Raise RunDirectoryError, with the parameter, if a network has NaN or inf: its actions would be NaN too."""
+    """Raise RunDirectoryError if a network has NaN or inf, because its actions would be NaN too."""
     for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
         network = state.get(key)
         for name, value in network.items() if isinstance(network, Mapping) else ():
@@ -96,7 +83,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
-    """Raise RunDirectoryError if a checkpoint's networks can be played, but its training cannot be resumed."""
+    """Raise RunDirectoryError if the networks can be played, but the training cannot be resumed."""
     if state["format_version"] != FORMAT_VERSION:
         raise RunDirectoryError(
             f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
@@ -105,25 +92,28 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 
 
 def _require_bounded(state: Any, size: int) -> None:
-    """Raise ValueError for a tree that is too large or too deep, or tensors that are larger than the file."""
+    """Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file."""
     waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
     while waiting:
         value, depth = waiting.pop()
         parts += 1
         if isinstance(value, torch.Tensor):
             if value.layout is not torch.strided or value.device.type != "cpu":
-                raise ValueError("a tensor without its numbers")
+                raise ValueError("the checkpoint contains a tensor without numbers")
             room -= value.numel() * value.element_size()
         elif isinstance(value, Mapping):
             waiting += [(item, depth + 1) for pair in value.items() for item in pair]
         elif isinstance(value, (list, tuple, set, frozenset)):
             waiting += [(item, depth + 1) for item in value]
         if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
-            raise ValueError("it is larger than its file")
+            raise ValueError("the checkpoint is larger than its file")
 
 
 def _rebuilt(value: Any) -> Any:
-    """Rebuild a tree so that no two parts share an object, because pickle writes shared objects differently."""
+    """Rebuild a tree so that no two parts share an object.
+
+    Pickle writes a shared object once and then refers to it, so equal states could otherwise give different bytes.
+    """
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)
     if isinstance(value, Mapping):
@@ -146,7 +136,7 @@ def policy_state(state: Mapping[str, Any]) -> Any:
 
 
 def unsaved_state(algorithm: Any) -> dict[str, Any]:
-    """Return hidden states of recurrent networks, the state of RND, and the progress of a distillation."""
+    """Return state that rsl_rl does not save: hidden states, the state of RND, the progress of a distillation."""
     state: dict[str, Any] = {
         "learning_rate": float(algorithm.learning_rate),
         "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)},
@@ -154,7 +144,9 @@ def unsaved_state(algorithm: Any) -> dict[str, Any]:
     if hasattr(algorithm, "student"):
         state["distillation"] = {"updates": algorithm.num_updates, "hidden": cloned(algorithm.last_hidden_states)}
     if getattr(algorithm, "rnd", None) is not None:
-        state["rnd"] = {"update_counter": algorithm.rnd.update_counter, "average": _average(algorithm.rnd)}
+        rnd = algorithm.rnd
+        average = cloned(rnd.reward_normalizer.disc_avg.avg) if rnd.reward_normalization else None
+        state["rnd"] = {"update_counter": rnd.update_counter, "average": average}
     return state
 
 
@@ -173,7 +165,3 @@ def load_unsaved_state(algorithm: Any, saved: dict[str, Any]) -> None:
         algorithm.rnd.update_counter = saved["rnd"]["update_counter"]
         if algorithm.rnd.reward_normalization:
             algorithm.rnd.reward_normalizer.disc_avg.avg = cloned(saved["rnd"]["average"])
-
-
-def _average(rnd: Any) -> torch.Tensor | None:
-    return cloned(rnd.reward_normalizer.disc_avg.avg) if rnd.reward_normalization else None

@@ -15,17 +15,10 @@ from wheelleg_exp.errors import ConfigError
 
 @contextmanager
 def no_global_draws(*generators: str) -> Iterator[None]:
-    """Raise an error if the body draws from a global generator.
+    """Raise ConfigError if the body draws from a global generator: ``torch``, ``numpy``, ``python`` (default: all).
 
-    The policy draws its exploration from torch's global generator. A term that draws from it as well would change the
-    draws of the policy and of other such terms. The seed of a run does not set the generators of NumPy and Python. The
-    comparison takes some microseconds for torch and some tens of microseconds for Python.
-
-    Args:
-        generators: ``torch``, ``numpy``, ``python``; empty means all.
-
-    Raises:
-        ConfigError: the body drew from a generator; the message names it.
+    The policy draws its exploration from torch's global generator. A term that draws from the same generator would
+    change the exploration of the policy. The seed of a run does not set the generators of NumPy and Python.
     """
     watched = generators or tuple(_STATES)
     before = [_STATES[name]() for name in watched]
@@ -40,20 +33,15 @@ def no_global_draws(*generators: str) -> Iterator[None]:
         )
 
 
-def _numpy() -> tuple[Any, ...]:
-    kind, keys, *rest = np.random.get_state(legacy=True)
-    return kind, np.asarray(keys).tobytes(), *rest
-
-
 _STATES: dict[str, Callable[[], Any]] = {
     "torch": lambda: torch.get_rng_state().numpy().tobytes(),
-    "numpy": _numpy,
+    "numpy": lambda: [np.asarray(part).tobytes() for part in np.random.get_state(legacy=True)],
     "python": random.getstate,
 }
 
 
-# torch splits a sum or a mean over more numbers than this among its threads, so that the number of threads decides the
-# order of the additions (at::internal::GRAIN_SIZE).
+# torch splits longer sums among its threads, so that the number of threads decides the order of the additions.
+# The constant is at::internal::GRAIN_SIZE.
 SPLIT_ABOVE = 32768
 
 

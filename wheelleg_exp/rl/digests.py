@@ -1,13 +1,13 @@
 """Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-Digests are computed from the tree of a checkpoint, so they can be computed again from the file. They depend on names,
-types, shapes, and bytes only: two states have equal digests if they are equal to the bit.
+Digests are computed from the tree of a checkpoint, so they can be computed again from the file. Digests depend on
+names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit for bit.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -18,10 +18,11 @@ from wheelleg_exp.state.saved_values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# Version of the definition of the digests. Digests of different versions cannot be compared.
+# The version of the definition of the digests. Digests of different versions cannot be compared.
 FORMAT = 1
 
-_LENGTH = 16  # hexadecimal digits: the probability of an undetected difference is 5e-20
+# With 16 hexadecimal digits, the probability of an undetected difference is 5e-20.
+_LENGTH = 16
 _LABELS = ("format_version", "iter", "infos", "ranks")
 
 
@@ -30,8 +31,8 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
 
     ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: the environment
     without random streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums.
-    ``mean``: the averaged weights, if there are any. ``rest``: everything else. With several ranks, each digest covers
-    the parts of all ranks.
+    ``mean``: the averaged weights, if there are any. ``rest``: all remaining parts. With several ranks, each digest
+    covers the parts of all ranks.
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
@@ -53,7 +54,10 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
 
 
 def tree_digest(tree: Any) -> str:
-    """Return a digest of 16 hexadecimal digits of a tree of mappings, sequences, tensors, numbers, and text."""
+    """Return a digest of 16 hexadecimal digits of a tree of mappings, sequences, tensors, numbers, and text.
+
+    Each entry is hashed with its key, type, and length, so that trees with the same bytes but another structure differ.
+    """
     digest = hashlib.sha256()
     _update(digest, "", tree)
     return digest.hexdigest()[:_LENGTH]
@@ -61,17 +65,13 @@ def tree_digest(tree: Any) -> str:
 
 def _parts(state: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     parts: dict[str, dict[str, Any]] = {}
-    for key, path, value in _flattened(state):
-        parts.setdefault(_part_of(key), {})[path] = value
-    return parts
-
-
-def _flattened(state: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     for key, value in state.items():
         if key == "env" and isinstance(value, Mapping):
-            yield from (("streams" if name == "streams" else "env", f"env.{name}", v) for name, v in value.items())
+            for name, item in value.items():
+                parts.setdefault("streams" if name == "streams" else "environment", {})[f"env.{name}"] = item
         elif key not in _LABELS:
-            yield key, key, value
+            parts.setdefault(_part_of(key), {})[key] = value
+    return parts
 
 
 def _part_of(key: str) -> str:

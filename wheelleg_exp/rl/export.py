@@ -1,4 +1,4 @@
-"""The policy for deployment: TorchScript, ONNX, and a description of inputs and outputs."""
+"""Export a policy for deployment: TorchScript, ONNX, and a description of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 
 FORMAT_VERSION = 1
 _OPSET = 18
-_PLACES = ".debug_pkl"
+_SOURCE_PATHS = ".debug_pkl"  # records with source paths
 
 
 def torchscript(policy: MLPModel) -> bytes:
@@ -25,15 +25,14 @@ def torchscript(policy: MLPModel) -> bytes:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.jit.save(torch.jit.script(policy.as_jit().eval()), archive)
-    return _without_places(archive)
+    return _without_source_paths(archive)
 
 
-def _without_places(archive: io.BytesIO) -> bytes:
-    """Drop the records with source paths on this computer."""
+def _without_source_paths(archive: io.BytesIO) -> bytes:
     copy = io.BytesIO()
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(copy, "w", zipfile.ZIP_STORED) as target:
         for name in source.namelist():
-            if not name.endswith(_PLACES):
+            if not name.endswith(_SOURCE_PATHS):
                 target.writestr(zipfile.ZipInfo(name), source.read(name))
     return copy.getvalue()
 
@@ -45,11 +44,11 @@ def onnx(policy: MLPModel) -> bytes:
     file = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # The tracing exporter: the other one takes two seconds and caches data for every batch size.
+        # Use the tracing exporter: torch.export takes two seconds and caches data for every batch size.
         torch.onnx.export(
             model,
             model.get_dummy_inputs(),
-            file,  # type: ignore[arg-type]  # this exporter writes to open files as well
+            file,  # type: ignore[arg-type]
             input_names=inputs,
             output_names=outputs,
             dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
@@ -68,7 +67,7 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
     for group in groups:
         for name, parts in env.observation_manager.term_parts(group).items():
             for age, part in zip(reversed(range(len(parts))), parts, strict=True):
-                steps = {"age_steps": age} if len(parts) > 1 else {}  # histories that are ordered by step
+                steps = {"age_steps": age} if len(parts) > 1 else {}
                 place = {"start": offset + part.start, "stop": offset + part.stop}
                 observations.append({"group": group, "term": name, **place, **steps})
         offset += sum(shape[-1] for shape in env.observation_manager.group_obs_term_dim[group])

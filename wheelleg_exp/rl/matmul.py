@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
-# A layer with fewer weights is not faster in bfloat16, because of the conversions.
+# A layer with fewer weights than this is not faster in bfloat16, because of the conversions.
 FEWEST_WEIGHTS = 4096
-_BLOCK = 1 << 17  # numbers that are processed at a time
-# Values of oneDNN's variable that allow AMX (in addition to values that name AMX), and bf16 instructions.
+_BLOCK = 1 << 17  # numbers per block
+# These values of ONEDNN_MAX_CPU_ISA allow AMX, in addition to values that name AMX.
 _ANY = ("", "ALL", "DEFAULT")
+# These values of ONEDNN_MAX_CPU_ISA allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-_COUNTS = (1, 2, 3, 4, 8, 16)  # numbers of threads to try, because differences follow no order
+# Several numbers of threads are tried, because differences do not grow with the number of threads.
+_COUNTS = (1, 2, 3, 4, 8, 16)
 
 
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
-    Runs from before this key existed used float32. ``auto`` decides by the CPU and the networks, never by a
-    measurement, so that each start makes the same decision.
-
-    Raises:
-        ConfigError: bfloat16 or TF32 is requested but not supported here.
+    Runs of older versions, without the key ``agent.matmul``, used float32. ``auto`` decides by the CPU and the
+    networks, never by a measurement, so that each start makes the same decision. A precision that this machine lacks
+    raises ConfigError.
     """
     wanted = str(agent.get("matmul", "float32"))
     why_not = _why_not(agent)
@@ -59,9 +59,10 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
 
 
 def has_units() -> bool:
-    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN may use these units.
+    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN may use the units for it.
 
-    AMX is faster, and so are the bf16 vector instructions of AMD's CPUs. Those of Intel's CPUs are slower than float32.
+    AMX multiplies bfloat16 faster than float32, and so do the bf16 vector instructions of AMD's CPUs. The bf16 vector
+    instructions of Intel's CPUs are slower than float32.
     """
     if not torch.backends.mkldnn.is_available():
         return False
@@ -74,7 +75,6 @@ def has_units() -> bool:
 
 
 def _kind(agent: Mapping[str, Any]) -> str:
-    """Return the type of the agent's device. ``build_algorithm`` checks that the device exists."""
     return str(agent["device"]).partition(":")[0]
 
 
@@ -93,7 +93,8 @@ def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads
     numbers of threads, including ``threads``, on random numbers with the sizes of the layers.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
-    large = [x for x in _layers(_perceptrons(networks)) if isinstance(x, nn.Linear) and _is_large(x)]
+    layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]
+    large = [layer for layer in layers if isinstance(layer, nn.Linear) and _is_large(layer)]
     try:
         for size in {(layer.in_features, layer.out_features) for layer in large}:
             x, grad = (torch.randn(min(rows, 8192), width, generator=draw).bfloat16() for width in size)
@@ -111,20 +112,15 @@ def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads
 
 
 def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
-    """Return the MLPs that use the forward pass of rsl_rl's MLP."""
     from rsl_rl.modules import MLP
 
     found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
     return [part for part in found if type(part).forward is MLP.forward]
 
 
-def _layers(perceptrons: Iterable[MLP]) -> list[nn.Module]:
-    return [layer for perceptron in perceptrons for layer in perceptron]
-
-
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
-    """Make the MLPs in these networks multiply in bfloat16 within the body, forward and backward."""
+    """Make the MLPs of networks multiply in bfloat16 within the context, in the forward and the backward pass."""
     perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))
@@ -137,7 +133,7 @@ def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
 
 @contextmanager
 def tf32_products() -> Iterator[None]:
-    """Make a GPU multiply float32 in TF32 within the body."""
+    """Make a GPU multiply float32 numbers in TF32 within the context."""
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True
     try:
@@ -147,14 +143,13 @@ def tf32_products() -> Iterator[None]:
 
 
 def _forward_of(layers: list[nn.Module]) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return the forward pass of these layers, with products in bfloat16 where that is faster."""
-
     def forward(x: torch.Tensor) -> torch.Tensor:
         rest = iter(range(len(layers)))
         for index in rest:
             layer = layers[index]
             if isinstance(layer, nn.Linear) and _is_large(layer):
-                elu = index + 1 < len(layers) and _is_elu(layers[index + 1])
+                following = layers[index + 1] if index + 1 < len(layers) else None
+                elu = type(following) is nn.ELU and following.alpha == 1.0
                 x = linear(x, layer.weight, layer.bias, elu=elu)
                 if elu:
                     next(rest)
@@ -169,35 +164,22 @@ def _is_large(layer: nn.Linear) -> bool:
     return type(layer) is nn.Linear and layer.bias is not None and layer.weight.numel() >= FEWEST_WEIGHTS
 
 
-def _is_elu(layer: nn.Module) -> bool:
-    return type(layer) is nn.ELU and layer.alpha == 1.0
-
-
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
-    """Return the result of a linear layer. Factors of its products and of its gradients are bfloat16.
+    """Return the result (..., O) of a linear layer. The factors of its products and of its gradients are bfloat16.
 
-    Args:
-        x: (..., I) float32 or bfloat16.
-        weight: (O, I) float32.
-        bias: (O,) float32, added in float32.
-        elu: whether ELU with alpha 1 follows: exp(y) - 1 where y is negative.
-
-    Returns:
-        (..., O): float32; bfloat16 after ELU, for the next product.
+    The input (..., I) is float32 or bfloat16. The bias (O,) is added in float32. With ``elu``, ELU with alpha 1
+    follows: exp(y) - 1 where y is negative. The result is float32; after ELU it is bfloat16, for the next product.
     """
     y = _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu)
     return y.reshape(*x.shape[:-1], -1)
 
 
 class _Linear(torch.autograd.Function):
-    """A linear layer, optionally followed by ELU, forward and backward."""
-
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, elu: bool) -> torch.Tensor:
-        """See ``linear``."""
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
-        y = _add_and_elu(y, bias) if elu else y + bias  # bfloat16 + float32 gives float32
+        y = _add_and_elu(y, bias) if elu else y + bias
         ctx.save_for_backward(low, factors, *([y] if elu else []))
         ctx.dtype = x.dtype
         return y
@@ -205,7 +187,6 @@ class _Linear(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        """Return the gradients of input, weight and bias, in their own types."""
         low, factors, *outputs = ctx.saved_tensors
         grad = grad.bfloat16()
         for y in outputs:
@@ -215,14 +196,14 @@ class _Linear(torch.autograd.Function):
 
 
 def _multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Return the product of two matrices in bfloat16."""
     return torch.mm(a, b)
 
 
 def _add_and_elu(y: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
     """Add the bias to (B, O) bfloat16 and apply ELU in place, in float32 and by blocks of rows that fit into a cache.
 
-    The ELU of torch is not used, because its bits depend on how threads split a tensor. Those of ``exp`` do not.
+    The ELU of torch is not used, because its bits depend on how threads split a tensor. The bits of ``exp`` do not
+    depend on threads.
     """
     for rows in y.split(max(1, _BLOCK // y.shape[1])):
         part = rows + bias

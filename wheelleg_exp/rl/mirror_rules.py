@@ -11,27 +11,26 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.observation_term import ObservationTerm
-from wheelleg_exp.rl.mirror_images import MIRROR, BodyImages
+from wheelleg_exp.rl.mirror_pairs import MIRROR, BodyImages
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
 
 RULES_KEY = "agent.symmetry.terms"
-# Signs by rule, for rules of fixed width.
+# Rules of a fixed width have one sign for each number.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
     "pseudovector": (-1, 1, -1),  # angular velocity, torque
-    "planar_velocity": (1, -1, -1),  # forwards, to the left, yaw rate
+    "planar_velocity": (1, -1, -1),  # vx, vy, yaw rate
     "quaternion": (1, -1, 1, -1),
     "roll_pitch": (-1, 1),
     "travel": (1, -1),  # forwards, rotation
-    "place": (1, -1, 1, -1),  # the way to a place, and the remaining rotation
+    "place": (1, -1, 1, -1),  # displacement and rotation
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# Rules of any width: no change; one number for each joint, or all sines and then all cosines; raw actions; sines and
-# cosines of a gait's clock; one number for each ray.
+# Mirror rules for observations of any width, such as one number for each joint or for each ray.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# Rules with some numbers for each body: signs, parameter that selects the bodies, whether their axes must be images.
+# A rule with numbers for each body has signs, the parameter that selects bodies, and whether axes must be images.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -39,56 +38,39 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "body_vectors": ((1, -1, 1), "asset_cfg", True),
     "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
 }
-# Rules of measurements of an IMU in its own axes.
-IMU_RULES: Mapping[str, str] = {
-    "imu_vector": "vector",
-    "imu_pseudovector": "pseudovector",
-    "imu_quaternion": "quaternion",
-}
-COMMAND_RULE = "command"  # replaced by the rule of the command's class
+# These rules apply to measurements of an IMU in the IMU's own axes.
+IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
+COMMAND_RULE = "command"  # The rule of the observed command replaces this entry.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 _OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# Stock observations by the name of their function.
-TERM_RULES: Mapping[str, str] = {
-    "base_lin_vel": "vector",
-    "root_link_lin_vel": "vector",
-    "projected_gravity": "vector",
-    "root_pos_w": "vector",
-    "root_lin_vel_w": "vector",
-    "base_ang_vel": "pseudovector",
-    "root_ang_vel_w": "pseudovector",
-    "root_quat_w": "quaternion",
-    "base_roll_pitch": "roll_pitch",
-    "base_pos_z": "invariant",
-    "base_height": "invariant",
-    "current_time_s": "invariant",
-    "remaining_time_s": "invariant",
-    "joint_pos": "joints",
-    "joint_pos_rel": "joints",
-    "joint_pos_limit_normalized": "joints",
-    "joint_vel": "joints",
-    "joint_vel_rel": "joints",
-    "joint_acc": "joints",
-    "joint_effort": "joints",
-    "joint_effort_commanded": "joints",
-    "joint_pos_sin_cos": "joints_sin_cos",
-    "last_action": "actions",
-    "generated_commands": COMMAND_RULE,
-    "travel_error": "travel",
-    "gait_phase": "phases",
-    "height_scan": "rays",
-    "imu_orientation": "imu_quaternion",
-    "imu_projected_gravity": "imu_vector",
-    "imu_ang_vel": "imu_pseudovector",
-    "imu_lin_acc": "imu_vector",
-    "body_contacts": "sensed_bodies",
-    "body_air_time": "sensed_bodies",
-    "body_contact_forces": "sensed_body_vectors",
-    "body_pose_w": "body_poses",
-    "body_projected_gravity_b": "body_vectors",
+# The rules of stock observations by the name of their function.
+_NAMES_BY_RULE = {
+    "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
+    "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
+    "quaternion": ("root_quat_w",),
+    "roll_pitch": ("base_roll_pitch",),
+    "invariant": ("base_pos_z", "base_height", "current_time_s", "remaining_time_s"),
+    "joints": (
+        *("joint_pos", "joint_pos_rel", "joint_pos_limit_normalized", "joint_vel", "joint_vel_rel", "joint_acc"),
+        *("joint_effort", "joint_effort_commanded"),
+    ),
+    "joints_sin_cos": ("joint_pos_sin_cos",),
+    "actions": ("last_action",),
+    COMMAND_RULE: ("generated_commands",),
+    "travel": ("travel_error",),
+    "phases": ("gait_phase",),
+    "rays": ("height_scan",),
+    "imu_quaternion": ("imu_orientation",),
+    "imu_vector": ("imu_projected_gravity", "imu_lin_acc"),
+    "imu_pseudovector": ("imu_ang_vel",),
+    "sensed_bodies": ("body_contacts", "body_air_time"),
+    "sensed_body_vectors": ("body_contact_forces",),
+    "body_poses": ("body_pose_w",),
+    "body_vectors": ("body_projected_gravity_b",),
 }
-# Stock commands by the name of their class.
+TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
+# The rules of stock commands by the name of their class.
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -112,26 +94,25 @@ def unknown_rule_error(rule: str, term: str) -> ConfigError:
     return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
 
-SignedSources = list[tuple[int, float]]  # for each number of an image: its source and its sign
-_MAX_OFFSET = 1e-4  # m, or of unit directions
-_MAX_SIGN_ERROR = 1e-3  # of the entries of a matrix of signs
+SignedSources = list[tuple[int, float]]
+_MAX_OFFSET = 1e-4  # m
+_MAX_SIGN_ERROR = 1e-3
 
 
 def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
-    Raises:
-        ConfigError: the sensor casts no rays, or its rays are not symmetric.
+    A sensor that is not a ray caster, or whose rays are not symmetric, raises ConfigError.
     """
     if not isinstance(sensor, RayCaster):
-        raise ConfigError("is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+        raise ConfigError("the sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
     found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
     distance, source = torch.cdist(found * flip.repeat(2), found).min(dim=1)
     if float(distance.max()) > _MAX_OFFSET:
         expected = "an offset on the base's middle, and a pattern with a ray to the right for each to the left"
-        raise ConfigError("its rays are not the same to both sides", key=sensor.key, expected=expected)
+        raise ConfigError("the sensor's rays are not the same to both sides", key=sensor.key, expected=expected)
     return [(int(number), 1.0) for number in source]
 
 
@@ -139,23 +120,23 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     """Return the mirror rule of a vector, a pseudovector, or the quaternion of an IMU.
 
     With the rotation R from the axes of the IMU to those of its body, the image of a vector v is R^T M R v, and the
-    image of a pseudovector is -R^T M R v. The matrix must be a matrix of signs.
-
-    Raises:
-        ConfigError: the sensor is not an IMU, or its position or its axes are not their own image.
+    image of a pseudovector is -R^T M R v. The matrix R^T M R must be a matrix of signs. Another sensor, or an IMU that
+    is not its own mirror image, raises ConfigError.
     """
     if not isinstance(sensor, Imu):
-        raise ConfigError("is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
+        raise ConfigError("the sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     pos, quat = sensor.offset_pose
     turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0].double().cpu().numpy()
     if abs(float(pos[1])) > _MAX_OFFSET:
-        raise ConfigError("it does not sit in the middle", key=f"{sensor.key}.offset.pos", expected="y = 0")
+        raise ConfigError("the IMU is not in the mirror plane", key=f"{sensor.key}.offset.pos", expected="y = 0")
     mirrored = turn.T @ MIRROR @ turn
     signs = np.round(mirrored)
     if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
         expected = "axes along the body's" if kind != "quaternion" else "a turn about y, or none"
-        raise ConfigError("its axes are not their own mirror image", key=f"{sensor.key}.offset.rot", expected=expected)
+        raise ConfigError(
+            "the IMU's axes are not their own mirror image", key=f"{sensor.key}.offset.rot", expected=expected
+        )
     if kind == "quaternion":
         return [(0, 1.0), (1, -1.0), (2, 1.0), (3, -1.0)]
     sign = -1.0 if kind == "pseudovector" else 1.0
@@ -166,7 +147,7 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
 def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
     image = bodies.image(name, key, with_axes=True)
     if image != name:
-        message = f"it is mounted on '{name}', whose image is '{image}'"
+        message = f"the sensor is mounted on '{name}', whose image is '{image}'"
         raise ConfigError(message, key=key, expected="a body in the middle of the robot")
 
 
@@ -177,26 +158,19 @@ _MAX_PHASE_ERROR = 1e-6  # of a cycle
 class TermMirror:
     """Applies mirror rules to terms.
 
-    Args:
-        env: the environment.
-        joint_images: the index of each joint's image.
-        joint_signs: the sign with which each image moves.
-        action: sources and signs of the mirrored action vector.
+    ``joint_images`` has the index of each joint's image, ``joint_signs`` the sign with which each image moves, and
+    ``action`` the sources and signs of the mirrored action vector.
     """
 
     def __init__(
-        self,
-        env: ManagerBasedRLEnv,
-        joint_images: Sequence[int],
-        joint_signs: Sequence[float],
-        action: SignedSources,
+        self, env: ManagerBasedRLEnv, joint_images: Sequence[int], joint_signs: Sequence[float], action: SignedSources
     ) -> None:
         self._env, self._images, self._signs, self._action = env, list(joint_images), list(joint_signs), action
         robot = env.scene.robot
         self._bodies = BodyImages(env.scene.model, robot.body_names, robot.joint_names, joint_images)
 
     def frame(self, rule: Rule, term: ObservationTerm) -> SignedSources:
-        """Return source and sign of each number of a mirrored frame."""
+        """Return the source and the sign of each number of a mirrored frame of an observation term."""
         path = term.term.path
         if not isinstance(rule, str):
             return [(i, float(sign)) for i, sign in enumerate(rule)]
@@ -237,7 +211,9 @@ class TermMirror:
     def _entity(self, term: ObservationTerm, parameter: str) -> Any:
         found = term.term.params.get(parameter)
         if found is None:
-            raise ConfigError(f"has no {parameter}", key=term.term.path, expected="a parameter that names the sensor")
+            raise ConfigError(
+                f"the observation has no {parameter}", key=term.term.path, expected="a parameter that names the sensor"
+            )
         return found
 
     def _phases(self, term: ObservationTerm, path: str) -> SignedSources:
@@ -284,7 +260,6 @@ class TermMirror:
         return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
 
     def _action_of(self, term: ObservationTerm) -> SignedSources:
-        """Return the mirror rule of the last action: of the whole vector, or of one action term."""
         manager, name = self._env.action_manager, term.term.params.get("action_name")
         if name is None:
             return self._action

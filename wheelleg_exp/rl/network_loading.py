@@ -19,10 +19,8 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 class Initial:
     """Networks that a training starts from instead of random weights.
 
-    Attributes:
-        state: a checkpoint, or a part of one.
-        parts: parts of the checkpoint to load: ``actor``, ``critic``, ``optimizer``.
-        facts: description of the checkpoint's origin, plain.
+    ``parts`` are the parts of the checkpoint ``state`` to load: ``actor``, ``critic``, ``optimizer``. ``facts``
+    describe the checkpoint's origin.
     """
 
     state: Mapping[str, Any]
@@ -36,14 +34,17 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
     except RuntimeError as error:
         raise ConfigError(
-            "the teacher's network is not the one of this checkpoint",
+            "the teacher's network does not fit the networks of this checkpoint",
             key="agent.teacher_checkpoint",
             expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
         ) from error
 
 
 def load_initial(algorithm: Any, initial: Initial) -> None:
-    """Load the networks of a checkpoint. This draws no random numbers, so all else starts as without it."""
+    """Load the networks of a checkpoint.
+
+    The function draws no random numbers, so the random streams are the same as without initial networks.
+    """
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
     for role in (part for part in initial.parts if part in checkpoint.ROLES):
@@ -69,15 +70,9 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
-    """Return the policy of a checkpoint, in evaluation mode: its mean action, without exploration noise.
+    """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
 
-    Args:
-        path: the checkpoint.
-        env: an environment with the same observations and actions.
-        agent: the run's ``agent`` section.
-
-    Raises:
-        RunDirectoryError: the checkpoint is damaged or does not fit the environment.
+    A checkpoint that is damaged or does not fit the environment raises RunDirectoryError.
     """
     state = checkpoint.load(path)
     policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()
@@ -85,7 +80,7 @@ def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPMo
         policy.load_state_dict(checkpoint.policy_state(state))
     except (RuntimeError, TypeError, AttributeError) as error:
         raise RunDirectoryError(
-            "does not fit this environment's observations and actions",
+            "the policy does not fit this environment's observations and actions",
             key=str(path),
             expected="the observations, actions and networks that it was trained with",
         ) from error

@@ -49,7 +49,7 @@ class Learning:
 
     Attributes:
         max_non_finite: share of the environments whose episode may end in one iteration because a number was NaN or
-            inf; one episode is always allowed. It changes no number of a training, only when the training fails.
+            inf; one episode is always allowed. The limit changes no result of a training that does not fail.
         matmul: precision of matrix products in the update: `float32`, `bfloat16` (on CPUs; weights and sums stay
             float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 if the CPU has units for it, tf32 on a
             GPU. Acting always uses float32.
@@ -106,7 +106,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# Checked by name, anywhere in rsl_rl's configuration: rsl_rl accepts wrong values, and then fails or learns nothing.
+# These parameters are checked by name anywhere in the agent section, because rsl_rl accepts wrong values.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
@@ -165,17 +165,11 @@ def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
     """Return errors for a wrong number of samples in an iteration. Each single value must be valid."""
     samples = num_envs * int(agent["num_steps_per_env"])
-    if samples < 2:  # advantages are divided by their standard deviation
-        message = f"{samples} sample is too little to learn from"
-        return [
-            ConfigError(message, key="agent.num_steps_per_env", expected="at least 2 samples, env.num_envs times it")
-        ]
+    if samples < 2:  # Advantages are divided by their standard deviation.
+        message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"
+        return [ConfigError(message, key="agent.num_steps_per_env", expected=expected)]
     if agent["algorithm"].get("num_mini_batches", 1) <= samples:
         return []
-    return [
-        ConfigError(
-            "there are fewer samples than minibatches",
-            key="agent.algorithm.num_mini_batches",
-            expected=f"at most {samples}, env.num_envs times agent.num_steps_per_env",
-        )
-    ]
+    expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
+    message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
+    return [ConfigError(message, key=key, expected=expected)]

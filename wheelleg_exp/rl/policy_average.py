@@ -1,4 +1,4 @@
-"""Average a policy's weights over its last iterations: the average is played, training continues with the weights."""
+"""Average a policy's weights over its last iterations. The average is played; training uses the current weights."""
 
 from __future__ import annotations
 
@@ -9,23 +9,17 @@ import torch
 
 from wheelleg_exp.state import cloned
 
-STATE = "averaged_state_dict"  # key of the average in a checkpoint; the names are those of the policy's state
-_COUNT = "averaged_iterations"  # key of the number of iterations in the ``unsaved`` part of a checkpoint
+STATE = "averaged_state_dict"  # key in a checkpoint
+_COUNT = "averaged_iterations"  # key in `unsaved`
 
 
 class PolicyAverage:
     """Exponential mean of a policy's parameters.
 
-    During training the weights move around good weights without coming to rest. Their mean lies in the middle (Polyak
-    and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control Optim. 30, 1992). The
-    training does not depend on the mean.
-
-    Args:
-        policy: the network.
-        iterations: n; in the first n iterations the mean over all, then m += (w - m) / n. 0 means no average.
-
-    Attributes:
-        is_on: whether an average is computed.
+    During training the weights move around good weights without coming to rest. The mean of the weights is near the
+    good weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control Optim.
+    30, 1992). The training does not depend on the mean. In the first n ``iterations`` the mean m covers all weights w
+    so far; after that, m += (w - m) / n. 0 means no average, and ``is_on`` is False.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
@@ -58,17 +52,16 @@ class PolicyAverage:
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Continue with the mean of a checkpoint. Without one, the mean starts with the next update.
+        """Continue with the mean of a checkpoint. Without a saved mean, the mean starts with the next update.
 
-        Raises:
-            ValueError: the mean belongs to another network, or the number of iterations is invalid.
+        A mean of another network raises ValueError.
         """
         if not self.is_on:
             return
         mean, own = saved.get(STATE) or {}, self._policy.state_dict()
         count = saved["unsaved"].get(_COUNT, 0)
         if mean and (type(count) is not int or count < 1 or _forms(mean) != _forms(own)):
-            raise ValueError("the mean of the policy's weights is that of another network")
+            raise ValueError("the mean of the policy's weights belongs to another network")
         self._count = count if mean else 0
         self._mean = {name: value.to(own[name].device, copy=True) for name, value in mean.items()}
 

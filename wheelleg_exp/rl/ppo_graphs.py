@@ -1,10 +1,10 @@
 """rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
 
-rsl_rl waits for the GPU in every minibatch (for the divergence that sets the learning rate, and for three losses)
-and launches some three hundred kernels. Here one minibatch is one graph, and an update waits for the GPU once. The
-learning rate and the sums of the losses stay on the GPU. Networks, losses, gradient clipping, and Adam are the same
-functions as in rsl_rl. With several ranks, their communication is part of the graph. Algorithms that ``can``
-rejects are updated by rsl_rl itself.
+In every minibatch, rsl_rl waits for the GPU (for the divergence that sets the learning rate, and for three losses) and
+launches some three hundred kernels. In this module, one minibatch is one CUDA graph, and an update waits for the GPU
+once. The learning rate and the sums of the losses stay on the GPU, because a graph cannot read Python numbers that
+change. Networks, losses, gradient clipping, and Adam are the same functions as in rsl_rl. With several ranks, their
+communication is part of the graph. Algorithms that ``can_capture_update`` rejects are updated by rsl_rl itself.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from torch import nn
 from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
-_MIRROR_LOSS = "symmetry"  # name of the mirror loss among the losses
-_SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5  # rsl_rl's bounds of an adaptive learning rate, and its step
+_MIRROR_LOSS = "symmetry"  # rsl_rl's name
+# rsl_rl has these bounds of an adaptive learning rate, and changes the rate by this factor.
+_SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
 def can_capture_update(algorithm: Any) -> bool:
@@ -47,11 +48,7 @@ def captured_ppo(algorithm: Any) -> Any:
 
 
 class CapturedPPO:
-    """Acting and updating of rsl_rl's PPO as CUDA graphs.
-
-    Args:
-        algorithm: an algorithm for which ``can_capture_update`` holds.
-    """
+    """Acting and updating of rsl_rl's PPO as CUDA graphs."""
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
@@ -62,11 +59,8 @@ class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same numbers as ``PPO.update``.
 
     The first update runs without a graph, the second one is captured. Between updates the optimizer has rsl_rl's own
-    settings, so that it is saved and loaded as usual. If tensors lie in other memory than at the capture, for example
-    after loading a state, the update is captured again.
-
-    Args:
-        algorithm: the algorithm.
+    settings, so that the optimizer is saved and loaded as usual. A graph reads fixed addresses. If tensors lie at other
+    addresses than at the capture, for example after loading a state, the update is captured again.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -107,14 +101,14 @@ class CapturedUpdate:
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
 
     def _minibatches(self, order: torch.Tensor) -> None:
-        """Take one step for each minibatch (B, n) of each learning epoch."""
         if self._stream is None:
             self._each(order, self._minibatch)
         elif self._ran:
             if self._graph is None or self._captured != self._memory():
                 self._capture(order)
             self._each(order, self._graph.replay)
-        else:  # on the stream of the capture, because gradients are accumulated on the stream of their first use
+        else:
+            # Run on the stream of the capture, because torch accumulates gradients on the stream of their first use.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -128,7 +122,6 @@ class CapturedUpdate:
                 work()
 
     def _capture(self, order: torch.Tensor) -> None:
-        """Record a minibatch. Its kernels do not run yet."""
         self._rows.copy_(order[0])
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
@@ -165,7 +158,6 @@ class CapturedUpdate:
             group.update(own, lr=rate)
 
     def _minibatch(self) -> None:
-        """Take one step of the optimizer with the samples in ``_rows``."""
         algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
         observations = storage.observations.flatten(0, 1)[rows]
         actions, old_values, returns, old_log_prob, advantages = (
@@ -176,7 +168,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # Not the forward pass of the actor: it draws actions that are not needed, and torch waits for the GPU.
+        # The forward pass of the actor is not used, because it draws actions, and the draw waits for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
@@ -218,7 +210,7 @@ class CapturedUpdate:
         return torch.max(-advantages * ratio, -advantages * clipped).mean()
 
     def _value(self, values: torch.Tensor, old: torch.Tensor, returns: torch.Tensor) -> torch.Tensor:
-        """Return the squared error of the critic, or of its clipped change if this is larger."""
+        """Return the squared error of the critic, or of its clipped change if that error is larger."""
         error = (values - returns).pow(2)
         if not self._algorithm.use_clipped_value_loss:
             return error.mean()
@@ -228,7 +220,7 @@ class CapturedUpdate:
 
 
 def _normalize(network: Any, observations: Any) -> None:
-    """Update the running means and deviations of observations of a network, in their present memory."""
+    """Update the running means and deviations of a network's observations, in the memory that the graph reads."""
     before = dict(network.named_buffers())
     network.update_normalization(observations)
     for name, static in before.items():
@@ -248,10 +240,7 @@ class CapturedActing:
     """Draws actions and stores the values for the update, as ``PPO.act`` does.
 
     The first rollout uses ``PPO.act``. The graph is captured at the start of the second rollout, and again if the
-    networks lie in other memory.
-
-    Args:
-        algorithm: the algorithm, on a GPU, with networks that are not recurrent.
+    networks lie at other addresses.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -276,14 +265,13 @@ class CapturedActing:
         self._graph.replay()
         transition, found = algorithm.transition, self._found
         transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # a copy, because the next replay overwrites them
+        transition.actions = found["actions"].clone()  # The next replay overwrites the actions.
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations
         return transition.actions
 
     def _capture(self, observations: Any) -> None:
-        """Record the computation. Its kernels do not run yet."""
         self._observations = observations.clone()
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
@@ -292,7 +280,10 @@ class CapturedActing:
         self._captured = self._memory()
 
     def _computed(self) -> dict[str, Any]:
-        """Return the values that ``PPO.act`` stores. Not by torch's own sampling, because that waits for the GPU."""
+        """Return the values that ``PPO.act`` stores.
+
+        torch's own sampling is not used, because it waits for the GPU.
+        """
         actor, observations = self._algorithm.actor, self._observations
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         mean, deviation = actor.output_mean, actor.output_std

@@ -1,9 +1,9 @@
 """The processes (ranks) that train one policy together, as torchrun starts them.
 
-Each rank simulates its own environments. Ranks exchange plain values as JSON and states as checkpoint bytes over
-gloo; nothing is unpickled. Gradients of networks on GPUs go over NCCL. A checkpoint of several ranks is one tree:
-networks and optimizer are stored once, and what each rank has for itself (environments, random streams, episode
-sums, hidden states) is stored at the top level for the first rank and under ``ranks`` for the others.
+Each rank simulates its own environments. Ranks exchange plain values as JSON and states as checkpoint bytes over gloo;
+no message is unpickled. Gradients of networks on GPUs go over NCCL. A checkpoint of several ranks is one tree: networks
+and optimizer are stored once. Environments, random streams, episode sums, and hidden states differ between ranks. The
+state of the first rank is at the top level of the tree, and the state of all other ranks is under ``ranks``.
 """
 
 from __future__ import annotations
@@ -36,14 +36,13 @@ _COMMUNICATION = Path(dist.__file__).parent
 class FirstRankFailed(WheellegError):
     """The training has failed, and the first rank reports the reason.
 
-    Args:
-        keeps: whether the first rank saves the evidence and a checkpoint of the last complete iteration.
+    ``keeps`` says whether the first rank saves the evidence and a checkpoint of the last complete iteration.
     """
 
     exit_code = EXIT_FAILED
 
     def __init__(self, keeps: bool) -> None:
-        super().__init__("the training has failed, and the first process says why")
+        super().__init__("the training has failed, and the first process reports the reason")
         self.keeps = keeps
 
 
@@ -73,7 +72,7 @@ def left() -> Left:
     return Left(
         "another process of the training has ended",
         key=f"rank {os.environ.get('RANK', '0')}",
-        expected="all of them to go on; the one that ended first says why, or torchrun's table names the signal",
+        expected="all processes to continue; the first one to end reports why, or torchrun's table names the signal",
     )
 
 
@@ -86,13 +85,7 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
 
 
 def error_from_facts(rank: int, received: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
-    """Return the error of another rank.
-
-    Args:
-        rank: number of the other rank.
-        received: the result of ``error_facts`` on the other rank.
-        evidence: arrays that describe the failure.
-    """
+    """Return the error of another rank from its ``error_facts`` and the arrays that describe the failure."""
     fields = {name: received[name] for name in ("key", "where", "expected", "nearest")}
     message = f"{received['message']} [in process {rank}]"
     if received["failed"]:
@@ -100,18 +93,16 @@ def error_from_facts(rank: int, received: Mapping[str, str | None], evidence: Ma
     return ConfigError(message, **fields)
 
 
-_PATIENCE = timedelta(minutes=30)  # for a rank that converts a robot or compiles kernels while the others wait
+# The timeout must cover a rank that converts a robot or compiles kernels while all other ranks wait.
+_PATIENCE = timedelta(minutes=30)
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """One process among those that train together. A single process is rank 0 of 1.
+    """One of the processes that train one policy together. A single process is rank 0 of 1.
 
-    Attributes:
-        rank: number of this process, from 0. The first rank writes the run directory.
-        size: number of ranks.
-        local: number of this process among the ranks of this machine.
-        locals: number of ranks on this machine.
+    ``rank`` is the number of this process, from 0; the first rank writes the run directory. ``size`` is the number of
+    ranks. ``local`` and ``locals`` count the ranks of this machine only.
     """
 
     rank: int = 0
@@ -121,7 +112,7 @@ class Ranks:
 
     @property
     def first(self) -> bool:
-        """Whether this is the rank that writes the run directory."""
+        """Whether this rank is the first one, which writes the run directory."""
         return self.rank == 0
 
     @property
@@ -134,18 +125,14 @@ class Ranks:
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
     def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config of this rank: with its own GPU for ``cuda`` or ``cuda:0``, and its share of the cores.
-
-        Raises:
-            ConfigError: the config names one GPU for all ranks, or this machine has too few GPUs.
-        """
+        """Return the config of this rank, with its own GPU for ``cuda`` or ``cuda:0``, and its share of the cores."""
         if not self.together:
             return dict(config)
         agent, env = dict(config["agent"]), dict(config["env"])
         sim = dict(env["sim"])
         agent["device"] = self._device("agent.device", str(agent["device"]))
         sim["device"] = self._device("env.sim.device", str(sim["device"]))
-        if not sim["nthread"]:  # which never changes a number
+        if not sim["nthread"]:
             sim["nthread"] = max(1, usable_cores() // self.locals)
         return {**config, "agent": agent, "env": {**env, "sim": sim}}
 
@@ -153,7 +140,7 @@ class Ranks:
         kind, _, number = name.partition(":")
         if kind != "cuda":
             return name
-        if number not in ("", "0"):  # 0 is the first of the GPUs that a process sees
+        if number not in ("", "0"):
             raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
             raise ConfigError(
@@ -168,11 +155,7 @@ class Ranks:
         return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
 
     def facts(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the entry of the manifest about the ranks: number, backend, and seed, device, and host of each.
-
-        Args:
-            config: the composed tree.
-        """
+        """Return the manifest's entry about the ranks: number, backend, and the seed, device, and host of each."""
         if not self.together:
             return None
         own = self.config(config)
@@ -181,8 +164,6 @@ class Ranks:
         each = self.tell_all(mine)
         backend = "nccl" if device.startswith("cuda") else "gloo"
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
-
-    # --- messages between ranks ---
 
     def tell_all(self, value: Any) -> list[Any]:
         """Send a plain value to all ranks; return the values of all ranks in order."""
@@ -198,7 +179,7 @@ class Ranks:
         return bool(number.item())
 
     def said_by_first(self, value: Any) -> Any:
-        """Return the plain value of the first rank."""
+        """Send a plain Python value from the first rank to all ranks, and return it."""
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -226,11 +207,10 @@ class Ranks:
 
     @contextmanager
     def agreed(self) -> Iterator[None]:
-        """Run the body on all ranks; if it raises a WheellegError on one rank, raise an error on all ranks.
+        """If the body raises a WheellegError on one rank, raise an error on all ranks.
 
-        Raises:
-            WheellegError: on the first rank: the error of the rank that failed, with its evidence.
-            FirstRankFailed: on the other ranks.
+        The first rank raises the error of the rank that failed, with its evidence. All other ranks raise
+        FirstRankFailed.
         """
         if not self.together:
             yield
@@ -254,27 +234,21 @@ class Ranks:
         raise mine or error_from_facts(rank, found["error"], found["evidence"])
 
     def require_equal(self, values: Mapping[str, str]) -> None:
-        """Raise ConfigError if values differ between ranks.
-
-        Args:
-            values: digests by name.
-        """
+        """Raise ConfigError if digests, given by name, differ between ranks."""
         if not self.together:
             return
         received = self.tell_all(dict(values))
         with self.agreed():
             for rank, other in enumerate(received):
                 for name in (name for name in values if other[name] != received[0][name]):
-                    raise ConfigError(
-                        f"process {rank} has another than the first", key=name, expected="the same files everywhere"
-                    )
+                    message = f"process {rank} has another value than the first process"
+                    raise ConfigError(message, key=name, expected="the same files everywhere")
 
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
-        """Merge the scalars of all ranks: means over the ranks that have a key, and sums of counts.
+        """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        Args:
-            scalars: scalars of this rank. Ranks other than the first get them back unchanged.
-            times: keys of durations, where the longest counts.
+        ``times`` are the keys of scalars that are durations. Ranks other than the first get their own scalars back
+        unchanged.
         """
         if not self.together:
             return dict(scalars)
@@ -290,11 +264,7 @@ ALONE = Ranks()
 
 @contextmanager
 def joined() -> Iterator[Ranks]:
-    """Join the ranks that torchrun started (``WORLD_SIZE`` and ``RANK``). Without torchrun there is a single rank.
-
-    Raises:
-        ConfigError: the environment variables are incomplete.
-    """
+    """Join the ranks that torchrun started (``WORLD_SIZE`` and ``RANK``). Without torchrun there is a single rank."""
     size = world_size()
     if size <= 1:
         yield ALONE
@@ -302,7 +272,7 @@ def joined() -> Iterator[Ranks]:
     missing = [name for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
     if missing:
         raise ConfigError(
-            f"there are to be {size} processes, and {missing[0]} is not set",
+            f"torchrun announces {size} processes, but {missing[0]} is not set",
             key="WORLD_SIZE",
             expected="the variables that torchrun sets; or unset it to train with one process",
         )
@@ -315,7 +285,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # not after an error: it would wait for ranks that have ended
+    dist.destroy_process_group()  # After an error, destroy_process_group would wait for dead ranks.
 
 
 def _put_together(key: str, times: Sequence[str]) -> Callable[[list[float]], float]:
@@ -331,12 +301,7 @@ RANKS_KEY = "ranks"
 
 
 def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state of all ranks on the first rank, and the own state on other ranks. All ranks must call this.
-
-    Args:
-        ranks: the ranks.
-        state: state of this rank, from ``Trainer.state_dict``.
-    """
+    """Return the state of all ranks on the first rank, and the own state on other ranks. All ranks must call this."""
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
 
@@ -350,11 +315,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
     """Return the digests of the state of all ranks, and whether all ranks have the same networks.
 
-    All ranks must call this.
-
-    Args:
-        ranks: the ranks.
-        state: state of this rank, or a part of it.
+    All ranks must call this function with their own state, or with a part of it.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -1,4 +1,4 @@
-"""Collect what a rollout reports: episode returns and lengths, logs of the managers, failures, and means over steps."""
+"""Collect the reports of a rollout: episode returns and lengths, manager logs, failures, and means over steps."""
 
 from __future__ import annotations
 
@@ -13,15 +13,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # prefix of logged scalars; the config key of the term follows
+SCALAR = "Diagnostics/non_finite/"  # The config key of a term follows this prefix.
 
 
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    Args:
-        num_envs: number of environments, N.
-        agent: the ``agent`` section; ``max_non_finite`` times N such episodes are accepted, at least one.
+    An iteration accepts ``agent.max_non_finite`` times N failed episodes, and always one failed episode.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -41,16 +39,12 @@ class FailureCount:
             self._evidence = self._evidence or found["evidence"]
 
     def require_few(self, when: str) -> None:
-        """Raise SimulationFailure, with the key that failed most often, if there were too many failures.
-
-        Args:
-            when: the time of the failure, for the message.
-        """
+        """Raise SimulationFailure with the key that failed most often, if there were too many failures."""
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
             raise SimulationFailure(
-                f"its numbers were not finite and ended {count} episodes{others} {when}",
+                f"numbers of this key were not finite and ended {count} episodes{others} {when}",
                 key=key,
                 expected=f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)",
                 evidence=self._evidence,
@@ -62,16 +56,11 @@ def logged(scalars: Mapping[str, float]) -> dict[str, int]:
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 
-_EPISODES = 100  # finished episodes that the running means cover, as in rsl_rl
+_EPISODES = 100  # The running means cover this number of finished episodes, as in rsl_rl.
 
 
 class EpisodeLog:
-    """Collects the reports of steps and returns them once per iteration, by the keys of rsl_rl.
-
-    Args:
-        num_envs: number of environments, N.
-        device: where the environments' tensors are.
-    """
+    """Collects the rewards and logs of steps, and returns scalars once per iteration by the keys of rsl_rl."""
 
     def __init__(self, num_envs: int, device: torch.device | str = "cpu") -> None:
         self._return = torch.zeros(num_envs, device=device)
@@ -143,7 +132,7 @@ class EpisodeLog:
 
 
 def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
-    """Return a log as Python numbers. Tensors of one type are copied from a GPU together."""
+    """Return a log as Python numbers. Tensors of one dtype are copied together, because each copy waits for the GPU."""
     kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
     for key, value in log.items():
         if isinstance(value, torch.Tensor):
@@ -160,11 +149,8 @@ REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Termin
 class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
-    Managers log only episodes that end, and robots that fall early end more episodes. Here each environment has the
-    same weight in each step. Nothing is stored between iterations, so there is no state.
-
-    Args:
-        env: the environment.
+    Managers log only episodes that end, and robots that fall early end more episodes. In these means, each environment
+    has the same weight in each step. The sums are empty between iterations, so there is no state to save.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -182,7 +168,7 @@ class StepMeans:
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
-        """Return the means since the last call over steps and environments, and start again."""
+        """Return the means over steps and environments since the last call, and clear the sums."""
         with one_thread():
             scalars = {
                 f"{head}/{name}": value / self._steps

@@ -1,4 +1,4 @@
-"""Mirror whole observations and actions left to right, for rsl_rl's symmetry extension, and its mirror loss."""
+"""Mirror whole observations and actions left to right, for rsl_rl's symmetry extension and its mirror loss."""
 
 from __future__ import annotations
 
@@ -17,27 +17,18 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import ActionTerm
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl import mirror_rules
-from wheelleg_exp.rl.mirror_images import JOINT_PAIRS_KEY, joint_images, joint_signs
+from wheelleg_exp.rl.mirror_pairs import JOINT_PAIRS_KEY, joint_images, joint_signs
 from wheelleg_exp.rl.mirror_rules import SignedSources, TermMirror
 from wheelleg_exp.rl.options import SymmetryOptions
 
-__all__ = ["Mirror", "left_right"]
-
-
-_MAX_TARGET_ERROR = 1e-4  # rad, or the unit of a target
+_MAX_TARGET_ERROR = 1e-4  # rad
 
 
 class Mirror:
     """Mirrors observations and actions of an environment left to right.
 
-    Args:
-        env: the environment.
-        options: the ``agent.symmetry`` section.
-        groups: the observation groups that networks read.
-        device: device of the batches.
-
-    Raises:
-        ConfigError: the robot is not symmetric, or a term has no mirror rule.
+    ``groups`` are the observation groups that networks read. A robot that is not symmetric, or a term without a mirror
+    rule, raises ConfigError.
     """
 
     def __init__(
@@ -61,11 +52,12 @@ class Mirror:
 
     def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
         """Return the images of the groups that networks read."""
-        return {name: _apply_signs(observations[name], *tensors) for name, tensors in self._groups.items()}
+        return {name: observations[name][:, sources] * signs for name, (sources, signs) in self._groups.items()}
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Return the image of raw actions (B, A)."""
-        return _apply_signs(actions, *self._action_tensors)
+        sources, signs = self._action_tensors
+        return actions[:, sources] * signs
 
     def _actions(self) -> SignedSources:
         """Return the mirror rule of the action vector. Mirrored actions must set mirrored joint targets."""
@@ -78,7 +70,7 @@ class Mirror:
             path = f"env.actions.{name}"
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
-                raise ConfigError("it is not known how its actions turn in a mirror", key=path, expected=expected)
+                raise ConfigError("the term's actions have no known mirror image", key=path, expected=expected)
             offset, scale = _offset_and_scale(term)
             for joint, o, s in zip(joints, offset, scale, strict=True):
                 columns[kind, joint] = len(columns)
@@ -97,7 +89,7 @@ class Mirror:
             _, _, its_offset, its_scale = made[columns[image]]
             if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
                 raise ConfigError(
-                    f"an action means another target for '{joint}' than for its image '{image[1]}'",
+                    f"an action sets another target for '{joint}' than for its image '{image[1]}'",
                     key="env.actions",
                     expected="one scale, and offsets that are images",
                 )
@@ -105,7 +97,6 @@ class Mirror:
         return turned
 
     def _group(self, group: str) -> SignedSources:
-        """Return the mirror rule of a group's vector, frame by frame of each term's history."""
         manager = self._env.observation_manager
         terms, slices = manager.terms(group), manager.term_slices(group)
         found: dict[int, tuple[int, float]] = {}
@@ -118,7 +109,6 @@ class Mirror:
         return [found[i] for i in range(len(found))]
 
     def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSources:
-        """Return the mirror rule of one frame of a term, as sources and signs."""
         path, rule = term.term.path, self._rule(group, name, term)
         width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
@@ -129,14 +119,13 @@ class Mirror:
         return turned
 
     def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
-        """Return the rule of a term: from the config, or that of a stock term."""
         given = self._options.terms.get(name)
         rule = given if given is not None else mirror_rules.rule_of_target(term.term.target)
         if rule == mirror_rules.COMMAND_RULE:
             rule = self._turning.command(term)
         if rule is None:
             raise ConfigError(
-                f"it is not known how '{term.term.target}' turns in a mirror (observation '{name}' of '{group}')",
+                f"'{term.term.target}' has no known mirror image (observation '{name}' of '{group}')",
                 key=f"{mirror_rules.RULES_KEY}.{name}",
                 expected="one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number",
             )
@@ -146,23 +135,20 @@ class Mirror:
         """Raise ConfigError if clip or scale treat a number and its image differently."""
         clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
         if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
-            raise ConfigError(
-                "is not even, and some of it changes its sign in a mirror", key=f"{path}.clip", expected="[-x, x]"
-            )
+            message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
+            raise ConfigError(message, key=f"{path}.clip", expected="[-x, x]")
         if isinstance(scale, Sequence) and any(not math.isclose(scale[i], scale[s]) for i, (s, _) in enumerate(turned)):
-            raise ConfigError(
-                "differs for numbers that are images", key=f"{path}.scale", expected="one factor for both"
-            )
+            message = "the scale differs between numbers that are mirror images"
+            raise ConfigError(message, key=f"{path}.scale", expected="one factor for both")
 
     def _require_defaults(self) -> None:
-        """Raise ConfigError if the default pose is not symmetric."""
         robot = self._env.scene.robot
         pose = robot.layout.default_joint_pos.tolist()
         for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
             if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
                 names = robot.joint_names
                 raise ConfigError(
-                    f"'{names[joint]}' and its image '{names[image]}' begin at {pose[joint]:g} and {pose[image]:g} rad",
+                    f"'{names[joint]}' and its image '{names[image]}' start at {pose[joint]:g} and {pose[image]:g} rad",
                     key="env.robot.init_state.joint_pos",
                     expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {JOINT_PAIRS_KEY}",
                 )
@@ -180,12 +166,7 @@ class Mirror:
 
 
 class MirroredHalf:
-    """Mirrors observations and actions of every second environment.
-
-    Args:
-        mirror: the mirror, on the device of the environments.
-        num_envs: number of environments.
-    """
+    """Mirrors observations and actions of every second environment."""
 
     def __init__(self, mirror: Mirror, num_envs: int) -> None:
         self._mirror = mirror
@@ -204,13 +185,7 @@ class MirroredHalf:
 def left_right(
     env: Any, obs: TensorDict | None = None, actions: torch.Tensor | None = None
 ) -> tuple[TensorDict | None, torch.Tensor | None]:
-    """Return a batch followed by its mirror image, as rsl_rl's ``data_augmentation_func``.
-
-    Args:
-        env: the ``RslRlVecEnv`` that rsl_rl trains with.
-        obs: observations, or None.
-        actions: raw actions (B, A), or None.
-    """
+    """Return observations and actions (B, A), each followed by its mirror image, for rsl_rl's symmetry extension."""
     mirror: Mirror = env.mirror
     both = None if obs is None else torch.cat((obs, mirror.observations(obs)), dim=0)
     return both, None if actions is None else torch.cat((actions, mirror.actions(actions)), dim=0)
@@ -221,12 +196,8 @@ def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -
     return sources, torch.tensor([sign for _, sign in turned], device=device)
 
 
-def _apply_signs(values: torch.Tensor, sources: torch.Tensor, factors: torch.Tensor) -> torch.Tensor:
-    return values[:, sources] * factors
-
-
 def _offset_and_scale(term: ActionTerm) -> tuple[list[float], list[float]]:
-    """Return the offset and the scale of an action term, for each action, without changing its state."""
+    """Return the offset and the scale of an action term for each action, without changing the term's state."""
     saved = term.state_dict()
     zeros = torch.zeros_like(term.raw_actions)
     term.process_actions(zeros)
@@ -260,13 +231,9 @@ def replace_mirror_loss(algorithm: Any) -> None:
 def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
     """Return the mean squared difference between actions for mirrored observations and mirrored actions.
 
-    Value and gradient are the same as those of ``Symmetry.compute_loss`` of rsl_rl 5.5. That function evaluates the
-    policy once more and sends a gradient of 0 back through it. This one uses the actions that were computed last.
-
-    Args:
-        symmetry: the extension.
-        actor: the policy, last evaluated on these observations.
-        observations: observations of B samples, by group.
+    Value and gradient are the same as those of ``Symmetry.compute_loss`` of rsl_rl 5.5. rsl_rl evaluates the policy
+    once more and sends a gradient of 0 back through it. ``mirror_loss`` uses the actions that were computed last, so
+    the policy must have been evaluated on these observations last.
     """
     mirror = symmetry.env.mirror
     wanted = mirror.actions(actor.output_mean.detach())

@@ -32,13 +32,7 @@ from wheelleg_exp.user_exceptions import in_words, place
 
 @dataclass(frozen=True)
 class Iteration:
-    """The result of one iteration.
-
-    Attributes:
-        index: number of the iteration, from 0.
-        scalars: logged numbers, by the keys of rsl_rl and Isaac Lab.
-        env_steps: environment steps of the rollout.
-    """
+    """The result of one iteration: its number from 0, the logged scalars, and the environment steps of its rollout."""
 
     index: int
     scalars: dict[str, float]
@@ -46,21 +40,11 @@ class Iteration:
 
 
 class Trainer:
-    """Trains a policy.
+    """Trains a policy with the composed ``agent`` section.
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
-    this generator.
-
-    Args:
-        env: the adapted environment.
-        agent: the composed ``agent`` section, plain.
-        seed: the run's seed.
-        teacher: for a distillation, the checkpoint whose policy teaches.
-        initial: networks to start from; exploration and simulation start from scratch.
-        ranks: the processes that train together; each of them has a trainer.
-
-    Raises:
-        ConfigError: rsl_rl rejects the section, or the teacher or the initial networks do not fit it.
+    the global generator. In a distillation, ``teacher`` is the checkpoint whose policy teaches. ``initial`` has
+    networks to start from; exploration and simulation start from scratch. Each of the ``ranks`` has a trainer.
     """
 
     def __init__(
@@ -89,18 +73,16 @@ class Trainer:
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
-        # Acts and updates in place of the algorithm, with the same numbers.
+        # This object acts and updates with the same numbers as the rsl_rl algorithm, which it replaces.
         self._ppo = captured_ppo(self.algorithm) if agent.get("graph_update") else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total, and yield after each iteration.
 
-        If several ranks train together, all of them must ask for each iteration. What the first rank yields covers all
-        ranks: scalars are means, steps are sums.
-
-        Raises:
-            SimulationFailure: a number is NaN or inf: an observation, an action, a number that an event wrote, a loss,
-                a parameter, or physics and rewards in more environments than ``agent.max_non_finite`` allows.
+        If several ranks train together, all of them must ask for each iteration. The first rank yields results of all
+        ranks: scalars are means, steps are sums. A number that is NaN or inf raises SimulationFailure: an observation,
+        an action, a number that an event wrote, a loss, a parameter, or physics and rewards in more environments than
+        ``agent.max_non_finite`` allows.
         """
         self.algorithm.train_mode()
         if self.ranks.together:
@@ -117,7 +99,6 @@ class Trainer:
             yield done
 
     def _collect(self) -> None:
-        """Collect a rollout and compute its returns."""
         with self.ranks.agreed(), self._named_errors(), no_global_draws("numpy", "python"):
             self._roll_out()
 
@@ -140,7 +121,6 @@ class Trainer:
             self.algorithm.compute_returns(observations)
 
     def _update(self) -> dict[str, float]:
-        """Update the networks on the rollout; return the losses by name."""
         with self._named_errors(), self._products():
             losses: dict[str, float] = self._ppo.update()
         with self.ranks.agreed():
@@ -151,18 +131,16 @@ class Trainer:
         return losses
 
     def _scalars(self, losses: Mapping[str, float], collection_time: float, learning_time: float) -> dict[str, float]:
-        """Return what is logged of an iteration, by the keys of rsl_rl and Isaac Lab."""
         scalars = self.log.collect() | self._means.collect()
         scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
         scalars["Loss/learning_rate"] = float(self.algorithm.learning_rate)
         scalars["Policy/mean_std"] = self.algorithm.get_policy().output_std.mean().item()
         scalars["Perf/total_fps"] = self.num_steps * self.env.num_envs / (collection_time + learning_time)
-        scalars["Perf/collection_time"] = collection_time
-        scalars["Perf/learning_time"] = learning_time
-        return self.ranks.merged(scalars, ("Perf/collection_time", "Perf/learning_time"))
+        times = {"Perf/collection_time": collection_time, "Perf/learning_time": learning_time}
+        return self.ranks.merged(scalars | times, tuple(times))
 
     def _share_buffers(self) -> None:
-        """Copy the running means of observations from the first rank to all, because each rank saw other samples."""
+        """Copy the running means of observations from the first rank, because each rank collected different samples."""
         networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
         with communicating():
             for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
@@ -173,12 +151,9 @@ class Trainer:
         return [getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm)]
 
     def _products(self) -> AbstractContextManager[None]:
-        """Return the context that sets the precision of matrix products in an update."""
-        if self._matmul == "float32":
-            return nullcontext()
         if self._matmul == "tf32":
             return tf32_products()
-        return bfloat16_products(self.networks())
+        return bfloat16_products(self.networks()) if self._matmul == "bfloat16" else nullcontext()
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
@@ -203,7 +178,6 @@ class Trainer:
             ) from error
 
     def _require_finite(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
-        """Raise an error if losses or parameters are NaN or inf."""
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
         for role in checkpoint.roles_of(self.algorithm):
             network = getattr(self.algorithm, role)
@@ -219,7 +193,6 @@ class Trainer:
             ) from cause
 
     def _learning(self, losses: Mapping[str, float]) -> dict[str, torch.Tensor]:
-        """Return the learning rate and the losses of an update that failed."""
         rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
         return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
@@ -229,7 +202,7 @@ class Trainer:
             "format_version": FORMAT_VERSION,
             "iter": self.iteration - 1,
             "infos": None,
-            **cloned(self.algorithm.save()),  # a copy, because the networks change
+            **cloned(self.algorithm.save()),
             **self.average.state_dict(),
             "unsaved": unsaved_state(self.algorithm) | self.average.unsaved(),
             "env": self.env.env.state_dict(),
@@ -238,11 +211,7 @@ class Trainer:
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned. The random state comes last, because construction draws numbers.
-
-        Raises:
-            RunDirectoryError: the state belongs to other networks or another environment.
-        """
+        """Restore what ``state_dict`` returned; RunDirectoryError if the state does not fit this training."""
         checkpoint.require_resumable(saved)
         try:
             self.algorithm.load(dict(saved), None, True)
@@ -250,6 +219,7 @@ class Trainer:
             self.average.load_state_dict(saved)
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
+            # The random state is restored last, because loading can draw numbers.
             torch.set_rng_state(saved["rng"]["torch"])
             if "device" in saved["rng"]:
                 torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
@@ -273,7 +243,7 @@ class Trainer:
             policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
-        """Set the learning rate of the next updates. An adaptive schedule continues from this value."""
+        """Set the learning rate of the next updates. An adaptive schedule continues from the new learning rate."""
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value

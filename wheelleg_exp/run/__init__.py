@@ -1,4 +1,4 @@
-"""The run directory: one folder that says what produced a policy, and that shows whether a file has changed.
+"""The run directory: one folder that records how a policy was produced, and shows whether a file has changed.
 
 | module | offers |
 |---|---|

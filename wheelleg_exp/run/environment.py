@@ -1,6 +1,6 @@
-"""What the numbers depend on apart from the source: distributions, hardware, and environment variables.
+"""The facts besides the source on which a run's numbers depend: distributions, hardware, environment variables.
 
-This module imports neither torch nor MuJoCo. Versions come from the installed metadata.
+This module imports neither torch nor MuJoCo. Versions of distributions are read from the installed metadata.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,28 +21,18 @@ import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
 from wheelleg_exp.run.git_commands import without_credentials
 
-# Distributions whose version can change a number or a file of a run.
+# The distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
-    "wheelleg_exp",
-    "mujoco",
-    "torch",
-    "rsl-rl-lib",
-    "numpy",
-    "tensordict",
-    "gymnasium",
-    "hydra-core",
-    "omegaconf",
-    "usd-core",
-    "rerun-sdk",
-    "tensorboard",
-    "onnx",
+    *("wheelleg_exp", "mujoco", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core", "omegaconf"),
+    *("usd-core", "rerun-sdk", "tensorboard", "onnx"),
 )
 
-# Prefixes of variables that change numbers or threads; then of those that choose devices, code, or how code runs.
+# Environment variables with these prefixes change numbers or threads.
 _NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
 )
+# Environment variables with these prefixes choose devices or code.
 _OF_MACHINE = (
     *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
@@ -51,7 +42,7 @@ _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-# Their values are not stored, because NVIDIA_API_KEY would match the patterns above.
+# The values of these variables are not stored, although NVIDIA_API_KEY matches the patterns above.
 _SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
@@ -72,16 +63,20 @@ def versions() -> dict[str, str | None]:
 
 
 def hardware() -> dict[str, Any]:
-    """Return the CPU's model, its vector instructions, cores and memory, and the platform.
+    """Return the CPU's model and vector instructions, the numbers of cores, the size of the memory, and the platform.
 
-    ``cores_usable`` is the number of cores that this process can use, within the limit of a container.
-    ``torch_cpu_capability`` exists only if torch is already imported.
+    The value ``cores_usable`` is the number of CPU cores that this process can use within its container's limit. The
+    key ``torch_cpu_capability`` exists only if torch is already imported.
     """
+    memory = None
+    with suppress(OSError):
+        text = Path("/proc/meminfo").read_text(errors="replace")
+        memory = re.search(r"^MemTotal:\s+(\d+) kB", text, re.MULTILINE)
     facts: dict[str, Any] = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "cores_usable": usable_cores(),
-        "memory_gib": _memory_gib(),
+        "memory_gib": round(int(memory.group(1)) / 2**20, 1) if memory else None,
         "machine": platform.machine(),
         "platform": platform.platform(),
         "python_implementation": platform.python_implementation(),
@@ -94,11 +89,10 @@ def hardware() -> dict[str, Any]:
 
 
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
-    """Return the environment variables that can change results, sorted; a variable named like a secret is left out.
+    """Return the environment variables that can change results, sorted by name.
 
-    Args:
-        environ: the variables; those of the process by default.
-        also: more names, such as those that a config requests.
+    The argument ``also`` contains further variable names, such as those that a config requests. Variables whose name
+    suggests a secret are left out.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -111,13 +105,8 @@ def replay_environ(
 ) -> dict[str, str]:
     """Return the environment for a process that must compute the same numbers as a run.
 
-    Variables that change numbers have the run's values, and are unset where the run did not have them. Other variables
-    keep their present values: paths, devices, preloaded libraries.
-
-    Args:
-        recorded: the variables in the run's manifest.
-        environ: the present environment; that of this process by default.
-        also: more names whose values are taken from the run, such as those that its config requests.
+    Variables that change numbers, and the variables in ``also``, get the run's recorded values. A variable that the run
+    did not have is unset. The values of the remaining variables (paths, devices, preloaded libraries) do not change.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
@@ -141,29 +130,21 @@ def distributions() -> list[str]:
     """
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
-        name, version = _name_and_version(distribution)
-        if not name:
-            continue  # a folder without metadata, left by a broken installation
-        key = re.sub(r"[-_.]+", "-", name).lower()
-        # Python imports the first one on the path.
-        found.setdefault(key, f"{name}=={version}{_origin(distribution)}")
+        # Read only the header of each metadata file, because parsing 100 descriptions takes 1 s.
+        text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
+        head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
+        if "Name" in head:  # A broken installation can leave a distribution's folder without metadata.
+            key = re.sub(r"[-_.]+", "-", head["Name"]).lower()
+            # Python imports the first distribution on ``sys.path``, so later distributions of the same name are
+            # ignored.
+            found.setdefault(key, f"{head['Name']}=={head.get('Version', '')}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
-
-
-def _name_and_version(distribution: metadata.Distribution) -> tuple[str, str]:
-    """Return both from the head of the metadata; parsing the descriptions of 100 distributions would take a second."""
-    text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
-    head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
-    return head.get("Name", ""), head.get("Version", "")
 
 
 def environment_text(threads: Mapping[str, Any]) -> str:
     """Return the text of ``environment.txt``: the machine's facts as comments, then the distributions.
 
     pip can read the text as a requirements file. Equal environments give equal texts.
-
-    Args:
-        threads: the thread policy of the run.
     """
     sections: dict[str, Mapping[str, Any]] = {
         "python": {"version": sys.version.replace("\n", " ")},
@@ -174,13 +155,11 @@ def environment_text(threads: Mapping[str, Any]) -> str:
     lines: list[str] = []
     for title, facts in sections.items():
         lines.append(f"# {title}")
-        lines += [f"#   {key}: {_one_line(value)}" for key, value in facts.items()] or ["#   none"]
+        for key, value in facts.items():
+            text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+            lines.append(f"#   {key}: {' '.join(text.splitlines())}")
+        lines += [] if facts else ["#   none"]
     return "\n".join([*lines, *distributions()]) + "\n"
-
-
-def _one_line(value: Any) -> str:
-    text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-    return " ".join(text.splitlines())
 
 
 def _origin(distribution: metadata.Distribution) -> str:
@@ -200,38 +179,15 @@ def _origin(distribution: metadata.Distribution) -> str:
 
 
 def _cpu_facts() -> dict[str, Any]:
-    """Return model, family, stepping and vector instructions of the CPU."""
     if sys.platform == "darwin":
-        name = _output("sysctl", "-n", "machdep.cpu.brand_string")
-        return {"cpu": name} if name else {}
+        command = ("sysctl", "-n", "machdep.cpu.brand_string")
+        with suppress(OSError, subprocess.TimeoutExpired):
+            name = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
+            return {"cpu": name} if name else {}
+        return {}
     block = first_processor()
-    facts: dict[str, Any] = {}
-    names = {
-        "model name": "cpu",
-        "cpu family": "cpu_family",
-        "model": "cpu_model",
-        "stepping": "cpu_stepping",
-    }
-    facts.update({new: block[old] for old, new in names.items() if block.get(old)})
+    names = {"model name": "cpu", "cpu family": "cpu_family", "model": "cpu_model", "stepping": "cpu_stepping"}
+    facts: dict[str, Any] = {new: block[old] for old, new in names.items() if block.get(old)}
     flags = block.get("flags") or block.get("Features") or ""
     chosen = sorted({flag for flag in flags.split() if _CPU_FLAGS.fullmatch(flag) or "bf16" in flag})
     return {**facts, "cpu_flags": chosen} if chosen else facts
-
-
-def _memory_gib() -> float | None:
-    match = re.search(r"^MemTotal:\s+(\d+) kB", _read("/proc/meminfo"), re.MULTILINE)
-    return round(int(match.group(1)) / 2**20, 1) if match else None
-
-
-def _read(path: str) -> str:
-    try:
-        return Path(path).read_text(errors="replace")
-    except OSError:
-        return ""
-
-
-def _output(*command: str) -> str:
-    try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
-    except (OSError, subprocess.TimeoutExpired):
-        return ""

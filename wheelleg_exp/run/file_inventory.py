@@ -1,4 +1,4 @@
-"""The files of a run directory: size and sha256 of each, and the differences from the recorded ones."""
+"""The files of a run directory: the size and the sha256 of each file, and differences from the recorded ones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The differences between a run's files and its manifest, as sorted relative paths.
 
-    ``links`` are symbolic links that the manifest does not name. A recorded file replaced by a link is ``missing``.
+    The attribute ``links`` lists symbolic links that the manifest does not name. A recorded file that was replaced by a
+    link is listed in ``missing``.
     """
 
     missing: list[str] = field(default_factory=list)
@@ -38,26 +39,25 @@ class FileFindings:
     links: list[str] = field(default_factory=list)
 
     def __bool__(self) -> bool:
-        """Return whether anything differs."""
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return the record of every file at or below ``directory``, by relative path with forward slashes.
+    """Return the record of every file at or below ``directory``, by the file's relative path with forward slashes.
 
-    The manifest itself, lock files and unfinished temporary files are left out.
+    The manifest, lock files, and unfinished temporary files are left out.
     """
     return record_files(directory, _files(directory))
 
 
 def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord]:
-    """Return the records of ``paths``, sorted by relative path.
-
-    Raises:
-        RunDirectoryError: a path is not a file, or is not below ``directory``.
-    """
-    names = {relative_name(directory, path) for path in paths}
-    return {name: _record(directory / name) for name in sorted(names)}
+    """Return the records of files below ``directory``, sorted by relative path."""
+    records: dict[str, FileRecord] = {}
+    for name in sorted({relative_name(directory, path) for path in paths}):
+        digest = sha256(directory / name)
+        with for_people(directory / name, "read"):
+            records[name] = {"sha256": digest, "size": (directory / name).stat().st_size}
+    return records
 
 
 def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
@@ -65,26 +65,32 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
     present = {relative_name(directory, path) for path in _files(directory)}
     found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
     for name in sorted(present & set(recorded)):
+        path, record = directory / name, recorded[name]
         try:
-            if not _matches_record(directory / name, recorded[name]):
+            with for_people(path, "read"):
+                size = path.stat().st_size
+            if size != record["size"] or sha256(path) != record["sha256"]:
                 found.changed.append(name)
         except RunDirectoryError:
             found.unreadable.append(name)
-    found.links.extend(name for name in sorted(_links(directory)) if name not in recorded)
+    links = sorted(path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_symlink())
+    found.links.extend(name for name in links if name not in recorded)
     return found
 
 
 def odd_entries(directory: Path) -> dict[str, str]:
     """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name.
 
-    A link can lead anywhere, and reading from a pipe or a device may never end. Files that disappear are ignored.
+    A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
+    disappear are ignored.
     """
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):
             try:
                 mode = path.lstat().st_mode
-            except FileNotFoundError:  # a temporary file of a running training
+            # A running training can delete a temporary file between the listing and this line.
+            except FileNotFoundError:
                 continue
             if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
                 name = path.relative_to(directory).as_posix()
@@ -93,12 +99,10 @@ def odd_entries(directory: Path) -> dict[str, str]:
 
 
 def relative_name(directory: Path, path: Path) -> str:
-    """Return ``path`` relative to ``directory``, with forward slashes.
+    """Return ``path`` relative to ``directory``, with forward slashes; raise RunDirectoryError if it is outside.
 
-    A relative path starts at the working directory if that leads below ``directory``, else at ``directory``.
-
-    Raises:
-        RunDirectoryError: the path is outside.
+    A relative ``path`` is resolved from the working directory if the result is below ``directory``, else from
+    ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):
@@ -111,22 +115,6 @@ def is_inside(name: str) -> bool:
     """Return whether a recorded relative name stays below its directory."""
     path = PurePosixPath(name)
     return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
-
-
-def _matches_record(path: Path, record: FileRecord) -> bool:
-    with for_people(path, "read"):
-        size = path.stat().st_size
-    return size == record["size"] and sha256(path) == record["sha256"]
-
-
-def _record(path: Path) -> FileRecord:
-    digest = sha256(path)
-    with for_people(path, "read"):
-        return {"sha256": digest, "size": path.stat().st_size}
-
-
-def _links(directory: Path) -> Iterator[str]:
-    return (path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_symlink())
 
 
 def _files(directory: Path) -> Iterator[Path]:

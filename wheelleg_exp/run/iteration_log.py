@@ -1,4 +1,4 @@
-"""Read ``iterations.jsonl``: one line per iteration, and the problems of the file."""
+"""Read ``iterations.jsonl``: one line for each training iteration, and the problems of the file."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Wall-clock times: the only scalars that differ between two equal runs.
+# Scalars with this prefix are wall-clock times. No other scalar differs between two equal runs.
 _TIMES = "Perf/"
 
 
 @dataclass(frozen=True)
 class Line:
-    """One iteration.
+    """One iteration of ``iterations.jsonl``.
 
-    Attributes:
-        iteration: its number, from 0.
-        digests: short digests by name.
-        scalars: numbers by name, without wall-clock times.
-        digest_format: number of the digests' definition; None when the line does not contain it.
-        content: the whole line, wall-clock times included.
-        end: the position in the file at which it ends.
+    The mappings ``digests`` and ``scalars`` are by name, without wall-clock times. ``content`` is the whole log line.
+    ``digest_format`` is the version of the digests' definition, and ``end`` is the file position of the line's end in
+    bytes.
     """
 
     iteration: int
@@ -37,12 +33,9 @@ class Line:
 
 @dataclass(frozen=True)
 class IterationLog:
-    """The consecutive iterations of a run from 0 on.
+    """The consecutive logged iterations of a run, with ``lines[i].iteration == i``, and the problems of the log file.
 
-    Attributes:
-        lines: the iterations, ``lines[i].iteration == i``.
-        problems: the problems of the file, with line numbers.
-        cut_off: whether the last line has no newline, as after a crash.
+    The attribute ``cut_off`` is true if the last line has no newline, as after a crash.
     """
 
     lines: list[Line] = field(default_factory=list)
@@ -51,11 +44,7 @@ class IterationLog:
 
 
 def read_log(path: Path) -> IterationLog:
-    """Read a log up to its first problem; a missing file has no iterations.
-
-    Raises:
-        RunDirectoryError: the file cannot be read.
-    """
+    """Read an iteration log up to its first damaged line; a missing log file has no iterations."""
     if not path.is_file():
         return IterationLog(problems=[f"there is no {path.name}"])
     log, end = IterationLog(), 0
@@ -71,20 +60,16 @@ def read_log(path: Path) -> IterationLog:
             log.lines.append(line)
             continue
         else:
-            log.problems.append(_out_of_order(number, line.iteration, expected))
-        break  # later lines could belong to another iteration
+            kind = "repeats" if line.iteration < expected else "leaves a gap:"
+            log.problems.append(f"line {number} {kind} iteration {line.iteration}, where {expected} was expected")
+        break  # Log lines after a damaged line could have a wrong iteration number.
     return log
 
 
 def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
-    """Return the duration of iterations in s, without building, exporting, and the pauses before a resume."""
+    """Return the training time of iterations in s, without building, exporting, and the pauses before a resume."""
     times = [line["scalars"].get(_TIMES + key) for line in lines for key in ("collection_time", "learning_time")]
     return float(sum(value for value in times if isinstance(value, (int, float))))
-
-
-def _out_of_order(number: int, iteration: int, expected: int) -> str:
-    kind = "repeats" if iteration < expected else "leaves a gap:"
-    return f"line {number} {kind} iteration {iteration}, where {expected} was expected"
 
 
 def _parse(raw: bytes, end: int) -> Line | None:

@@ -1,7 +1,7 @@
-"""``manifest.json``: what a run is, how it ended, and the digest of every file that it wrote.
+"""``manifest.json`` of a run: its settings, its end, and the digest of every file that the run wrote.
 
-The last key of the file, ``sha256``, is the digest of the file's own bytes, so that a changed byte is detected.
-The type of every value is checked before the value is used.
+The last key of ``manifest.json``, ``sha256``, is the digest of the file's own bytes and reveals a changed byte. The
+type of every value is checked before the value is used.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """The type of a value that can be missing or null."""
+    """The type of a manifest value that can be missing or null."""
 
     kind: Any
 
@@ -45,11 +45,8 @@ class Optional:
 def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
     """Yield the keys at or below ``path`` whose values have the wrong type.
 
-    Args:
-        value: a plain value.
-        kind: a type; ``[kind]`` for a list; ``{str: kind}`` for a mapping with any keys, else the types by key. A key
-            without a type can have any value.
-        path: the key of the value.
+    A kind is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
+    kinds. A mapping's key without a kind can have any value.
     """
     if isinstance(kind, Optional):
         if value is not None:
@@ -61,47 +58,31 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
         kinds = dict.fromkeys(value, kind[str]) if str in kind else kind
         for key, inner in kinds.items():
             yield from mistyped_keys(value.get(key), inner, f"{path}.{key}" if path else str(key))
-    elif not isinstance(kind, type) or not _is_instance(value, kind):
+    elif not isinstance(kind, type) or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         yield path
 
 
-def _is_instance(value: Any, kind: type) -> bool:
-    return kind is bool if isinstance(value, bool) else isinstance(value, kind)
-
-
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # its digest, if any, is of the values and not of the bytes
+FORMAT_WITH_VALUE_DIGEST = 1  # A digest in a manifest of format 1 is computed from the values and not from the bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
-
 _FILES = {str: {"sha256": str, "size": int}}
-WRITER = {
-    "pid": Optional(int),
-    "host": Optional(str),
-    "boot_id": Optional(str),
-    "start_ticks": Optional(int),
-}  # a process
+WRITER = {"pid": Optional(int), "host": Optional(str), "boot_id": Optional(str), "start_ticks": Optional(int)}
 _PROCESS: dict[Any, Any] = {
     "error": Optional({"type": Optional(str), "message": Optional(str)}),
     "ended": Optional(str),
     "process": Optional(WRITER),
     "failure": Optional({"key": Optional(str), "iteration": int, "message": str}),
-    "versions": Optional(dict),
-    "hardware": Optional(dict),
-    "threads": Optional(dict),
+    **dict.fromkeys(("versions", "hardware", "threads"), Optional(dict)),
     "environment_variables": Optional({str: str}),
 }
 _RESULTS = {"non_finite": Optional({str: int})}
 _RESUME = {
     "when": Optional(str),
     "iteration": Optional(int),
-    "command": Optional([str]),
-    "overrides": Optional([str]),
-    "changes": Optional([dict]),
-    "why": Optional([str]),
-    "notes": Optional([str]),
+    **dict.fromkeys(("command", "overrides", "why", "notes"), Optional([str])),
+    **dict.fromkeys(("changes", "differences"), Optional([dict])),
     "proved": Optional(list),
-    "differences": Optional([dict]),
     "before": Optional({**_PROCESS, "files": Optional(_FILES)}),
     "files_to_write": Optional({str: str}),
 }
@@ -114,17 +95,11 @@ _MANIFEST = {
     "resumes": [_RESUME],
     "additions": [{"kind": Optional(str), "when": str, "files": _FILES, "results": Optional(_RESULTS)}],
     "files": _FILES,
-    "id": Optional(str),
-    "command": Optional([str]),
-    "working_directory": Optional(str),
+    **dict.fromkeys(("id", "working_directory", "recording_unfinished", "replay_of"), Optional(str)),
+    **dict.fromkeys(("command", "config_dirs"), Optional([str])),
+    **dict.fromkeys(("source", "engine", "replay"), Optional(dict)),
     "seeds": Optional(list),
-    "source": Optional(dict),
-    "engine": Optional(dict),
-    "config_dirs": Optional([str]),
     "config_variables": Optional({str: str}),
-    "recording_unfinished": Optional(str),
-    "replay_of": Optional(str),
-    "replay": Optional(dict),
     "ranks": Optional({"world_size": int, "backend": Optional(str), "seeds": Optional(list)}),
 }
 
@@ -133,37 +108,21 @@ def require_manifest(data: Any, path: Path) -> None:
     """Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of a known format."""
     where = os.fspath(path)
     if not isinstance(data, dict) or "format" not in data:
-        raise RunDirectoryError("this is not a run's manifest", where=where, expected="a mapping with 'format'")
+        raise RunDirectoryError("the file is not a run manifest", where=where, expected="a mapping with 'format'")
     if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
-        raise RunDirectoryError(
-            f"manifest format {data['format']!r} is unknown",
-            where=where,
-            expected=f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it",
-        )
+        expected = f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it"
+        raise RunDirectoryError(f"manifest format {data['format']!r} is unknown", where=where, expected=expected)
     for wrong in mistyped_keys(data, _MANIFEST):
         raise RunDirectoryError(f"broken manifest: '{wrong}' is missing or wrong", where=where)
     if data["status"] not in STATUSES:
-        raise RunDirectoryError(
-            f"status '{data['status']}' is not known",
-            where=where,
-            expected="one of " + ", ".join(STATUSES),
-            nearest=nearest_name(data["status"], STATUSES),
-        )
-    _require_times(data, where)
-    _require_inside(data, where)
-
-
-def _require_times(data: dict[str, Any], where: str) -> None:
-    times = [data["started"], *([data["ended"]] if data.get("ended") else [])]
-    times += [entry["when"] for entry in data["additions"]]
-    for text in times:
+        message, nearest = f"status '{data['status']}' is not known", nearest_name(data["status"], STATUSES)
+        raise RunDirectoryError(message, where=where, expected="one of " + ", ".join(STATUSES), nearest=nearest)
+    ended = [data["ended"]] if data.get("ended") else []
+    for text in (data["started"], *ended, *(entry["when"] for entry in data["additions"])):
         try:
             parse_utc(text)
         except ValueError:
             raise RunDirectoryError(f"broken manifest: {text!r} is not a time", where=where) from None
-
-
-def _require_inside(data: dict[str, Any], where: str) -> None:
     tables = [data["files"], *(entry["files"] for entry in data["additions"])]
     for entry in data["resumes"]:
         tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
@@ -172,7 +131,7 @@ def _require_inside(data: dict[str, Any], where: str) -> None:
             raise RunDirectoryError(f"the manifest names {name!r}, which is outside its directory", where=where)
 
 
-DIGEST_KEY = "sha256"
+_DIGEST_KEY = "sha256"
 _NO_DIGEST = "0" * 64
 _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
@@ -180,13 +139,10 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
     """Return the document as JSON whose last key, ``sha256``, is the digest of all bytes of the text.
 
-    The digest is computed of the text with 64 zeros in place of the digest. An earlier digest is replaced.
-
-    Args:
-        document: the content.
-        broken: whether to write zeros as the digest, because the old document did not match its digest.
+    The digest is computed from the text with 64 zeros in place of the digest. If ``broken`` is true, the text has zeros
+    instead of a digest: the old document did not match its digest, and a new digest would hide the change.
     """
-    text = dump_json({**_without_digest(document), DIGEST_KEY: _NO_DIGEST})
+    text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
     head, _, tail = text.rpartition(_NO_DIGEST)
     return f"{head}{digest}{tail}"
@@ -202,49 +158,41 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a document of format 1 match its digest; None when it has no digest.
+    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest.
 
-    A change that keeps the values is not detected, such as other last digits of a number that round alike.
+    Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
     """
-    if DIGEST_KEY not in document:
+    if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
-    return document[DIGEST_KEY] == hashlib.sha256(text.encode()).hexdigest()
+    return document[_DIGEST_KEY] == hashlib.sha256(text.encode()).hexdigest()
 
 
 def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in document.items() if key != DIGEST_KEY}
+    return {key: value for key, value in document.items() if key != _DIGEST_KEY}
 
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# Files that are written before the first step and never again; all other files can grow during the run.
+# Files that a run writes only before its first step. All other files of the run can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# Keys that a resume replaces; their old values are stored in ``resumes``.
+# A resume replaces these manifest keys and stores their old values in ``resumes``.
 _PROCESS_KEYS = (
-    "status",
-    "error",
-    "ended",
-    "process",
-    "versions",
-    "hardware",
-    "threads",
-    "environment_variables",
+    *("status", "error", "ended", "process", "versions", "hardware", "threads", "environment_variables"),
     "files",
 )
 
 _LOCK_TIMEOUT_S = 20.0
-_PENDING = "files_to_write"  # the key of a resume that has not yet written its changed files
+# The manifest's entry of a resume has this key until the resume has written its changed snapshot files.
+_PENDING = "files_to_write"
 
 
 @dataclass
 class Manifest:
-    """The manifest of one run directory. Every change reads, modifies and replaces the file under a lock.
+    """The manifest of one run directory.
 
-    Args:
-        path: the manifest file.
-        data: the content that was last read or written.
+    Every change of the manifest reads, modifies, and replaces the manifest file under a lock.
     """
 
     path: Path
@@ -261,11 +209,7 @@ class Manifest:
         threads: Mapping[str, Any],
         now: datetime | None = None,
     ) -> Manifest:
-        """Write the first manifest of a run, with status ``running`` and the present files.
-
-        Raises:
-            RunDirectoryError: the directory already has a manifest.
-        """
+        """Write the first manifest of a run, with status ``running`` and the present files."""
         path = directory / MANIFEST_NAME
         if path.exists():
             raise RunDirectoryError(f"'{directory}' already contains a run", expected="a new run directory")
@@ -297,11 +241,7 @@ class Manifest:
 
     @classmethod
     def load(cls, directory: os.PathLike[str]) -> Manifest:
-        """Read the manifest of a run directory.
-
-        Raises:
-            RunDirectoryError: the manifest is missing or broken, or its format is unknown.
-        """
+        """Read the manifest of a run directory; raise RunDirectoryError if it is missing or damaged."""
         path = Path(directory) / MANIFEST_NAME
         if not path.is_file():
             raise RunDirectoryError(f"'{path.parent}' is not a run directory: it has no {MANIFEST_NAME}")
@@ -316,32 +256,28 @@ class Manifest:
 
     @property
     def status(self) -> str:
-        """The recorded status, one of ``STATUSES``; that of a killed run is still ``running``."""
+        """The recorded status, one of ``STATUSES``. A killed run still has the status ``running``."""
         return str(self.data["status"])
 
     @property
     def started(self) -> datetime:
-        """When the run started."""
+        """The time at which the run started."""
         return parse_utc(self.data["started"])
 
     @property
     def results(self) -> dict[str, Any]:
-        """The run's results."""
+        """The results of the run."""
         return self.data["results"]
 
     def matches_digest(self) -> bool | None:
-        """Return whether the file matches its own digest; None for a file of format 1 without a digest.
-
-        Raises:
-            RunDirectoryError: the file cannot be read.
-        """
+        """Return whether the file matches its own digest; None for a file of format 1 without a digest."""
         if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
             return values_match_digest(self.data)
         with for_people(self.path, "read"):
             return bytes_match_digest(self.path.read_bytes())
 
     def snapshot_taken(self, source: Mapping[str, Any]) -> None:
-        """Record that the snapshot is complete: the source, and the present files."""
+        """Record that the snapshot is complete: the source state, and the digests of the present files."""
 
         def change(data: dict[str, Any]) -> None:
             data["source"] = dict(source)
@@ -357,23 +293,16 @@ class Manifest:
         *,
         now: datetime | None = None,
     ) -> None:
-        """Write how the run ended, and the digests of all its files, which must be closed.
+        """Record how the run ended, and the digests of all files of the run, which must be closed.
 
-        Args:
-            status: ``finished``, ``interrupted`` or ``failed``.
-            results: added to the present results.
-            error: the reason of a failure.
-            now: the time of the end; the current time by default.
-
-        Raises:
-            ValueError: the status is not one of the three.
+        The argument ``results`` is merged into the run's recorded results. The argument ``error`` is the exception that
+        made the run fail.
         """
-        if status not in STATUSES[1:]:
-            raise ValueError(f"a run cannot end as '{status}'")
 
         def change(data: dict[str, Any]) -> None:
+            kind = "error" if isinstance(error, str) else type(error).__name__
             data["status"] = status
-            data["error"] = _describe(error)
+            data["error"] = None if error is None else {"type": kind, "message": str(error)}
             data["ended"] = utc_text(now or utc_now())
             data["results"] = {**data["results"], **(results or {})}
             data["files"] = inventory(self.directory)
@@ -391,14 +320,9 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        ``resumes`` stores the old values: status, error, end, process, versions, hardware, threads and digests.
-
-        Args:
-            command: the command line of the resume.
-            threads: the thread policy of this process.
-            now: the time of the resume; the current time by default.
-            texts: the new content of the snapshot's files that the resume's overrides change, by relative name.
-            facts: more facts about the resume, such as the iteration at which it starts.
+        The manifest's entry in ``resumes`` stores the old values of the replaced keys, and the ``facts`` about the
+        resume. The argument ``texts`` contains, by relative name, the new contents of the snapshot files that the
+        overrides change.
         """
         texts = dict(texts or {})
 
@@ -412,13 +336,14 @@ class Manifest:
             data.update(versions=environment.versions(), hardware=environment.hardware())
             data["environment_variables"] = environment.variables()
             data["files"] = {k: v for k, v in data["files"].items() if k.startswith(SNAPSHOT)}
-            data["files"] |= {name: _text_record(text) for name, text in texts.items()}
+            for name, content in ((name, text.encode("utf-8")) for name, text in texts.items()):
+                data["files"][name] = {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
 
         self._update(change)
         self.write_pending()
 
     def write_pending(self) -> None:
-        """Write the changed files of the last resume, unless they were written; a crash may have prevented that."""
+        """Write the snapshot files that the last resume changes, if that resume crashed before writing them."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -430,7 +355,7 @@ class Manifest:
         self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
 
     def record(self, **facts: Any) -> None:
-        """Record facts about the whole run by key, such as the run that it repeats."""
+        """Record facts about the whole run by key, such as the id of the original run of a replay."""
         self._update(lambda data: data.update(facts))
 
     def add(
@@ -442,17 +367,9 @@ class Manifest:
         command: Sequence[str] | None = None,
         now: datetime | None = None,
     ) -> dict[str, Any]:
-        """Record the files and results that a later command adds to the run, and return the entry.
+        """Record the files and results that a command adds to the ended run, and return the manifest's new entry.
 
-        Args:
-            kind: such as ``play``, ``evaluation`` or ``export``.
-            files: the new files, below the run directory.
-            results: the results.
-            command: the command line; that of this process by default.
-            now: the time of the addition; the current time by default.
-
-        Raises:
-            RunDirectoryError: a file is missing or outside the run directory.
+        The kind of an addition is ``play``, ``evaluation``, or ``export``. The files must be below the run directory.
         """
         entry: dict[str, Any] = {
             "kind": kind,
@@ -465,18 +382,13 @@ class Manifest:
         return self.data["additions"][-1]
 
     def recorded_files(self) -> dict[str, FileRecord]:
-        """Return the newest record of every file, including files of additions."""
+        """Return the newest record of every file of the run, including the files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        records: dict[str, FileRecord] = {}
-        for entry in additions:
-            if parse_utc(entry["when"]) <= ended:
-                records.update(entry["files"])
-        records.update(self.data["files"])
-        for entry in additions:
-            if parse_utc(entry["when"]) > ended:
-                records.update(entry["files"])
-        return records
+        # The run recorded all its files when it ended, so only files of later commands have newer records.
+        earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
+        later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
+        return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
         """Return whether a file of the run matches its newest record, or has no record."""
@@ -489,10 +401,11 @@ class Manifest:
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[dict[str, Any]]:
-        """Record the end of the run after the body; the body fills the yielded results.
+        """Record the end of the run when the ``with`` block ends.
 
-        Ctrl-C gives the status ``interrupted``, any other exception ``failed``. The exception is raised again, even
-        when the manifest cannot be written.
+        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets
+        the run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
+        block is re-raised, even if the manifest cannot be written.
         """
         results: dict[str, Any] = {}
         with self.failing(results):
@@ -501,7 +414,7 @@ class Manifest:
 
     @contextlib.contextmanager
     def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
-        """Record the end of the run only when the body raises (see ``finishing``)."""
+        """Record the end of the run, like ``finishing``, but only if the block raises."""
         try:
             yield
         except BaseException as error:
@@ -515,23 +428,11 @@ class Manifest:
     def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
             before = Manifest.load(self.directory)
-            was_changed = before.matches_digest() is False  # a new digest would hide the change
+            # A new digest would hide that the manifest was changed by hand.
+            was_changed = before.matches_digest() is False
             data = before.data
             change(data)
             data["format"] = FORMAT
             text = text_with_digest(data, broken=was_changed)
             write_text(self.path, text)
             self.data = json.loads(text)
-
-
-def _text_record(text: str) -> FileRecord:
-    content = text.encode("utf-8")
-    return {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
-
-
-def _describe(error: BaseException | str | None) -> dict[str, str] | None:
-    if error is None:
-        return None
-    if isinstance(error, str):
-        return {"type": "error", "message": error}
-    return {"type": type(error).__name__, "message": str(error)}

@@ -1,9 +1,10 @@
-"""Read back what a run was built from: parameters, config, overrides, robot.
+"""Read the parameters, config, overrides, and robot from which a run was built.
 
-``params/env.yaml`` and ``params/agent.yaml`` build the same environment and agent again. Hydra's
-``.hydra/config.yaml`` contains ``${...}`` as written, and anybody may have written it. It is resolved from its own
-keys and from the environment variables stored with the run. No variable of this process is read, and no function
-is called. Recorded overrides can change the config only.
+``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild the environment and agent of the run.
+Hydra's ``.hydra/config.yaml`` contains unresolved ``${...}``, and an untrusted person may have written it. The
+interpolations are resolved from the config's own keys and from the environment variables stored with the run. The
+resolution reads no environment variable of this process and calls no user-defined resolver. Recorded overrides can only
+change config values, and not Hydra's own settings.
 """
 
 from __future__ import annotations
@@ -27,28 +28,22 @@ if TYPE_CHECKING:
 
 
 PARTS = ("env", "agent")
-# Keys of ``agent`` that a trained policy depends on; the remaining keys concern the training.
+# A trained policy depends on these keys of ``agent``. The remaining keys of ``agent`` affect only the training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
-    """Raise RunDirectoryError with the key of a value that contains ``${``; parameters must be plain values.
-
-    Args:
-        params: ``env`` and ``agent``, or one of them.
-        where: the file that contains the parameters.
-    """
+    """Raise RunDirectoryError with the key of a value that contains ``${``; parameters must be plain values."""
     for key in _unresolved(params, ""):
-        raise RunDirectoryError(
-            "contains '${', but parameters are not resolved again", key=key, where=where, expected="a plain value"
-        )
+        message = "the value contains '${', but parameters are not resolved again"
+        raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
 
 
 def _unresolved(value: Any, key: str) -> Iterator[str]:
     if isinstance(value, Mapping):
         for name, item in value.items():
-            yield from _unresolved(name, f"{key}.{name}".lstrip("."))
-            yield from _unresolved(item, f"{key}.{name}".lstrip("."))
+            for text in (name, item):
+                yield from _unresolved(text, f"{key}.{name}".lstrip("."))
     elif isinstance(value, list):
         for index, item in enumerate(value):
             yield from _unresolved(item, f"{key}[{index}]")
@@ -57,25 +52,14 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
 
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
-    """Write both files below ``directory/params``.
-
-    Raises:
-        RunDirectoryError: a part is missing, or a value is not plain. Nothing is written then.
-    """
-    if set(params) != set(PARTS):
-        raise RunDirectoryError(f"parameters for {sorted(params)}", expected=" and ".join(PARTS))
+    """Write both parameter files below ``directory/params``; write neither if a value is not plain."""
     texts = {part: dump_yaml(params[part]) for part in PARTS}
     for part, text in texts.items():
         write_text(directory / "params" / f"{part}.yaml", text)
 
 
 def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the environment's and the agent's parameters of a run directory.
-
-    Raises:
-        RunDirectoryError: a file is missing, is not the YAML of a mapping, or contains ``${``. The error names file and
-            line.
-    """
+    """Return the environment's and the agent's parameters of a run directory, without ``${``."""
     paths = {part: Path(directory) / "params" / f"{part}.yaml" for part in PARTS}
     params = {part: _load_mapping(path) for part, path in paths.items()}
     for part, path in paths.items():
@@ -84,13 +68,14 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters in the present format; an older version may have written them.
+    """Convert an environment's parameters to the current format.
 
-    Until 0.1, the ground was a plane whose material was in ``scene.ground``, and there was only one engine.
+    An older version of this project may have written the parameters. Until 0.1, the ground was a
+    plane whose material was in ``scene.ground``, and there was only one engine.
     """
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # the config check reports the mistake
+        return dict(env)  # The config check reports a value of the wrong type.
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -101,16 +86,16 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with MuJoCo's own engine.
 
-    Evaluations, plays and exports simulate on this engine by default, wherever the policy was trained. So their figures
-    can be compared, and no GPU is needed.
+    Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
+    GPU.
     """
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # the config check reports the mistake
+        return dict(env)  # The config check reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
 def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's composed config, with unresolved interpolations; raises as ``load_params``."""
+    """Return a run's composed config with unresolved interpolations; raise RunDirectoryError if it is missing."""
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
 
@@ -121,51 +106,47 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-SECTIONS = (
-    "seed",
-    "task",
-    "recording",
-    "run",
-    "init_from",
-    "init_from_what",
-)  # sections without a resolved copy in the run
+# The run directory has no resolved copy of these config sections.
+SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
-_STEPS, _LETTERS = 10_000, 100_000  # limits: resolved interpolations, and letters of texts that contain one
+_MAX_STEPS = 10_000  # One config can resolve at most this number of interpolations.
+_MAX_LETTERS = 100_000  # The texts with an interpolation have at most this total number of letters.
 _NO_DEFAULT = object()
-_REACHING = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)  # options, Hydra's own settings, resolvers
+# A recorded override must not be an option or a setting of Hydra itself, and must not call a resolver.
+_FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the resolved sections of a run's config of which the run has no resolved copy; None for a missing one.
+    """Return the resolved ``SECTIONS`` of a run's config; the value of a missing section is None.
 
-    Args:
-        directory: the run directory.
-        variables: the environment variables that the config can request.
-
-    Raises:
-        RunDirectoryError: the config cannot be read or resolved, or requests another variable.
+    The config can only request the given environment variables.
     """
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
-        raise RunDirectoryError("is not a mapping", key=str(path), expected="the config of the run")
-    asked: list[str] = []
+        raise RunDirectoryError("the config file is not a mapping", key=str(path), expected="the config of the run")
+    missing: list[str] = []
 
-    def not_kept(name: str) -> Any:
-        asked.append(name)
+    def not_stored(name: str) -> Any:
+        missing.append(name)
         raise KeyError(name)
 
     try:
-        return resolved(tree, variables, not_kept, SECTIONS)
+        return resolved(tree, variables, not_stored, SECTIONS)
     except RunDirectoryError as error:
-        if asked:
-            raise _missing_variable(asked[0], path) from error
+        if missing:
+            message = f"the config requests the environment variable {missing[0]}, which was not stored with the run"
+            expected = (
+                f"{missing[0]} set to its value at the start of the run, and 'wheelleg replay': no other command "
+            )
+            expected += "that reads a run uses this environment"
+            raise RunDirectoryError(message, key=str(path), expected=expected) from error
         error.key = str(path)
         raise
 
 
 def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's config with unresolved interpolations; empty when it cannot be read."""
+    """Return a run's config with unresolved interpolations; return an empty config if the file cannot be read."""
     try:
         config = read_yaml(Path(directory) / CONFIG)
     except RunDirectoryError:
@@ -174,15 +155,11 @@ def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
 
 
 def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
-    """Return the overrides that a run was composed with; empty when none are stored.
-
-    Raises:
-        RunDirectoryError: the overrides cannot be read, or are not a list.
-    """
+    """Return the overrides of a run's config; return an empty list if the run stores no overrides."""
     path = Path(directory) / OVERRIDES
     found = read_yaml(path) if path.is_file() else []
     if not isinstance(found, list):
-        raise RunDirectoryError("is not a list", key=str(path), expected="the overrides of the run")
+        raise RunDirectoryError("the overrides file is not a list", key=str(path), expected="the overrides of the run")
     return [str(word) for word in found]
 
 
@@ -190,62 +167,47 @@ def require_overrides(words: Iterable[Any], path: Path) -> None:
     """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config.
 
     Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
-    variables of this machine) are refused, because the words are composed again.
+    variables of this machine) are refused, because a config is composed from the recorded words.
     """
     for word in words:
-        if not isinstance(word, str) or not is_override(word) or _REACHING.match(word):
+        if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
-            raise RunDirectoryError(f"{word!r} is not accepted from a record", key=str(path), expected=expected)
+            raise RunDirectoryError(f"{word!r} is not an allowed override", key=str(path), expected=expected)
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the identity of a run's robot: ``sources``, the sha256 of each file, and ``model_sha256``.
-
-    Raises:
-        RunDirectoryError: the record is missing or broken.
-    """
+    """Return the identity of a run's robot: ``sources``, the sha256 of each robot file, and ``model_sha256``."""
     path = Path(directory) / ROBOT
     identity = read_json(path)
     for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):
-        raise RunDirectoryError(
-            f"'{wrong}' is missing or wrong", key=str(path), expected="the identity of the run's robot"
-        )
+        message = f"'{wrong}' is missing or wrong"
+        raise RunDirectoryError(message, key=str(path), expected="the identity of the run's robot")
     return dict(identity)
 
 
 def resolved(
     tree: Mapping[str, Any], variables: Mapping[str, str], absent: Callable[[str], Any], sections: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Return a config, or sections of it, with ``${...}`` resolved from itself and the given variables.
+    """Return a config, or sections of it, with ``${...}`` resolved from the config itself and the given variables.
 
-    Args:
-        tree: the plain config.
-        variables: the values of ``${oc.env:NAME}``.
-        absent: returns the value of another variable without a default.
-        sections: keys; all by default.
-
-    Raises:
-        RunDirectoryError: a value cannot be resolved.
+    The argument ``variables`` contains the value of ``${oc.env:NAME}`` by name. The function ``absent`` returns the
+    value of a variable that is missing in ``variables`` and has no default.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
     letters = sum(len(text) for text in _strings(tree) if "${" in text)
     try:
-        if letters > _LETTERS:
-            raise InterpolationResolutionError(f"its interpolations have {letters} letters")
+        if letters > _MAX_LETTERS:
+            raise InterpolationResolutionError(f"the interpolations of the config have {letters} letters")
         with _restricted_resolvers(variables, absent):
             config = OmegaConf.create(dict(tree))
-            return {key: _plain(OmegaConf.select(config, key)) for key in sections or map(str, tree)}
+            values = {key: OmegaConf.select(config, key) for key in sections or map(str, tree)}
+            plain = OmegaConf.to_container
+            return {key: plain(x, resolve=True) if OmegaConf.is_config(x) else x for key, x in values.items()}
     except (OmegaConfBaseException, ValueError, TypeError, RecursionError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RunDirectoryError(f"cannot be resolved: {reason}", expected="the config of the run") from error
-
-
-def _plain(value: Any) -> Any:
-    from omegaconf import OmegaConf
-
-    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        raise RunDirectoryError(f"the config cannot be resolved: {reason}", expected="the config of the run") from error
 
 
 def _strings(node: Any) -> Iterator[str]:
@@ -258,7 +220,7 @@ def _strings(node: Any) -> Iterator[str]:
 
 @contextmanager
 def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
-    """Restrict OmegaConf to resolvers that only read the config, and limit the number of resolutions."""
+    """Inside the block, restrict OmegaConf to resolvers that only read the config, and limit their number of calls."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
     from omegaconf.basecontainer import BaseContainer
@@ -267,8 +229,8 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
     resolvers, resolve, steps = dict(BaseContainer._resolvers), Container.resolve_parse_tree, count()
 
     def bounded(self: Container, *arguments: Any, **more: Any) -> Any:
-        if next(steps) >= _STEPS:
-            raise InterpolationResolutionError(f"it takes more than {_STEPS} interpolations")
+        if next(steps) >= _MAX_STEPS:
+            raise InterpolationResolutionError(f"the config takes more than {_MAX_STEPS} interpolations")
         return resolve(self, *arguments, **more)
 
     def variable(name: str, default: Any = _NO_DEFAULT) -> Any:
@@ -285,12 +247,3 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
         yield
     finally:
         BaseContainer._resolvers, Container.resolve_parse_tree = resolvers, resolve  # type: ignore[method-assign]
-
-
-def _missing_variable(name: str, path: Path) -> RunDirectoryError:
-    return RunDirectoryError(
-        f"requests the environment variable {name}, which was not stored with the run",
-        key=str(path),
-        expected=f"{name} set to its value at the start of the run, and 'wheelleg replay': no other command that "
-        "reads a run uses this environment",
-    )

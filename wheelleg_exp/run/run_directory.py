@@ -1,13 +1,13 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder that holds a pipeline's record is not a run. The error then lists the runs of its phases.
+A folder with a pipeline's index is not a run directory. The error for a pipeline's folder lists the runs of the
+pipeline's phases.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +20,8 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # a part of a folder's name
+# A task's name and ``run.name`` must match, because both are parts of a run directory's name.
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
 
@@ -48,24 +49,22 @@ def is_pipeline(folder: Path) -> bool:
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return the error for a pipeline named as a run: it lists the runs of the phases; None for any other folder."""
+    """Return the error for a pipeline's folder that is named as a run; return None for a folder without a pipeline."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
-    data = read_json(path)
-    known = not any(mistyped_keys(data, {"phases": [{"name": str, "run": Optional(str)}]}))
-    begun = [phase for phase in data["phases"] if phase["run"]] if known else []
-    runs = [f"{_relative_to_here(path.parent / phase['run'])} (phase '{phase['name']}')" for phase in begun]
+    data, here = read_json(path), Path.cwd()
+    known = next(mistyped_keys(data, {"phases": [{"name": str, "run": Optional(str)}]}), None) is None
+    runs = []
+    for phase in data["phases"] if known else ():
+        if phase["run"]:
+            run = (path.parent / phase["run"]).resolve()
+            run = run.relative_to(here) if run.is_relative_to(here) else run
+            runs.append(f"{run} (phase '{phase['name']}')")
     return RunDirectoryError(
         f"'{path.parent.name}' is a pipeline, and each of its phases is a run",
         expected=" or ".join(runs) if runs else "a run of the pipeline, after its first phase has started",
     )
-
-
-def _relative_to_here(path: Path) -> str:
-    """Return a path relative to the working directory if it is below that."""
-    found, here = path.resolve(), Path.cwd()
-    return str(found.relative_to(here)) if found.is_relative_to(here) else str(found)
 
 
 LATEST = "latest"
@@ -75,12 +74,20 @@ REPLAYS = "replays"
 PIPELINES = "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
-FAILURE = "failure.npz"  # the state that made a training fail
+FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
-# The files from which a run can be built again.
+# A run can be rebuilt from these files.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 
-_NAME = re.compile(NAME)
+
+class _PathInside:
+    """An attribute of ``RunDirectory``: the path of a file or folder in the directory."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, run: RunDirectory, kind: type) -> Path:
+        return run.path / self.name
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,6 @@ class RunDirectory(os.PathLike[str]):
     path: Path
 
     def __fspath__(self) -> str:
-        """Return the path, so that ``Path(directory)`` works."""
         return str(self.path)
 
     @classmethod
@@ -104,20 +110,16 @@ class RunDirectory(os.PathLike[str]):
         *,
         section: str | None = None,
     ) -> RunDirectory:
-        """Create ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` exclusively; the time is local.
+        """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` in local time.
 
-        If the name is taken, ``-2``, ``-3``, … is added. With ``section`` (``agents``, ``replays``), the directory is
-        created below that folder of the root, which ``latest`` and the list of runs ignore.
-
-        Raises:
-            ConfigError: the task or the name contains characters that are not allowed in a folder's name.
-            RunDirectoryError: the folder cannot be created.
+        If the folder's name is taken, the suffix ``-2``, ``-3``, … makes the name unique. With ``section`` (``agents``,
+        ``replays``), the directory is created below that folder of the root, which ``latest`` and the list of runs
+        ignore.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
-            raise ConfigError(
-                f"'{task}' is reserved and cannot be the name of a task", key="task.name", expected="another name"
-            )
+            message = f"'{task}' is reserved and cannot be the name of a task"
+            raise ConfigError(message, key="task.name", expected="another name")
         parts = [folder_text(now or datetime.now()), str(int(seed))]
         if name is not None:
             _require_name(name, "run.name")
@@ -127,26 +129,17 @@ class RunDirectory(os.PathLike[str]):
 
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
-        """Return the run directory with a path, an id, or the name ``latest``.
+        """Return the run directory with a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest``.
 
-        Args:
-            run: a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest`` for the run that started last.
-            root: the folder of all runs.
-            odd: whether links, pipes and devices are accepted, because the caller reports them and opens none.
-
-        Raises:
-            RunDirectoryError: the run does not exist (the error names the nearest id), the id is ambiguous, the run is
-                damaged, or the directory contains something other than folders and files.
+        If ``odd`` is true, the directory can contain links, pipes, and devices. The caller must report them and must
+        not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
         if not odd:
             for name, what in odd_entries(directory.path).items():
-                raise RunDirectoryError(
-                    f"is {what}, which is not allowed in a run directory",
-                    key=str(directory.path / name),
-                    expected="only files and folders",
-                )
+                message, key = f"the entry is {what}, which a run directory must not contain", directory.path / name
+                raise RunDirectoryError(message, key=str(key), expected="only files and folders")
         return directory
 
     @property
@@ -156,76 +149,29 @@ class RunDirectory(os.PathLike[str]):
 
     @property
     def root(self) -> Path:
-        """The folder of all runs that contains this run."""
+        """The root folder of all runs, in which this run directory is."""
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
-    @property
-    def params(self) -> Path:
-        """The folder of ``env.yaml`` and ``agent.yaml``."""
-        return self.path / "params"
-
-    @property
-    def hydra(self) -> Path:
-        """The folder of Hydra's own files."""
-        return self.path / ".hydra"
-
-    @property
-    def source(self) -> Path:
-        """The folder of the source state."""
-        return self.path / "source"
-
-    @property
-    def asset(self) -> Path:
-        """The folder of the robot's files."""
-        return self.path / "asset"
-
-    @property
-    def exported(self) -> Path:
-        """The folder of exported policies."""
-        return self.path / "exported"
-
-    @property
-    def play(self) -> Path:
-        """The folder of recordings made after training."""
-        return self.path / "play"
-
-    @property
-    def videos(self) -> Path:
-        """The folder of the films of the training."""
-        return self.path / "videos"
-
-    @property
-    def dataset(self) -> Path:
-        """The folder of the episodes that recorders saved during the training."""
-        return self.path / "dataset"
-
-    @property
-    def evaluation(self) -> Path:
-        """The folder of evaluations."""
-        return self.path / "evaluation"
-
-    @property
-    def recording(self) -> Path:
-        """The training's recording."""
-        return self.path / "recording.rrd"
-
-    @property
-    def iterations(self) -> Path:
-        """One line of JSON for each training iteration."""
-        return self.path / "iterations.jsonl"
-
-    @property
-    def environment(self) -> Path:
-        """The list of installed distributions."""
-        return self.path / "environment.txt"
+    params = _PathInside("params")  # The folder of ``env.yaml`` and ``agent.yaml``.
+    hydra = _PathInside(".hydra")  # The folder of Hydra's own files.
+    source = _PathInside("source")  # The folder of the source state.
+    asset = _PathInside("asset")  # The folder of the robot's files.
+    exported = _PathInside("exported")  # The folder of exported policies.
+    play = _PathInside("play")  # The folder of recordings made after training.
+    videos = _PathInside("videos")  # The folder of the films of the training.
+    dataset = _PathInside("dataset")  # The folder of the episodes that recorders saved during the training.
+    evaluation = _PathInside("evaluation")  # The folder of evaluations.
+    recording = _PathInside("recording.rrd")  # The recording of the training.
+    iterations = _PathInside("iterations.jsonl")  # The file with one line of JSON for each training iteration.
+    environment = _PathInside("environment.txt")  # The list of installed distributions.
 
     def manifest(self) -> Manifest:
-        """Read the manifest; raise RunDirectoryError when it is missing or damaged."""
+        """Read the manifest; raise RunDirectoryError if it is missing or damaged."""
         return Manifest.load(self.path)
 
     def inside(self, name: str) -> Path:
-        """Return the path of a relative name; raise RunDirectoryError when the path leaves the directory."""
+        """Return the path of a file in the run directory; raise RunDirectoryError for a path outside."""
         if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
             raise RunDirectoryError(f"'{name}' is outside the run directory", expected="a path below it")
         return self.path / name
@@ -237,18 +183,14 @@ class RunDirectory(os.PathLike[str]):
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the checkpoint of the last iteration; raise RunDirectoryError when there is no checkpoint."""
+        """Return the checkpoint of the last iteration; raise RunDirectoryError without a checkpoint."""
         found = self.checkpoints()
         if not found:
             raise RunDirectoryError(f"run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
         return found[-1]
 
     def checkpoint(self, iteration: int) -> Path:
-        """Return the checkpoint of one iteration.
-
-        Raises:
-            RunDirectoryError: the iteration has no checkpoint; the error names the nearest checkpoint.
-        """
+        """Return the checkpoint of one iteration; the error for a missing checkpoint names the nearest checkpoint."""
         found = {checkpoint_iteration(path): path for path in self.checkpoints()}
         if iteration in found:
             return found[iteration]
@@ -269,24 +211,20 @@ def checkpoint_iteration(path: Path) -> int:
 
 
 def create_exclusively(parent: Path, name: str) -> Path:
-    """Create and return the folder ``parent/name``, or ``name-2``, ``name-3``, … if the name is taken.
-
-    Raises:
-        RunDirectoryError: the folder cannot be created.
-    """
+    """Create and return the folder ``parent/name``, or ``name-2``, ``name-3``, … if the name is taken."""
     with for_people(parent / name):
         parent.mkdir(parents=True, exist_ok=True)
-        for path in _numbered(parent, name):
+        path, number = parent / name, 2
+        while True:
             try:
                 path.mkdir()
+                return path.resolve()
             except FileExistsError:
-                continue
-            return path.resolve()
-    raise AssertionError("unreachable: the numbers do not end")
+                path, number = parent / f"{name}-{number}", number + 1
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Return the folders of all tasks below ``root`` that have a manifest, sorted by path."""
+    """Return the run directories of all tasks below ``root`` that have a manifest, sorted by path."""
     return sorted(path.parent for task in task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
 
 
@@ -298,47 +236,30 @@ def start_moment(folder: Path) -> datetime:
         return folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
 
 
-def _numbered(parent: Path, name: str) -> Iterator[Path]:
-    yield parent / name
-    number = 2
-    while True:
-        yield parent / f"{name}-{number}"
-        number += 1
-
-
 def task_folders(root: Path) -> list[Path]:
     """Return the folders below ``root`` that contain the runs of one task each."""
-    if not root.is_dir():
-        return []
     with for_people(root, "read"):
-        return [p for p in root.iterdir() if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]
+        folders = root.iterdir() if root.is_dir() else ()
+        return [p for p in folders if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]
 
 
 def _found(run: str | Path, root: Path) -> Path:
     if str(run) == LATEST:
-        return _latest(root)
+        folders = run_folders(root)
+        if not folders:
+            raise RunDirectoryError(f"there is no run below '{root}'", expected="a training that was started")
+        return max(folders, key=lambda folder: (start_moment(folder), folder.name))
     for candidate in (Path(run), root / run):
         if (candidate / MANIFEST_NAME).is_file():
             return candidate
-    return _by_id(str(run), root)
-
-
-def _latest(root: Path) -> Path:
     folders = run_folders(root)
-    if not folders:
-        raise RunDirectoryError(f"there is no run below '{root}'", expected="a training that was started")
-    return max(folders, key=lambda folder: (start_moment(folder), folder.name))
-
-
-def _by_id(run: str, root: Path) -> Path:
-    folders = run_folders(root)
-    found = [folder for folder in folders if folder.name == run]
-    if len(found) == 1:
-        return found[0]
-    if found:
+    found = [folder for folder in folders if folder.name == str(run)]
+    if len(found) > 1:
         tasks = " and ".join(f"{folder.parent.name}/{folder.name}" for folder in found)
         raise RunDirectoryError(f"'{run}' names {len(found)} runs", expected=f"one of {tasks}")
-    raise _no_run(run, root, folders)
+    if not found:
+        raise _no_run(str(run), root, folders)
+    return found[0]
 
 
 def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
@@ -356,9 +277,5 @@ def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
 
 
 def _require_name(name: str, key: str) -> None:
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ConfigError(
-            f"{name!r} cannot be part of a folder's name",
-            key=key,
-            expected=NAME_WORDS,
-        )
+    if not isinstance(name, str) or not re.fullmatch(NAME, name):
+        raise ConfigError(f"{name!r} cannot be part of a folder's name", key=key, expected=NAME_WORDS)

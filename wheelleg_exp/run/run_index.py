@@ -1,7 +1,7 @@
-"""The indexes of several runs: ``sweep.json`` of a sweep and ``pipeline.json`` of a pipeline.
+"""The index files of several runs: ``sweep.json`` of a sweep and ``pipeline.json`` of a pipeline.
 
-Both are in a folder of their own below the folder of all runs, and point to ordinary run directories. Every change
-replaces the whole file.
+Each index is in a separate folder below the folder of all runs, and contains the paths of ordinary run directories.
+Every change replaces the whole index file.
 """
 
 from __future__ import annotations
@@ -47,12 +47,7 @@ PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
 
 @dataclass
 class _RunIndex:
-    """One index file.
-
-    Args:
-        folder: the folder of the index, absolute.
-        data: the content of the file.
-    """
+    """One index file: its absolute folder, and its content."""
 
     folder: Path
     data: dict[str, Any] = field(default_factory=dict)
@@ -66,7 +61,7 @@ class _RunIndex:
     def _create(
         cls, root: str | Path, command: Sequence[str], moment: datetime | None, entries: list[dict[str, Any]]
     ) -> Self:
-        """Create the folder ``<root>/<section>/<time>``, and fill in the keys that all indexes have."""
+        """Create the folder ``<root>/<section>/<time>``, and add the keys that all indexes have to ``data``."""
         moment = moment or utc_now()
         index = cls(create_exclusively(Path(root) / cls.SECTION, folder_text(moment)))
         index.data = {
@@ -84,11 +79,7 @@ class _RunIndex:
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the index in a folder.
-
-        Raises:
-            RunDirectoryError: the index is missing or broken, or its format is unknown.
-        """
+        """Read the index in a folder; raise RunDirectoryError for a missing, damaged, or unknown index."""
         path = Path(folder) / cls.FILE
         data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
@@ -105,26 +96,26 @@ class _RunIndex:
         return self.folder / self.FILE
 
     def run_of(self, entry: Mapping[str, Any]) -> Path | None:
-        """Return the absolute run directory of a job or phase; None while the entry has no run."""
+        """Return the absolute run directory of a sweep job or pipeline phase; None before its run starts."""
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
     def relative(self, path: Path) -> str:
-        """Return a path relative to the folder of the index."""
+        """Return a run directory's path relative to the folder of the index."""
         return Path(os.path.relpath(path, self.folder)).as_posix()
 
     def write(self) -> None:
-        """Replace the file."""
+        """Replace the index file."""
         write_json(self.path, self.data)
 
 
 class SweepIndex(_RunIndex):
     """The index of one sweep.
 
-    ``data`` contains ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` when a job did not
-    finish, ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``,
-    ``launcher`` and ``jobs``. A job has ``number`` (from 1), ``overrides`` (they train the job alone), ``swept``
-    (the overrides in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
-    ``results`` (those of the run) and ``error``. A job that never started has the status ``waiting``.
+    ``data`` contains ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` if a job did not finish,
+    ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``, ``launcher`` and
+    ``jobs``. A job has ``number`` (from 1), ``overrides`` (the whole list that trains this job), ``swept`` (the
+    overrides in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
+    ``results`` (of the run) and ``error``. A job that never started has the status ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -139,19 +130,15 @@ class SweepIndex(_RunIndex):
         jobs: Sequence[tuple[Sequence[str], Sequence[str]]],
         now: datetime | None = None,
     ) -> SweepIndex:
-        """Create the folder and the index of a new sweep.
+        """Create the folder and the index of a new sweep below ``root``, the folder of all runs.
 
-        Args:
-            root: the folder of all runs.
-            command: the command line.
-            launcher: the launcher's name and the number of jobs that run at once.
-            jobs: for each job, its overrides and the swept ones among them.
-            now: the start time; the current time by default.
-
-        Raises:
-            RunDirectoryError: the folder cannot be created or written.
+        The argument ``jobs`` contains for each job all its overrides, and the overrides in which the jobs differ.
         """
-        index = cls._create(root, command, now, [_waiting_job(number, *job) for number, job in enumerate(jobs, 1)])
+        entries: list[dict[str, Any]] = []
+        for number, (overrides, swept) in enumerate(jobs, 1):
+            entry = {"number": number, "overrides": list(overrides), "swept": list(swept), "status": "waiting"}
+            entries.append({**entry, "run": None, "started": None, "ended": None, "results": {}, "error": None})
+        index = cls._create(root, command, now, entries)
         index.data["launcher"] = dict(launcher)
         index.write()
         return index
@@ -166,7 +153,7 @@ class SweepIndex(_RunIndex):
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
-        """Record that a job has started."""
+        """Record that a job of the sweep has started."""
         self._update_job(number, status="running", started=utc_text(utc_now()))
 
     def job_has_run(self, number: int, run: Path) -> None:
@@ -215,21 +202,16 @@ class PipelineIndex(_RunIndex):
         digests: Mapping[str, str],
         now: datetime | None = None,
     ) -> PipelineIndex:
-        """Create the folder and the index of a new pipeline.
+        """Create the folder and the index of a new pipeline below ``root``, the folder of all runs.
 
-        Args:
-            root: the folder of all runs.
-            config: the declared pipeline as plain values.
-            overrides: the overrides of the command line, for all phases.
-            config_dirs: the user's config folders.
-            command: the command line.
-            digests: the digest of each phase's config by the phase's name.
-            now: the start time; the current time by default.
-
-        Raises:
-            RunDirectoryError: the folder cannot be created or written.
+        ``config`` is the declared pipeline as plain values, ``overrides`` apply to all phases, and ``digests`` contains
+        the digest of each phase's config by phase name.
         """
-        index = cls._create(root, command, now, [_waiting_phase(name, digest) for name, digest in digests.items()])
+        phases: list[dict[str, Any]] = []
+        for name, digest in digests.items():
+            entry = {"name": name, "status": "waiting", "why": None, "digest": digest, "run": None, "init_from": None}
+            phases.append({**entry, "trained": 0, "gates": [], "started": None, "ended": None})
+        index = cls._create(root, command, now, phases)
         index.data |= {
             "name": config["name"],
             "why": None,
@@ -244,7 +226,7 @@ class PipelineIndex(_RunIndex):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the index in a folder and check the type of each value (raises as the base class)."""
+        """Read the pipeline index in a folder, and check the type of each value in the index."""
         index = super().load(folder)
         where, phases = str(index.path), [phase if isinstance(phase, dict) else {} for phase in index.phases]
         missing = [key for key in _PIPELINE_TYPES if key not in index.data]
@@ -267,7 +249,7 @@ class PipelineIndex(_RunIndex):
         return self.data["phases"]
 
     def done(self, phase: Mapping[str, Any]) -> int:
-        """Return the number of finished iterations of a phase, including those of an interrupted step."""
+        """Return the number of finished training iterations of a phase, including those of an interrupted step."""
         run, last = self.run_of(phase), 0
         if run is not None:
             with suppress(RunDirectoryError):
@@ -275,13 +257,13 @@ class PipelineIndex(_RunIndex):
         return max(int(phase["trained"]), last)
 
     def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
-        """Record changed values of a phase."""
+        """Record changed values of one phase of a pipeline."""
         number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
         self.phases[number].update(json_plain(changes))
         self.write()
 
     def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
-        """Record that this process resumes the pipeline, perhaps with changed settings."""
+        """Record that this process resumes the pipeline, with changed settings if any are given."""
         before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
         entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}
         self.data["resumes"].append(json_plain(entry))
@@ -296,7 +278,7 @@ class PipelineIndex(_RunIndex):
 
 
 def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
-    """Return the folder of a pipeline, named by its path or by its id below ``root``; None when it does not exist."""
+    """Return the folder of a pipeline, named by its path or by its id below ``root``; None if it does not exist."""
     for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
         if is_pipeline(folder):
             return folder.resolve()
@@ -305,19 +287,9 @@ def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
 
 
 def pipelines_below(root: Path) -> list[PipelineIndex]:
-    """Return the pipelines of a folder of runs, the newest first, without those whose index is damaged."""
+    """Return the pipelines in a folder of runs, the newest first, without those with a damaged index."""
     found = []
     for path in sorted((root / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
         with suppress(RunDirectoryError):
             found.append(PipelineIndex.load(path.parent))
     return found
-
-
-def _waiting_job(number: int, overrides: Sequence[str], swept: Sequence[str]) -> dict[str, Any]:
-    entry: dict[str, Any] = {"number": number, "overrides": list(overrides), "swept": list(swept), "status": "waiting"}
-    return {**entry, "run": None, "started": None, "ended": None, "results": {}, "error": None}
-
-
-def _waiting_phase(name: str, digest: str) -> dict[str, Any]:
-    entry: dict[str, Any] = {"name": name, "status": "waiting", "why": None, "digest": digest, "run": None}
-    return {**entry, "init_from": None, "trained": 0, "gates": [], "started": None, "ended": None}

@@ -1,6 +1,6 @@
 """List, filter, and sort the runs and sweeps below a folder.
 
-No file is hashed. Of growing files, only the end is read.
+To be fast, the list hashes no file, and reads only the end of an iteration log.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ import fnmatch
 import operator
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from wheelleg_exp.files import open_file, read_text
 from wheelleg_exp.plain_data import json_value
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.iteration_log import read_log, seconds_of
-from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.manifest import Manifest, mistyped_keys
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import CHECKPOINT, NEEDED, SWEEPS, run_folders, start_moment, task_folders
 from wheelleg_exp.run.run_index import SWEEP_NAME, SweepIndex
@@ -33,8 +34,8 @@ DAMAGED = "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # more than one line of iterations.jsonl
-# The figures of a training and their scalars.
+_TAIL_BYTES = 65536  # Every line of iterations.jsonl has fewer bytes.
+# The figures of a training, and the names of the scalars that contain them.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -44,32 +45,17 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """One run of the list.
+    """The facts about one run that the list of runs shows.
 
-    Attributes:
-        id: the folder's name.
-        task: the task's name.
-        status: the manifest's status (``running``, ``finished``, ``interrupted``, ``failed``), or ``crashed`` (recorded
-            as running, but its process has ended), or ``damaged`` (the manifest cannot be read).
-        path: the folder.
-        started: the start.
-        ended: the end as text; None when it is not recorded.
-        seeds: the seeds.
-        results: the manifest's results.
-        problem: why the run failed or is damaged, or the number of episodes that ended because a value was not finite.
-        failure: the recorded failure: message, config key, iteration; None when no failure is recorded.
-        name: ``run.name``.
-        iterations: number of finished iterations.
-        max_iterations: number of iterations that the training should reach.
-        checkpoint: iteration of the last checkpoint.
-        resumable: whether ``resume`` can continue, from the last checkpoint or from the start.
-        resumes: how often the run was resumed.
-        figures: mean return and length of the last episodes, and the share of episodes that reached the time limit.
-        played: results of the last play.
-        evaluated: results of the last evaluation.
-        bundles: folders that were exported for deployment.
-        seconds: duration up to the last iteration, without the pauses before a resume.
-        bytes: size of the files directly in the run directory.
+    ``status`` is the manifest's status, or ``crashed`` (the manifest says ``running``, but the run's process has
+    ended), or ``damaged`` (the manifest cannot be read). ``problem`` says why the run failed or is damaged, or counts
+    the episodes that ended because a value was not finite. ``failure`` is the recorded failure: message, config key,
+    iteration. ``iterations`` counts the finished iterations, and ``checkpoint`` is the iteration of the last
+    checkpoint. ``resumable`` is true if ``resume`` can continue from the last checkpoint or from the start. ``figures``
+    contains the last episodes' mean return, mean length, and share that reached the time limit. ``played`` and
+    ``evaluated`` are the results of the last play and evaluation. ``bundles`` lists the folders of the deployment
+    bundles that were exported from the run. ``seconds`` is the training time in s up to the last iteration, without the
+    pauses between a stop and a resume. ``bytes`` is the size of the files directly in the run directory.
     """
 
     id: str
@@ -97,8 +83,12 @@ class RunSummary:
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
-    """Return a summary of every run below ``root``, the newest first; empty when ``root`` does not exist."""
-    folders = [*run_folders(Path(root)), *_folders_without_manifest(Path(root))]
+    """Return a summary of every run below ``root``, the newest first; empty if ``root`` does not exist."""
+    folders = run_folders(Path(root))
+    # A run that was killed at its start has a folder with a run's name, but no manifest.
+    for folder in (folder for task in task_folders(Path(root)) for folder in task.iterdir()):
+        if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
+            folders.append(folder)
     return sorted(map(summarize, folders), key=lambda s: (s.started, s.id), reverse=True)
 
 
@@ -110,8 +100,22 @@ def summarize(folder: Path) -> RunSummary:
         return RunSummary(folder.name, folder.parent.name, DAMAGED, folder, start_moment(folder), problem=str(error))
     data, status = manifest.data, effective_status(manifest)
     checkpoint, size = _checkpoint_and_size(folder)
-    done, scalars = _progress(folder, data["results"])
-    total = _total(folder)
+    last = _last_line(folder / "iterations.jsonl")
+    done, scalars = data["results"].get("iterations"), data["results"]
+    done = done if isinstance(done, int) else None
+    if last is not None:
+        done, scalars = last["iteration"] + 1, last["scalars"]
+    total = None
+    with suppress(RunDirectoryError):
+        written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
+        total = int(written[1]) if written else None
+    match = _FOLDER.fullmatch(folder.name)
+    results: dict[str, dict[str, Any]] = {}  # The newest results of each kind, such as ``play``.
+    bundles = []
+    for entry in data["additions"]:
+        kind, found = str(entry.get("kind")), entry.get("results")
+        results[kind] = found if isinstance(found, dict) else {}
+        bundles += [str(results[kind]["folder"])] if kind == "export" and "folder" in results[kind] else []
     return RunSummary(
         id=folder.name,
         task=data["task"],
@@ -123,30 +127,30 @@ def summarize(folder: Path) -> RunSummary:
         results=manifest.results,
         problem=(data.get("error") or {}).get("message") or non_finite_note(manifest.results),
         failure=data.get("failure"),
-        name=_name(folder.name),
+        name=match["name"] if match else None,
         iterations=done,
         max_iterations=total,
         checkpoint=checkpoint,
         resumable=_resumable(folder, status, checkpoint, done, total),
         resumes=len(data["resumes"]),
         figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
-        played=_last_results(data["additions"], "play"),
-        evaluated=_last_results(data["additions"], "evaluation"),
-        bundles=_bundles(data["additions"]),
+        played=results.get("play", {}),
+        evaluated=results.get("evaluation", {}),
+        bundles=tuple(bundles),
         seconds=_seconds(folder, manifest, status),
         bytes=size,
     )
 
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
-    """Return a line that counts the episodes that ended because a value was not finite; None without such episodes."""
+    """Return a line that counts the episodes that ended because a number was not finite; None without such episodes."""
     counts = results.get("non_finite") or {}
     listed = ", ".join(f"{key} {count}" for key, count in counts.items())
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
 def effective_status(manifest: Manifest) -> str:
-    """Return the manifest's status, or ``crashed`` when it is ``running`` and its process has ended."""
+    """Return the manifest's status, or ``crashed`` if it is ``running`` and the process has ended."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
@@ -154,7 +158,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """One sweep of the list; ``jobs`` counts the jobs by status."""
+    """The facts about one sweep that the list of sweeps shows; the attribute ``jobs`` counts the jobs by status."""
 
     id: str
     status: str
@@ -177,9 +181,7 @@ def _sweep(folder: Path) -> SweepSummary:
     try:
         data = SweepIndex.load(folder).data
         crashed = data["status"] == "running" and is_alive(data.get("process") or {}) is False
-        jobs: dict[str, int] = {}
-        for job in data["jobs"]:
-            jobs[job["status"]] = jobs.get(job["status"], 0) + 1
+        jobs = dict(Counter(job["status"] for job in data["jobs"]))
         swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
         status = CRASHED if crashed else data["status"]
         return SweepSummary(folder.name, status, folder, parse_utc(data["started"]), data["ended"], jobs, swept)
@@ -187,33 +189,21 @@ def _sweep(folder: Path) -> SweepSummary:
         return SweepSummary(folder.name, DAMAGED, folder, moment, problem=str(error))
 
 
-def _folders_without_manifest(root: Path) -> Iterator[Path]:
-    """Yield the folders that are named like runs but have no manifest, because the run was killed at its start."""
-    for task in task_folders(root):
-        for folder in task.iterdir():
-            if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
-                yield folder
-
-
 def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
-    """Return whether ``resume`` can continue a run, judged without reading the run's files."""
+    """Return whether ``resume`` can continue a run, without reading the files of the run."""
     if status == "running" or total is None:
         return False
-    if checkpoint is None:  # the resume starts from the beginning, for which it needs these files
+    if checkpoint is None:  # A resume from the start needs the files from which the run can be built.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # the log would have a gap
+    if (done or 0) < computed:  # A resume would leave a gap in the iteration log.
         return False
-    return computed < total or (computed == total and status != "finished")  # only the export is left
-
-
-def _name(folder: str) -> str | None:
-    match = _FOLDER.fullmatch(folder)
-    return match["name"] if match else None
+    # At this point, only the exported policy of the run can be missing.
+    return computed < total or (computed == total and status != "finished")
 
 
 def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
-    """Return the iteration of the last checkpoint, and the size of the files directly in the folder."""
+    """Return the iteration of the last checkpoint, and the size of the files directly in the run directory in bytes."""
     newest, size = None, 0
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -225,22 +215,13 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
     return newest, size
 
 
-def _progress(folder: Path, results: Mapping[str, Any]) -> tuple[int | None, Mapping[str, Any]]:
-    """Return the number of finished iterations and the scalars of the last iteration."""
-    last = _last_line(folder / "iterations.jsonl")
-    if last is not None:
-        return last["iteration"] + 1, last["scalars"]
-    done = results.get("iterations")
-    return (done if isinstance(done, int) else None), results
-
-
 def _last_line(path: Path) -> dict[str, Any] | None:
     """Return the last whole line of ``iterations.jsonl``; only the end of the file is read."""
     try:
         with open_file(path) as file:
             end = file.seek(0, os.SEEK_END)
             file.seek(max(0, end - _TAIL_BYTES))
-            lines = file.read().split(b"\n")[:-1]  # text without a newline was cut off
+            lines = file.read().split(b"\n")[:-1]  # A last log line without a newline is incomplete.
     except RunDirectoryError:
         return None
     for line in reversed(lines):
@@ -248,36 +229,13 @@ def _last_line(path: Path) -> dict[str, Any] | None:
             value = json_value(line)
         except ValueError:
             continue
-        if (
-            isinstance(value, dict)
-            and isinstance(value.get("iteration"), int)
-            and isinstance(value.get("scalars"), dict)
-        ):
+        if next(mistyped_keys(value, {"iteration": int, "scalars": dict}), None) is None:
             return value
     return None
 
 
-def _total(folder: Path) -> int | None:
-    try:
-        match = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
-    except RunDirectoryError:
-        return None
-    return int(match[1]) if match else None
-
-
-def _last_results(additions: list[dict[str, Any]], kind: str) -> dict[str, Any]:
-    entries = [entry for entry in additions if entry.get("kind") == kind]
-    found = entries[-1].get("results") if entries else None
-    return found if isinstance(found, dict) else {}
-
-
-def _bundles(additions: list[dict[str, Any]]) -> tuple[str, ...]:
-    exports = [entry.get("results") for entry in additions if entry.get("kind") == "export"]
-    return tuple(str(found["folder"]) for found in exports if isinstance(found, dict) and "folder" in found)
-
-
 def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
-    if manifest.data["resumes"]:  # the end of a killed process is not recorded
+    if manifest.data["resumes"]:  # The manifest does not record the end of a killed process.
         try:
             return seconds_of(line.content for line in read_log(folder / "iterations.jsonl").lines)
         except RunDirectoryError:
@@ -295,19 +253,9 @@ def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
 
 
 _CONDITION = re.compile(r"(?P<key>[^=!<>]+)(?P<sign>!=|<=|>=|=|<|>)(?P<value>.*)")
-_ORDERED: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt,
-    ">": operator.gt,
-    "<=": operator.le,
-    ">=": operator.ge,
-}
+_ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 
-
-def _figure(name: str, run: RunSummary) -> float | None:
-    return run.figures.get(name)
-
-
-# The columns of the list. The keys of a run's config are accepted in addition.
+# Filters and sorting accept these columns, and also the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     "id": lambda run: run.id,
     "task": lambda run: run.task,
@@ -320,7 +268,9 @@ _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     "size": lambda run: run.bytes,
     "played": lambda run: run.played.get("survival"),
     "resume": lambda run: run.resumable,
-    **{name.replace("_", "-"): partial(_figure, name) for name in FIGURES},
+    "return": lambda run: run.figures.get("return"),
+    "episode-length": lambda run: run.figures.get("episode_length"),
+    "time-out": lambda run: run.figures.get("time_out"),
 }
 
 
@@ -333,7 +283,7 @@ class SweptRun:
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the runs of all sweeps below ``root`` by folder; a damaged index is ignored."""
+    """Return the runs of all sweeps below ``root`` by run directory; a damaged sweep index is ignored."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -344,7 +294,7 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
 
 
 def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
-    """Return the runs of a sweep by folder."""
+    """Return the runs of one sweep by run directory."""
     found = {}
     for job in index.jobs:
         folder = index.run_of(job)
@@ -355,11 +305,7 @@ def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
 
 
 def find_sweep(name: str, root: Path) -> SweepIndex | None:
-    """Return the sweep with a path, an id, or the name ``latest``; None when it does not exist.
-
-    Raises:
-        RunDirectoryError: the index of the sweep is broken.
-    """
+    """Return the sweep with a path, an id, or the name ``latest``; return None if the sweep does not exist."""
     known = sorted(path.parent for path in (root / SWEEPS).glob(f"*/{SWEEP_NAME}"))
     if name == "latest" and known:
         return SweepIndex.load(known[-1])
@@ -368,54 +314,54 @@ def find_sweep(name: str, root: Path) -> SweepIndex | None:
 
 
 def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSummary]:
-    """Return the runs that meet every condition.
+    """Return the runs that meet every condition of ``--filter``.
 
-    Args:
-        runs: the runs.
-        conditions: ``KEY=VALUE`` with ``*`` as a wildcard, or with ``!=``, ``<``, ``<=``, ``>``, ``>=``.
-            A key is a column of the list or a key of the run's config.
-
-    Raises:
-        WheellegError: a condition has a wrong form or an unknown key, or compares a text with a number.
+    A condition on runs is ``KEY=VALUE`` with ``*`` as a wildcard, or has ``!=``, ``<``, ``<=``, ``>``, ``>=``. A key is
+    a column of the list or a key of the run's config.
     """
     kept = list(runs)
     for text in conditions:
         match = _CONDITION.fullmatch(text)
         if match is None:
-            raise WheellegError(
-                f"'{text}' is not a condition", key="--filter", expected="KEY=VALUE, or !=, <, <=, >, >="
-            )
-        values = _values(runs, match["key"].strip(), "--filter")
-        wanted = match["value"].strip()
-        if match["sign"] in _ORDERED and _number(wanted) is not None:
-            _require_ordered(match["key"].strip(), [value for value in values.values() if value is not None], wanted)
-        kept = [run for run in kept if _holds(values[run.path], match["sign"], wanted)]
+            expected = "KEY=VALUE, or !=, <, <=, >, >="
+            raise WheellegError(f"'{text}' is not a condition on runs", key="--filter", expected=expected)
+        key, sign, wanted = match["key"].strip(), match["sign"], match["value"].strip()
+        values = _values(runs, key, "--filter")
+        known = [value for value in values.values() if value is not None]
+        is_text = all(isinstance(value, str) and not _starts_with_digit(value) for value in known)
+        if known and is_text and sign in _ORDERED and _number(wanted) is not None:
+            message = f"'{key}' is text, such as '{known[0]}', and {wanted} is a number"
+            raise WheellegError(message, key="--filter", expected=f"{key}=TEXT")
+        kept = [run for run in kept if _holds(values[run.path], sign, wanted)]
     return kept
 
 
 def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) -> list[RunSummary]:
-    """Return the runs sorted by a key, the largest or latest first, and runs without the key last.
+    """Return the runs sorted by a column or a config key, the largest value or the latest time first.
 
-    Args:
-        runs: the runs.
-        key: a column of the list, or a key of the run's config.
-        reverse: whether the smallest is first.
-
-    Raises:
-        WheellegError: no run has the key.
+    ``reverse`` puts the smallest first. Runs without the sort key are last.
     """
     values = _values(runs, key, "--sort")
-    known = [run for run in runs if values[run.path] is not None]
-    known.sort(key=lambda run: _sortable(values[run.path]), reverse=not reverse)
+
+    def rank(run: RunSummary) -> tuple[bool, Any]:  # Numbers come before text.
+        value = values[run.path]
+        return (False, float(value)) if isinstance(value, (int, float)) else (True, str(value))
+
+    known = sorted((run for run in runs if values[run.path] is not None), key=rank, reverse=not reverse)
     return [*known, *(run for run in runs if values[run.path] is None)]
 
 
 def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]:
-    """Return the value of each run at a key; None where a run does not have the key."""
+    """Return each run's value of a column or config key; None for a run without the key."""
     column = _COLUMNS.get(key.replace("_", "-"))
     if column is not None:
         return {run.path: column(run) for run in runs}
-    found = {run.path: _config_value(written_config(run.path), key) for run in runs}
+    found: dict[Path, Any] = {}
+    for run in runs:
+        value: Any = written_config(run.path)
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        found[run.path] = value
     if found and all(value is None for value in found.values()):
         names = ", ".join(_COLUMNS)
         expected = f"one of {names}, or a key of their config such as agent.algorithm.gamma"
@@ -423,43 +369,27 @@ def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]
     return found
 
 
-def _config_value(config: Any, key: str) -> Any:
-    for part in key.split("."):
-        config = config.get(part) if isinstance(config, Mapping) else None
-    return config
-
-
-def _require_ordered(key: str, known: Sequence[Any], wanted: str) -> None:
-    """Raise when all values are texts, which cannot be compared with a number."""
-    if known and all(isinstance(value, str) and not _starts_with_digit(value) for value in known):
-        raise WheellegError(
-            f"'{key}' is text, such as '{known[0]}', and {wanted} is a number", key="--filter", expected=f"{key}=TEXT"
-        )
-
-
 def _starts_with_digit(text: str) -> bool:
-    """Return whether a text starts with a digit, as a date or an id does; a year is then a prefix of the text."""
+    """Return whether a text starts with a digit, like a date or a run id; a filter can then compare it with a year."""
     return text[:1].isdigit()
 
 
 def _holds(value: Any, sign: str, wanted: str) -> bool:
+    number = _number(wanted)
     if sign in _ORDERED:
-        number = _number(wanted)
         if isinstance(value, str):
             return (number is None or _starts_with_digit(value)) and _ORDERED[sign](value, wanted)
         if number is None:
             raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
-    return _same(value, wanted) == (sign == "=")
-
-
-def _same(value: Any, wanted: str) -> bool:
     if isinstance(value, bool) or value is None:
-        return wanted.lower() in ({True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value])
-    number = _number(wanted)
-    if isinstance(value, (int, float)) and number is not None:
-        return float(value) == number
-    return fnmatch.fnmatchcase(str(value), wanted)
+        words = {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]
+        equal = wanted.lower() in words
+    elif isinstance(value, (int, float)) and number is not None:
+        equal = float(value) == number
+    else:
+        equal = fnmatch.fnmatchcase(str(value), wanted)
+    return equal == (sign == "=")
 
 
 def _number(text: str) -> float | None:
@@ -467,7 +397,3 @@ def _number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
-
-
-def _sortable(value: Any) -> tuple[int, Any]:
-    return (0, float(value)) if isinstance(value, (int, float)) else (1, str(value))

@@ -10,7 +10,6 @@ import platform
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
@@ -20,20 +19,17 @@ _PROC = Path("/proc")
 
 
 def this_process() -> dict[str, Any]:
-    """Return what identifies this process: pid, host, boot id, and its start in clock ticks.
+    """Return the identity of this process: pid, host, boot id, and its start in clock ticks.
 
-    A later process can have the same pid, but not the same boot and start. The last two are None on systems that do not
-    report them.
+    A later process can have the pid of an ended process, but not its boot id and start time. The boot id and start time
+    are None on systems that do not report these values.
     """
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
 
 def is_alive(recorded: Mapping[str, Any]) -> bool | None:
-    """Return whether a process described by ``this_process`` still runs; None when unknown.
-
-    It is unknown on another host, and on systems that do not show processes.
-    """
+    """Return whether the process of a ``this_process`` record still runs; None on another host."""
     pid = recorded.get("pid")
     if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
         return None
@@ -42,16 +38,12 @@ def is_alive(recorded: Mapping[str, Any]) -> bool | None:
     if (_PROC / "self" / "stat").exists():
         ticks = _start_ticks(pid)
         return ticks is not None and ticks == recorded.get("start_ticks", ticks)
-    return _answers_signal(pid)
-
-
-def _answers_signal(pid: int) -> bool:
     try:
-        os.kill(pid, 0)
+        os.kill(pid, 0)  # Signal 0 only tests whether the process exists.
     except ProcessLookupError:
         return False
     except PermissionError:
-        return True
+        pass
     return True
 
 
@@ -63,12 +55,12 @@ def _boot_id() -> str | None:
 
 
 def _start_ticks(pid: int) -> int | None:
-    """Return field 22 of ``/proc/<pid>/stat``; None when the process does not exist or is a zombie."""
+    """Return a process's start time, field 22 of ``/proc/<pid>/stat``; None for a missing process or a zombie."""
     try:
         text = (_PROC / str(pid) / "stat").read_text(errors="replace")
     except OSError:
         return None
-    # The name in parentheses can contain anything, so fields are counted from the last parenthesis (proc(5)).
+    # The program's name in parentheses can contain spaces, so count the fields after the last parenthesis (proc(5)).
     fields = text.rpartition(")")[2].split()
     return None if fields[0] in "ZX" else int(fields[19])
 
@@ -80,12 +72,8 @@ MANIFEST_LOCK = ".manifest.lock"
 class RunLock:
     """Lock a run directory for writing, as a context manager.
 
-    The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock.
-
-    Args:
-        directory: the run directory.
-        name: the lock file's name; a run and its manifest have one each.
-        timeout_s: seconds to wait while another process has the lock.
+    The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock. ``name`` is the
+    lock file's name in the run directory. ``timeout_s`` is the time in s to wait while another process has the lock.
     """
 
     def __init__(self, directory: os.PathLike[str], *, name: str = RUN_LOCK, timeout_s: float = 0.0) -> None:
@@ -94,31 +82,31 @@ class RunLock:
         self._descriptor: int | None = None
 
     def acquire(self) -> None:
-        """Take the lock.
-
-        Raises:
-            RunDirectoryError: another process has the lock (the error names its pid), or the file cannot be created.
-        """
-        if self._descriptor is not None:
-            raise RuntimeError("this lock is already held")
+        """Acquire the lock; raise RunDirectoryError with the pid of the process that already has the lock."""
         deadline = time.monotonic() + self.timeout_s
         while not self._try():
             if time.monotonic() >= deadline:
-                raise self._held_by_another()
+                holder: Any = {}
+                with contextlib.suppress(RunDirectoryError):
+                    holder = read_json(self.path)
+                known = isinstance(holder, dict) and "pid" in holder
+                who = f"process {holder['pid']} on {holder.get('host')}" if known else "another process"
+                message = f"'{self.path.parent}' is being written by {who}"
+                raise RunDirectoryError(message, expected="one writer at a time: wait for that process, or end it")
             time.sleep(0.02)
 
     def release(self) -> None:
         """Release the lock; do nothing if it is not acquired."""
         if self._descriptor is None:
             return
-        # The file stays: if it was unlinked, two processes could lock two files of one name.
+        # Do not delete the lock file: two processes could then lock two different files of the same name.
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Keep the lock while the body runs, and release it afterwards, even if it was acquired before."""
+        """Acquire the lock, unless it is already acquired, and release it after the block in both cases."""
         if self._descriptor is None:
             self.acquire()
         try:
@@ -130,47 +118,23 @@ class RunLock:
         self.acquire()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.release()
 
     def _try(self) -> bool:
         try:
-            descriptor = self._open_and_flock()
-            if descriptor is None:
-                return False
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, json.dumps(this_process()).encode())
+            # O_NOFOLLOW prevents that a symbolic link's target is truncated.
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, json.dumps(this_process()).encode())
+            except BaseException as error:
+                os.close(descriptor)
+                if isinstance(error, BlockingIOError):
+                    return False
+                raise
         except OSError as error:
             raise file_error(self.path, error) from error
         self._descriptor = descriptor
         return True
-
-    def _open_and_flock(self) -> int | None:
-        # O_NOFOLLOW, because the target of a link would be truncated.
-        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-            return None
-        except BaseException:
-            os.close(descriptor)
-            raise
-        return descriptor
-
-    def _holder(self) -> dict[str, Any]:
-        with contextlib.suppress(RunDirectoryError):
-            holder = read_json(self.path)
-            if isinstance(holder, dict):
-                return holder
-        return {}
-
-    def _held_by_another(self) -> RunDirectoryError:
-        holder = self._holder()
-        who = f"process {holder['pid']} on {holder.get('host')}" if "pid" in holder else "another process"
-        return RunDirectoryError(
-            f"'{self.path.parent}' is being written by {who}",
-            expected="one writer at a time: wait for that process, or end it",
-        )

@@ -1,4 +1,4 @@
-"""Summarize a recorded source for the console, and name the files that differ between two recorded source trees."""
+"""Summarize a recorded source state for the console, and name the files that differ between two source trees."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nu
 _SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
-State = str | None  # mode and blob id of a path, None where it is absent
+State = str | None  # A path's state is its git mode and blob id, or None in a tree without this path.
 
 
 @dataclass(frozen=True)
 class FileChanges:
-    """The paths in which two trees differ, sorted."""
+    """The sorted paths in which two source trees differ."""
 
     added: list[str] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
@@ -25,24 +25,18 @@ class FileChanges:
 
     def __str__(self) -> str:
         kinds = ((self.changed, "changed"), (self.added, "added"), (self.removed, "removed"))
-        return "; ".join(f"{word} {_first_paths(paths)}" for paths, word in kinds if paths)
+        return "; ".join(f"{word} {_first(paths, _SHOWN_PATHS)}" for paths, word in kinds if paths)
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
-    """Return one line for each source of a ``git.json``, and one more for each that is not captured completely.
-
-    Args:
-        content: the return value of ``load_source``.
-    """
+    """Return one line for each source in the result of ``load_source``, and a warning for each incomplete source."""
     lines = []
     for record in (content, *content["others"]):
         lines.append(_source_line(record))
         missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record["refused"]]
         missing += [f"{entry['path']!r} (it is a submodule)" for entry in record["submodules"]]
         if missing:
-            more = f" and {len(missing) - _SHOWN_REASONS} more" if len(missing) > _SHOWN_REASONS else ""
-            shown = ", ".join(missing[:_SHOWN_REASONS])
-            lines.append(f"warning: not captured of the source of {record['root']}: {shown}{more}")
+            lines.append(f"warning: not captured of the source of {record['root']}: {_first(missing, _SHOWN_REASONS)}")
     return lines
 
 
@@ -65,10 +59,7 @@ def _source_line(record: Mapping[str, Any]) -> str:
 def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
     """Return the files that differ between two records of ``git.json``, or the reason why they are unknown.
 
-    Args:
-        was: the earlier record.
-        now: the later record.
-        repositories: folders whose repository may contain both commits; git is asked there.
+    Git searches the commits of both records in ``repositories``.
     """
     place = str(now.get("root") or was.get("root") or "the source")
     if not (was and now):
@@ -90,12 +81,12 @@ def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
 
 
 def state(mode: str, blob: str) -> State:
-    """Return the state of a path with git's mode and blob id."""
+    """Return the state of a path in a git tree, from git's mode and blob id."""
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
 def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return the recorded states in base and tree of the paths that differ; None when the record has none."""
+    """Return the states of changed paths in the base and in the tree; None if the record has no such list."""
     found = record.get("contents")
     valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
     return found if valid else None
@@ -104,23 +95,22 @@ def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
 def _compare(
     was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[str, tuple[State, State]]
 ) -> FileChanges | None:
+    def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
+        if path in own:
+            return own[path][1]
+        # If the two base commits are equal at this path, its state in one base is also its state in the other base.
+        return between[path][side] if path in between else other[path][0]
+
     found = FileChanges()
     for path in sorted({*was, *now, *between}):
-        old, new = _state_in(path, 0, was, now, between), _state_in(path, 1, now, was, between)
+        old, new = state_in(path, 0, was, now), state_in(path, 1, now, was)
         if old != new:
             (found.added if old is None else found.removed if new is None else found.changed).append(path)
     return found if found != FileChanges() else None
 
 
-def _state_in(path: str, side: int, own: Any, other: Any, between: Mapping[str, tuple[State, State]]) -> Any:
-    """Return a path's state in one of the trees: its changed state, else its state in the tree's base."""
-    if path in own:
-        return own[path][1]
-    return between[path][side] if path in between else other[path][0]  # both bases have the same state
-
-
 def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
-    """Return the states of the paths that differ between two commits or trees; None when no repository has both."""
+    """Return the states of the paths that differ between two commits or trees; None if no repository has both."""
     if a == b:
         return {}
     if not all(isinstance(base, str) and OBJECT_ID.fullmatch(base) for base in (a, b)):
@@ -136,6 +126,6 @@ def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[St
     return None
 
 
-def _first_paths(paths: list[str]) -> str:
-    more = len(paths) - _SHOWN_PATHS
-    return ", ".join(paths[:_SHOWN_PATHS]) + (f" and {more} more" if more > 0 else "")
+def _first(names: list[str], shown: int) -> str:
+    more = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {more} more" if more > 0 else "")

@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,49 +32,41 @@ _RECORD = {
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# The recorded bytes: no conversion of line ends, and no download of LFS files (their pointers remain).
-_SETTINGS = {
-    "core.autocrlf": "false",
-    "core.eol": "lf",
-    "core.hooksPath": os.devnull,
-    "filter.lfs.smudge": "",
-    "filter.lfs.clean": "",
-    "filter.lfs.process": "",
-    "filter.lfs.required": "false",
-}
+# Restore the recorded bytes: do not convert line ends, and do not download LFS files (their pointers remain).
+_SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.devnull, "filter.lfs.required": "false"}
+_SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 
 
 def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the content of a run's ``source/git.json``.
-
-    Raises:
-        RunDirectoryError: the file is missing or broken, has an unknown format, or names something outside its tree.
-    """
+    """Return the content of a run's ``source/git.json``; raise RunDirectoryError if a value is wrong or unsafe."""
     path = Path(directory) / "source" / RECORD_NAME
-    content = require_mapping(read_json(path), path)
+    where, content = str(path), require_mapping(read_json(path), path)
     if content.get("format") != SOURCE_FORMAT:
-        raise RunDirectoryError(
-            "this is not a record of a source tree", where=str(path), expected=f"format {SOURCE_FORMAT}"
-        )
+        message = "this is not a record of a source tree"
+        raise RunDirectoryError(message, where=where, expected=f"format {SOURCE_FORMAT}")
     for wrong in mistyped_keys(content, {**_RECORD, "others": Optional([_RECORD])}):
-        raise RunDirectoryError(f"broken record of the source: '{wrong}' is missing or wrong", where=str(path))
+        raise RunDirectoryError(f"broken record of the source: '{wrong}' is missing or wrong", where=where)
     first, *others = ({**new_record("failed", None, None), **e} for e in (content, *(content.get("others") or ())))
     for entry in (first, *others):
-        _require_inside_tree(entry, str(path))
+        for key, pattern in {**dict.fromkeys(("commit", "base", "tree"), OBJECT_ID), "patch": _PATCH}.items():
+            if entry[key] is not None and not pattern.fullmatch(str(entry[key])):
+                raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
+        for name in entry["folders"] or ():
+            if not is_inside(str(name)):
+                raise RunDirectoryError(f"the record of the source names '{name}', outside its tree", where=where)
     return {**first, "others": others}
 
 
 def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
-    """Return the record of each source folder of a run, the package's own first (raises as ``load_source``)."""
+    """Return the source record of each source folder of a run, beginning with the folder of this package."""
     content = load_source(directory)
     return [content, *content["others"]]
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first folder whose repository contains a record's commit; None when the record has no commit.
+    """Return the first folder whose repository contains a record's commit; None if the record has no commit.
 
-    Raises:
-        RunDirectoryError: no repository contains the commit. The error names the command that fetches the commit.
+    The error for a missing commit names the command that fetches the commit.
     """
     commit = record["commit"]
     if commit is None:
@@ -102,55 +94,27 @@ def restore_source(
 ) -> str:
     """Restore the recorded tree of a run into the new folder ``destination`` and return the tree id.
 
-    The user's repository is only read. ``destination`` becomes a separate repository that reads the objects of the
-    user's repository. It exists only when its tree is the recorded tree. Nothing is written outside of it, whatever
-    paths the patch contains.
-
-    Args:
-        directory: the run directory.
-        destination: the folder to create.
-        repository: a clone that contains the recorded commit; by default the recorded folder.
-        which: 0 for the main repository, 1 for the first additional one.
-
-    Raises:
-        RunDirectoryError: the source was not captured, the patch is not the recorded one, the commit is missing, the
-            result is not the recorded tree, or the folder exists.
-        SimulationFailure: the disk is full.
+    ``repository`` is a clone that contains the recorded commit, by default the recorded folder. It is only read.
+    ``which`` is 0 for the main repository of the run, and 1 for the first additional one. ``destination`` becomes a
+    separate repository that reads the objects of the clone. If the restored tree differs from the recorded tree,
+    ``destination`` does not exist afterwards. Nothing is written outside of ``destination``, whatever paths the patch
+    contains. A full disk raises SimulationFailure.
     """
     record = source_records(directory)[which]
     if record["patch"] is None:
         raise RunDirectoryError(f"the source was not captured ({record['status']}): {record['note']}")
     if destination.exists():
         raise RunDirectoryError(f"'{destination}' already exists", expected="a new folder")
-    change = _patch(Path(directory) / "source" / record["patch"], record)
+    path = Path(directory) / "source" / record["patch"]
+    change = read_bytes(path)
+    if hashlib.sha256(change).hexdigest() != record["patch_sha256"]:
+        message, expected = "the patch has been changed since the run recorded it", record["patch_sha256"]
+        raise RunDirectoryError(message, where=str(path), expected=f"the recorded sha256 {expected}")
     origin = find_origin(record, [repository or Path(record["root"])])
     with for_people(destination), temporary_folder(destination) as unfinished:
         _rebuild(record, origin, unfinished, change)
         unfinished.rename(destination)
     return record["tree"]
-
-
-def _require_inside_tree(entry: Mapping[str, Any], where: str) -> None:
-    """Refuse a record that names a file or an object outside its tree."""
-    for key in ("commit", "base", "tree"):
-        if entry.get(key) is not None and not OBJECT_ID.fullmatch(str(entry[key])):
-            raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
-    if entry.get("patch") is not None and not _PATCH.fullmatch(str(entry["patch"])):
-        raise RunDirectoryError(f"broken record of the source: patch is {entry['patch']!r}", where=where)
-    outside = [name for name in entry.get("folders", ()) if not is_inside(str(name))]
-    if outside:
-        raise RunDirectoryError(f"the record of the source names '{outside[0]}', outside its tree", where=where)
-
-
-def _patch(path: Path, record: dict[str, Any]) -> bytes:
-    change = read_bytes(path)
-    if hashlib.sha256(change).hexdigest() != record["patch_sha256"]:
-        raise RunDirectoryError(
-            "the patch has been changed since the run recorded it",
-            where=str(path),
-            expected=f"the recorded sha256 {record['patch_sha256']}",
-        )
-    return change
 
 
 def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
@@ -164,29 +128,29 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
         if tree != record["tree"]:
-            raise RunDirectoryError(f"the restored tree is {tree}", expected=f"the recorded {record['tree']}")
+            raise RunDirectoryError(
+                f"the restored source has the tree {tree}", expected=f"the recorded {record['tree']}"
+            )
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""
-        # Git does not report why it cannot write a file, so the free space is checked as well.
+        # Git does not report why it cannot write a file, so also check the free space on the disk.
         if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
-            raise SimulationFailure(
-                f"the source cannot be restored: {error}", expected="room on a working disk"
-            ) from error
+            message = f"the source cannot be restored: {error}"
+            raise SimulationFailure(message, expected="room on a working disk") from error
         raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
 
 
 def _repository_with_objects_of(origin: Path | None, folder: Path, tree: str) -> Repository:
-    """Create an empty repository that reads the objects of ``origin`` and none of its settings."""
+    """Create an empty repository that reads the git objects of ``origin``, but not the settings of ``origin``."""
     kind = "sha256" if len(tree) > 40 else "sha1"
     run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
     clone = Repository(folder.absolute())
     for key, value in _SETTINGS.items():
         clone.run("config", key, value)
     if origin is not None:
-        objects = origin.resolve() / os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix(
-            "\n"
-        )
+        name = os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix("\n")
+        objects = origin.resolve() / name
         alternates = folder / ".git" / "objects" / "info" / "alternates"
         with for_people(alternates):
             alternates.parent.mkdir(parents=True, exist_ok=True)

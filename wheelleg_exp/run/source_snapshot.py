@@ -1,11 +1,11 @@
 """Store the state of the source tree with the run: a commit, a tree id, and a patch that restores the tree.
 
 ``git.json`` describes the repository of each source folder, the main one first. ``source.patch`` (``source_2.patch``
-for a second repository) makes the recorded tree from the recorded commit, untracked and binary files included. Ignored
+for a second repository) makes the recorded tree from the recorded commit, including untracked and binary files. Ignored
 files and the folder of runs are left out.
 
-Not captured are submodules and nested repositories, files that pass through a filter program such as Git LFS, and
-folders without git. The record names them, and its ``exact`` is false.
+Submodules, nested repositories, folders without git, and files that pass through a filter program such as Git LFS are
+not captured. The record then names them, and its ``exact`` is false.
 """
 
 from __future__ import annotations
@@ -14,30 +14,23 @@ import hashlib
 import os
 import stat
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
 from wheelleg_exp.files import sha256, write_bytes, write_json
-from wheelleg_exp.run.git_commands import (
-    GitError,
-    GitMissing,
-    Repository,
-    filters,
-    join_nul,
-    run_git,
-    scratch_index,
-    split_nul,
-    without_credentials,
-)
+from wheelleg_exp.run import git_commands as git
+from wheelleg_exp.run.git_commands import GitError, Repository
 from wheelleg_exp.run.source_changes import state
 
 SOURCE_FORMAT = 1
 PATCH_NAME = "source.patch"
 RECORD_NAME = "git.json"
 
-# "ok" and "no_commits" come with a patch that restores the tree. Every other record has a note that says why not.
+# A record with the status "ok" or "no_commits" has a patch that restores the tree. Other records have a note that
+# says why the working tree was not captured.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -56,7 +49,7 @@ class NotCaptured:
 
 @dataclass(frozen=True)
 class ChangedPath:
-    """The difference between the base and one path of the index: modes and blob ids, zeros for a missing side."""
+    """A path in which the index differs from the base: modes and blob ids, zeros for a missing side."""
 
     path: str
     old_mode: str
@@ -67,12 +60,7 @@ class ChangedPath:
 
 @dataclass
 class _WorkingTree:
-    """A repository that contains source folders.
-
-    Attributes:
-        repository: the repository.
-        folders: the source folders and files, relative to the repository's top.
-    """
+    """A git repository, with its source folders and files relative to the repository's top folder."""
 
     repository: Repository
     folders: list[str]
@@ -87,19 +75,12 @@ def source_entries(record: Any) -> list[Mapping[str, Any]]:
 def snapshot_source(
     roots: Sequence[Path], folder: Path, *, runs_root: Path | None = None, max_patch_mb: float = 50.0
 ) -> dict[str, Any]:
-    """Write ``git.json`` and the patches into ``folder`` and return the content of ``git.json``.
+    """Write ``git.json`` and the patches into the run's ``source`` folder, and return the content of ``git.json``.
 
-    A git command that fails does not stop the run. The record then has a status and a note.
-
-    Args:
-        roots: source folders and single files, the package's own first. Roots of one repository share one record.
-        folder: the run's ``source`` folder.
-        runs_root: folder of the runs, whose untracked files are left out.
-        max_patch_mb: largest patch, and largest sum of untracked files, in megabytes (10^6 bytes).
-
-    Raises:
-        SimulationFailure: the disk is full.
-        RunDirectoryError: the folder cannot be written.
+    The argument ``roots`` contains source folders and single files, and the package's own folder is the first. Source
+    folders in one repository share one record in ``git.json``. Untracked files in ``runs_root``, the folder of all
+    runs, are left out. ``max_patch_mb`` limits each patch, and the sum of the untracked files, in megabytes (10^6
+    bytes). A git command that fails does not stop the run: the record then has a status and a note.
     """
     records: list[dict[str, Any]] = []
     for place in _group(roots):
@@ -119,36 +100,26 @@ def snapshot_source(
 
 
 def new_record(status: Status, root: Path | None, note: str | None) -> dict[str, Any]:
-    """Return a record with every key, so that a reader never meets a missing key."""
+    """Return a source record with every key; unknown values are None."""
     return {
         "status": status,
         "exact": False,
         "note": note,
         "root": None if root is None else str(root),
         "folders": [],
-        "commit": None,
-        "branch": None,
-        "remote": None,
-        "shallow": None,
-        "base": None,
-        "tree": None,
-        "dirty": None,
+        **dict.fromkeys(("commit", "branch", "remote", "shallow", "base", "tree", "dirty")),
         "untracked": [],
         "changed": [],
         "contents": None,
         "refused": [],
         "submodules": [],
         "big_files": [],
-        "patch": None,
-        "patch_bytes": None,
-        "patch_sha256": None,
-        "distribution": None,
-        "content_sha256": None,
+        **dict.fromkeys(("patch", "patch_bytes", "patch_sha256", "distribution", "content_sha256")),
     }
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder; with ``above``, in one below that folder."""
+    """Return whether ``root`` is in a ``site-packages`` folder, which is below ``above`` if ``above`` is given."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 
@@ -163,7 +134,7 @@ def content_digest(root: Path) -> str:
 
 
 def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
-    """Return each repository once with its source folders, and a record for each root that is not captured."""
+    """Return each git repository once with its source folders, and a record for each root that cannot be captured."""
     groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
@@ -177,14 +148,16 @@ def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
 
 
 def _place(root: Path) -> _WorkingTree | dict[str, Any]:
-    """Return the repository of ``root``, or a record that says why the files of ``root`` are not captured."""
+    """Return the repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
     folder = root if root.is_dir() else root.parent
     try:
-        repository = Repository(Path(os.fsdecode(run_git(folder, "rev-parse", "--show-toplevel")).removesuffix("\n")))
+        repository = Repository(
+            Path(os.fsdecode(git.run_git(folder, "rev-parse", "--show-toplevel")).removesuffix("\n"))
+        )
     except GitError as error:
         if is_installed(root):
             return _installed(root)
-        if isinstance(error, GitMissing):
+        if isinstance(error, git.GitMissing):
             return new_record("no_git", root, "git is not installed, so the source is not captured")
         return _not_captured(root, str(error))
     top = repository.top.resolve()
@@ -227,42 +200,49 @@ def _distribution_of(root: Path) -> str | None:
 
 
 def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
-    """Return the record and the patch of one repository; the patch is None when the tree is not captured."""
+    """Return the source record and the patch of one repository; the patch is None if the tree cannot be captured."""
     repository = tree.repository
     record = new_record("ok", repository.top, None)
     record["folders"] = tree.folders
     try:
-        _describe_head(repository, record)
+        commit = repository.maybe("rev-parse", "--verify", "--quiet", "HEAD")
+        record["status"] = "ok" if commit else "no_commits"
+        record["commit"] = commit
+        record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
+        record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
+        # Store the URL of the branch's remote, otherwise of origin, otherwise of the first remote.
+        names = repository.text("remote").splitlines()
+        tracked = repository.maybe("config", f"branch.{record['branch']}.remote") if record["branch"] else None
+        chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
+        if chosen is not None:
+            url = git.without_credentials(repository.maybe("config", f"remote.{chosen}.url") or "")
+            record["remote"] = {"name": chosen, "url": url}
+        record["shallow"] = repository.text("rev-parse", "--is-shallow-repository") == "true"
         return record, _capture(repository, record, runs_root, cap)
     except GitError as error:
         record.update(status="failed", note=f"the files are not captured: {error}")
         return record, None
 
 
-def _describe_head(repository: Repository, record: dict[str, Any]) -> None:
-    commit = repository.maybe("rev-parse", "--verify", "--quiet", "HEAD")
-    record["commit"] = commit
-    record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
-    record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
-    record["remote"] = _remote(repository, record["branch"])
-    record["shallow"] = repository.text("rev-parse", "--is-shallow-repository") == "true"
-    if commit is None:
-        record["status"] = "no_commits"
-
-
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
-    """Fill the record with the tree and return the patch; None when the patch would be too large."""
+    """Add the tree to the source record and return the patch; return None if the patch would be too large."""
     untracked, refused = _untracked_files(repository, runs_root)
     record["refused"] = [asdict(entry) for entry in refused]
-    sizes = {path: _size(repository.top / path) for path in untracked}
+    sizes = _sizes(repository, untracked)
     if sum(sizes.values()) > cap:
         _refuse_patch(record, sizes, "the untracked files have", sum(sizes.values()), cap)
         return None
-    with scratch_index(repository) as scratch:
+    with git.scratch_index(repository) as scratch:
         filtered = _filtered(repository, repository.paths("ls-files", "-z"))
         refused += filtered + _add_working_tree(scratch, untracked)
         changes = _changes_from(scratch, record["base"])
-        _reset_to_base(scratch, changes, {entry.path for entry in filtered})
+        # Reset the files with a filter program to their base version in the index. Mode 0 removes a path from the
+        # index.
+        names = {entry.path for entry in filtered}
+        reset = [(change, change.old_mode) for change in changes if change.path in names]
+        lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
+        if lines:
+            scratch.run("update-index", "-z", "--index-info", stdin=git.join_nul(lines))
         left_out = {entry.path for entry in refused}
         record["refused"] = [asdict(entry) for entry in refused]
         record["untracked"] = [path for path in untracked if path not in left_out]
@@ -275,18 +255,21 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         patch = _patch_from(scratch, record["base"])
         if len(patch) > cap:
             present = [change.path for change in stored if change.new_mode not in (_NO_MODE, _GITLINK)]
-            sizes = {path: _size(repository.top / path) for path in present}
-            _refuse_patch(record, sizes, "the patch has", len(patch), cap)
+            _refuse_patch(record, _sizes(repository, present), "the patch has", len(patch), cap)
             return None
-    record.update(patch_bytes=len(patch), patch_sha256=hashlib.sha256(patch).hexdigest(), note=_note(record))
+    notes = ["the repository has no commit, so the patch contains the whole tree"] if record["commit"] is None else []
+    for key, what in (("refused", "files"), ("submodules", "submodules")):
+        if record[key]:
+            notes.append(f"{what} not captured: {', '.join(entry['path'] for entry in record[key])}")
+    record.update(patch_bytes=len(patch), patch_sha256=hashlib.sha256(patch).hexdigest(), note="; ".join(notes) or None)
     record["exact"] = not (record["refused"] or record["submodules"])
     return patch
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files to capture and those that cannot be captured; ignored files and runs are in neither.
+    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs.
 
-    A file that this process prints to is left out as well, because it changes while the run goes on.
+    A file to which this process prints is also left out, because this file grows during the run.
     """
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
@@ -295,7 +278,9 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
     filtered, captured = {entry.path for entry in refused}, []
     for path in paths:
         full = repository.top / path
-        if _identity(full) in output or (runs is not None and Path(path).is_relative_to(runs)) or path in filtered:
+        facts = _lstat(full)
+        is_output = facts is not None and (facts.st_dev, facts.st_ino) in output
+        if is_output or (runs is not None and Path(path).is_relative_to(runs)) or path in filtered:
             continue
         if path.endswith("/"):
             refused.append(NotCaptured(path, "it is a repository of its own"))
@@ -306,50 +291,52 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
     return captured, refused
 
 
-def _output_files() -> set[tuple[int, int] | None]:
-    """Return the identities of the files that standard output and standard error of this process go to."""
-    facts = []
+def _output_files() -> set[tuple[int, int]]:
+    """Return the device and inode of the files to which this process writes standard output and standard error."""
+    found = set()
     for descriptor in (1, 2):
-        try:
-            facts.append(os.fstat(descriptor))
-        except OSError:
-            continue
-    return {(found.st_dev, found.st_ino) for found in facts if stat.S_ISREG(found.st_mode)}
+        with suppress(OSError):
+            facts = os.fstat(descriptor)
+            found |= {(facts.st_dev, facts.st_ino)} if stat.S_ISREG(facts.st_mode) else set()
+    return found
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
+def _lstat(path: Path) -> os.stat_result | None:
     try:
-        found = path.lstat()
+        return path.lstat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
 
 
-def _size(path: Path) -> int:
-    """Return the size of a file in bytes; 0 when the file has disappeared."""
-    try:
-        return path.lstat().st_size
-    except OSError:
-        return 0
+def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
+    facts = {path: _lstat(repository.top / path) for path in paths}
+    return {path: 0 if found is None else found.st_size for path, found in facts.items()}
 
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
     """Return the files that git passes through a filter program, such as Git LFS or an encryption.
 
-    The program would have to run to know what git stores of such a file.
+    Git stores the output of the filter program, and this function must not run that program.
     """
-    programs = filters(repository)
+    programs = git.filters(repository)
     if not programs or not paths:
         return []
-    parts = split_nul(repository.run("check-attr", "-z", "--stdin", "filter", stdin=join_nul(paths)))
+    parts = git.split_nul(repository.run("check-attr", "-z", "--stdin", "filter", stdin=git.join_nul(paths)))
     found = zip(parts[::3], parts[2::3], strict=True)
     return [NotCaptured(path, f"git passes it through the filter '{name}'") for path, name in found if name in programs]
 
 
 def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCaptured]:
-    """Bring a scratch index to the state of the working tree; return the changed files that git cannot read."""
-    _reset_index_flags(scratch)
-    # Git would run the filters of a submodule to know its state.
+    """Add the working tree to a temporary git index; return the changed files that git cannot read."""
+    # Make git compare the files that the user marked with assume-unchanged or skip-worktree.
+    tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
+    here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
+    assumed = [path for tag, path in here if tag.islower()]
+    skipped = [path for tag, path in here if tag in "Ss"]
+    for flag, paths in (("--no-assume-unchanged", assumed), ("--no-skip-worktree", skipped)):
+        if paths:
+            scratch.run("update-index", flag, "-z", "--stdin", stdin=git.join_nul(paths))
+    # Exclude submodules, because git would run the submodules' filter programs.
     others = ["--", ".", *(f":(exclude,literal){entry['path']}" for entry in _submodules(scratch))]
     refused: list[NotCaptured] = []
     try:
@@ -362,39 +349,18 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
             if not left:
                 raise
             refused = [NotCaptured(path, f"git cannot read it: {error}") for path in left]
-    # --remove, because a file may have disappeared by now.
-    scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=join_nul(untracked))
+    # --remove accepts files that have disappeared since git listed them.
+    scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused
 
 
-def _reset_index_flags(scratch: Repository) -> None:
-    """Make git compare files that the user marked as unchanged (assume-unchanged, skip-worktree)."""
-    tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
-    here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
-    assumed = [path for tag, path in here if tag.islower()]
-    skipped = [path for tag, path in here if tag in "Ss"]
-    for flag, paths in (("--no-assume-unchanged", assumed), ("--no-skip-worktree", skipped)):
-        if paths:
-            scratch.run("update-index", flag, "-z", "--stdin", stdin=join_nul(paths))
-
-
 def _changes_from(scratch: Repository, base: str) -> list[ChangedPath]:
-    """Return the differences between the index and a commit or tree."""
     parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
     changes = []
     for facts, path in zip(parts[::2], parts[1::2], strict=True):
         old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
         changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
     return changes
-
-
-def _reset_to_base(scratch: Repository, changes: list[ChangedPath], paths: set[str]) -> None:
-    """Set changed paths of the index back to the base."""
-    reset = [change for change in changes if change.path in paths]
-    # Mode 0 removes a path from the index.
-    lines = [f"{'0' if c.old_mode == _NO_MODE else c.old_mode} {c.old_id}\t{c.path}" for c in reset]
-    if lines:
-        scratch.run("update-index", "-z", "--index-info", stdin=join_nul(lines))
 
 
 def _patch_from(scratch: Repository, base: str) -> bytes:
@@ -406,7 +372,6 @@ def _patch_from(scratch: Repository, base: str) -> bytes:
 
 
 def _submodules(scratch: Repository) -> list[dict[str, str]]:
-    """Return path and commit of every submodule and nested repository in the index."""
     found = []
     for entry in scratch.paths("ls-files", "--stage", "-z"):
         facts, path = entry.split("\t", 1)
@@ -414,17 +379,6 @@ def _submodules(scratch: Repository) -> list[dict[str, str]]:
         if mode == _GITLINK:
             found.append({"path": path, "commit": commit})
     return found
-
-
-def _remote(repository: Repository, branch: str | None) -> dict[str, str] | None:
-    """Return name and URL of the branch's own remote, else of origin, else of the first remote."""
-    names = repository.text("remote").splitlines()
-    tracked = repository.maybe("config", f"branch.{branch}.remote") if branch else None
-    chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
-    if chosen is None:
-        return None
-    url = repository.maybe("config", f"remote.{chosen}.url") or ""
-    return {"name": chosen, "url": without_credentials(url)}
 
 
 def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size: int, cap: int) -> None:
@@ -436,11 +390,3 @@ def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size
         f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
         f"commit or ignore the big files ({names}), or raise run.max_patch_mb"
     )
-
-
-def _note(record: dict[str, Any]) -> str | None:
-    notes = ["the repository has no commit, so the patch contains the whole tree"] if record["commit"] is None else []
-    for key, what in (("refused", "files"), ("submodules", "submodules")):
-        if record[key]:
-            notes.append(f"{what} not captured: {', '.join(entry['path'] for entry in record[key])}")
-    return "; ".join(notes) or None

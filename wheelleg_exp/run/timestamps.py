@@ -1,4 +1,4 @@
-"""Times: UTC in the manifest, local time in the names of folders."""
+"""Convert times to UTC text for the manifest, and to local time for the names of folders."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ def utc_text(moment: datetime) -> str:
 
 
 def parse_utc(text: str) -> datetime:
-    """Return the time in a text of ``utc_text``; raise ValueError for other text."""
+    """Return the time in a text that ``utc_text`` returned; raise ValueError for any other text."""
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError(f"'{text}' has no time zone")
-    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # outside this range, datetime cannot convert between time zones
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python's datetime cannot convert time zones outside these years.
         raise ValueError(f"'{text}' is outside the years that a computer's clock has")
     return moment
 
 
 def folder_text(moment: datetime) -> str:
-    """Return a time as the name of a folder in local time, ``2026-01-31_17-05-09``; a naive time is local."""
+    """Return a time as a folder name in local time, ``2026-01-31_17-05-09``; a naive datetime is local time."""
     local = moment if moment.tzinfo is None else moment.astimezone()
     return local.strftime(_FOLDER)
 
 
 def folder_moment(name: str) -> datetime | None:
-    """Return the time at the start of a run folder's name; None for another name."""
+    """Return the time at the start of a run directory's name; return None for any other name."""
     match = _FOLDER_PATTERN.match(name)
     if match is None:
         return None

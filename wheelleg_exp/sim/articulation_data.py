@@ -27,21 +27,15 @@ _UNSUPPORTED = {
 _UNSUPPORTED |= {f"{start}fixed_tendon_{name}": _TENDONS for start in ("", "default_") for name in _FIXED}
 _UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "default_") for name in _SPATIAL}
 
-# MuJoCo's fields of a degree of freedom, by Isaac Lab's name.
-_FIELDS = {
-    "armature": "dof_armature",
-    "friction_coeff": "dof_frictionloss",
-    "viscous_friction_coeff": "dof_damping",
-}
-
 
 @declare_unsupported(_UNSUPPORTED)
 class ArticulationData(RobotData):
     """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order.
 
-    ``_w`` is world axes, ``_b`` axes of the link. ``root_``, ``body_`` velocities are of centres of mass unless the
-    name says ``link``; poses are of link frames unless the name says ``com``. Quaternions are (w, x, y, z). Poses are
-    a position and a quaternion, velocities linear then angular, states a pose and a velocity.
+    The suffix ``_w`` means world axes, and ``_b`` means axes of the link. Velocities refer to centres of mass unless
+    the attribute name contains ``link``; poses refer to link frames unless the attribute name contains ``com``.
+    Quaternions are (w, x, y, z). A pose is a position and a quaternion. A velocity is a linear and an angular velocity.
+    A state is a pose and a velocity.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
@@ -68,32 +62,27 @@ class ArticulationData(RobotData):
         self.default_root_state = start.repeat(n, 1)
         self.default_joint_stiffness = gains("stiffness", False)
         self.default_joint_damping = gains("damping", False)
-        self.default_joint_armature = self._of_joints("armature").clone()
-        self.default_joint_friction_coeff = self._of_joints("friction_coeff").clone()
-        self.default_joint_viscous_friction_coeff = self._of_joints("viscous_friction_coeff").clone()
+        self.default_joint_armature = self.joint_armature.clone()
+        self.default_joint_friction_coeff = self.joint_friction_coeff.clone()
+        self.default_joint_viscous_friction_coeff = self.joint_viscous_friction_coeff.clone()
         self.default_joint_pos_limits = self.joint_pos_limits.clone()
         self.gear_ratio = torch.ones_like(self.default_joint_pos)
         self.default_mass = self._of_bodies("body_mass").clone()
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # None until a term reads body accelerations: only then are velocities stored before each physics step.
+        # None until a term reads body accelerations. After that, each physics step stores the velocities at its start.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
     def settings(self) -> dict[str, torch.Tensor]:
         return {**super().settings(), "default_root_state": self.default_root_state}
 
-    @property
-    def device(self) -> torch.device:
-        """Device of the tensors."""
-        return self._sim.device
+    device = alias_of("_sim.device", "Device of the tensors.")
 
     def update(self, dt: float) -> None:
-        """Do nothing: quantities are computed from the present state on each read."""
+        """Do nothing, because each read of a quantity uses the present state."""
         del dt
-
-    # --- root ---
 
     @cached_until_change
     def root_com_pos_w(self) -> torch.Tensor:
@@ -110,9 +99,7 @@ class ArticulationData(RobotData):
         "root_link_lin_vel_w", "root_ang_vel_w", "Velocity of the root link's origin, m/s and rad/s, (N, 6)."
     )
     root_com_pose_w = concatenation(
-        "root_com_pos_w",
-        "root_com_quat_w",
-        "Pose of the root body's centre of mass and principal axes, m and (w, x, y, z), (N, 7).",
+        "root_com_pos_w", "root_com_quat_w", "Pose of the root body's centre of mass, m and (w, x, y, z), (N, 7)."
     )
     root_com_vel_w = concatenation(
         "root_lin_vel_w", "root_ang_vel_w", "Velocity of the root body's centre of mass, m/s and rad/s, (N, 6)."
@@ -137,40 +124,35 @@ class ArticulationData(RobotData):
     root_com_lin_vel_b = alias_of("root_lin_vel_b")
     root_com_ang_vel_b = alias_of("root_ang_vel_b")
 
-    # --- joints ---
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the joints in the order that terms see."""
-        return self._layout.joint_names
+    joint_names = alias_of("_layout.joint_names", "Names of the joints in the order that terms see.")
 
     @property
     def joint_stiffness(self) -> torch.Tensor:
-        """Stiffness of the drives inside the solver, N·m/rad, (N, J); 0 for explicit actuators."""
+        """Stiffness of the actuators inside MuJoCo's solver, N·m/rad, (N, J); 0 for explicit actuators."""
         return self._gains("stiffness", True)
 
     @property
     def joint_damping(self) -> torch.Tensor:
-        """Damping of the drives inside the solver, N·m·s/rad, (N, J); 0 for explicit actuators."""
+        """Damping of the actuators inside MuJoCo's solver, N·m·s/rad, (N, J); 0 for explicit actuators."""
         return self._gains("damping", True)
 
     @property
     def joint_armature(self) -> torch.Tensor:
         """Reflected rotor inertia, kg·m^2, (N, J)."""
-        return self._of_joints("armature")
+        return self._of_joints("dof_armature")
 
     @property
     def joint_friction_coeff(self) -> torch.Tensor:
         """Friction loss, N·m, (N, J)."""
-        return self._of_joints("friction_coeff")
+        return self._of_joints("dof_frictionloss")
 
     @property
     def joint_viscous_friction_coeff(self) -> torch.Tensor:
         """Passive damping, N·m·s/rad, (N, J)."""
-        return self._of_joints("viscous_friction_coeff")
+        return self._of_joints("dof_damping")
 
-    def _of_joints(self, name: str) -> torch.Tensor:
-        return self._model(_FIELDS[name])[:, self._dof_ids].float()
+    def _of_joints(self, field: str) -> torch.Tensor:
+        return self._model(field)[:, self._dof_ids].float()
 
     joint_limits = alias_of("joint_pos_limits")
     joint_velocity_limits = alias_of("joint_vel_limits")
@@ -178,16 +160,11 @@ class ArticulationData(RobotData):
     default_joint_limits = alias_of("default_joint_pos_limits")
     default_joint_friction = alias_of("default_joint_friction_coeff")
 
-    # --- bodies ---
-
-    @property
-    def body_names(self) -> list[str]:
-        """Names of the bodies, breadth first."""
-        return self._layout.body_names
+    body_names = alias_of("_layout.body_names", "Names of the bodies, breadth first.")
 
     @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
-        """Velocities of the links' origins, m/s, (N, B, 3)."""
+        """Linear velocities of the links' origins, m/s, (N, B, 3)."""
         lever = self.body_pos_w - self.body_com_pos_w
         return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, lever)
 
@@ -204,12 +181,12 @@ class ArticulationData(RobotData):
 
     @cached_until_change
     def body_com_pos_b(self) -> torch.Tensor:
-        """Centres of mass in their link's frame, m, (N, B, 3)."""
+        """Centre of mass of each body in the link's frame, m, (N, B, 3)."""
         return self._of_bodies("body_ipos")
 
     @cached_until_change
     def body_com_quat_b(self) -> torch.Tensor:
-        """Principal axes of inertia in their link's frame (w, x, y, z), (N, B, 4)."""
+        """Orientation of each body's principal axes of inertia in the link's frame (w, x, y, z), (N, B, 4)."""
         return self._of_bodies("body_iquat")
 
     body_link_pose_w = concatenation(
@@ -219,9 +196,7 @@ class ArticulationData(RobotData):
         "body_link_lin_vel_w", "body_ang_vel_w", "Velocities of the links' origins, m/s and rad/s, (N, B, 6)."
     )
     body_com_pose_w = concatenation(
-        "body_com_pos_w",
-        "body_com_quat_w",
-        "Poses of the bodies' centres of mass and principal axes, m and (w, x, y, z), (N, B, 7).",
+        "body_com_pos_w", "body_com_quat_w", "Poses of the bodies' centres of mass, m and (w, x, y, z), (N, B, 7)."
     )
     body_com_vel_w = concatenation(
         "body_lin_vel_w", "body_ang_vel_w", "Velocities of the bodies' centres of mass, m/s and rad/s, (N, B, 6)."
@@ -236,9 +211,7 @@ class ArticulationData(RobotData):
         "body_com_pose_w", "body_com_vel_w", "Poses and velocities of the bodies' centres of mass, (N, B, 13)."
     )
     body_com_pose_b = concatenation(
-        "body_com_pos_b",
-        "body_com_quat_b",
-        "Centres of mass and principal axes in their link's frame, m and (w, x, y, z), (N, B, 7).",
+        "body_com_pos_b", "body_com_quat_b", "Poses of the centres of mass in their link's frame, (N, B, 7)."
     )
     body_link_pos_w = alias_of("body_pos_w")
     body_link_quat_w = alias_of("body_quat_w")
@@ -253,13 +226,12 @@ class ArticulationData(RobotData):
     com_pos_b = alias_of("body_com_pos_b")
     com_quat_b = alias_of("body_com_quat_b")
 
-    # --- accelerations of bodies ---
-
     @cached_until_change
     def body_com_acc_w(self) -> torch.Tensor:
         """Accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); a body at rest has 0.
 
-        Finite difference over the last physics step; 0 from a reset or a written velocity until the next step.
+        The acceleration is the velocity difference over the last physics step. It is 0 after a reset or a written
+        velocity, until the next physics step.
         """
         if self._vel_before is None:
             self._vel_before = self._velocity_before()
@@ -277,11 +249,9 @@ class ArticulationData(RobotData):
         return self.body_com_acc_w[..., 3:]
 
     def _velocity_before(self) -> torch.Tensor:
-        """Return the bodies' velocities at the start of the last physics step.
-
-        Only joint states are stored before a step. The engine computes body velocities for the present state, so the
-        old joint state is put in, evaluated, and taken out again. This happens once, at the first read.
-        """
+        """Return the bodies' velocities at the start of the last physics step."""
+        # The stored state has only joint positions and velocities. Write it to the engine, compute the bodies'
+        # velocities, and restore the present state. Only the first read of an acceleration needs this computation.
         sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
         self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
         self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
@@ -297,7 +267,7 @@ class ArticulationData(RobotData):
         return velocity
 
     def forget_accelerations(self, ids: torch.Tensor) -> None:
-        """Report zero acceleration in ``ids``, whose velocities were written, until the next physics step."""
+        """Set the accelerations of the environments ``ids`` to zero until the next physics step."""
         if self._vel_before is not None:
             fill_rows(self._acc_valid, ids, 0.0)
 
@@ -307,7 +277,6 @@ class ArticulationData(RobotData):
             self._vel_before = self.body_com_vel_w
 
     def mark_stepped(self) -> None:
-        """Mark torques and accelerations as valid in every environment after a physics step."""
         super().mark_stepped()
         if self._vel_before is not None:
             self._acc_valid.fill_(1.0)
@@ -317,10 +286,10 @@ class ArticulationData(RobotData):
         self.forget_accelerations(ids)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        if self._vel_before is None:
-            return super().state_dict()
-        velocities = {"body_vel_before": self._vel_before.clone(), "acc_valid": self._acc_valid.clone()}
-        return {**super().state_dict(), **velocities}
+        saved = super().state_dict()
+        if self._vel_before is not None:
+            saved |= {"body_vel_before": self._vel_before.clone(), "acc_valid": self._acc_valid.clone()}
+        return saved
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         super().load_state_dict(saved)

@@ -1,4 +1,4 @@
-"""The engine ``mujoco``: MuJoCo's own batch of simulations on the CPU, in float64."""
+"""The engine ``mujoco``: The engine ``mujoco``: MuJoCo's batch of simulations on the CPU, in float64."""
 
 from __future__ import annotations
 
@@ -29,10 +29,7 @@ _UNSTABLE = [
 class BatchEngine(Engine):
     """N simulations on the CPU; each step is bit-identical to ``mj_step``.
 
-    Args:
-        model: the compiled scene.
-        num_envs: number of simulations, N.
-        nthread: physics threads (0 means one for each core that the process may use); it changes no result.
+    The number of physics threads, ``nthread``, changes no result; 0 means one for each core that the process may use.
     """
 
     name = "mujoco"
@@ -57,7 +54,8 @@ class BatchEngine(Engine):
         self._all_warnings = torch.from_numpy(self.batch.warning)
         self._warnings = self._all_warnings[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
         self._initial = self.state[0:1].clone()
-        start = self._column("qpos")  # velocities follow positions
+        # In a row of MuJoCo's state, the velocities follow the positions.
+        start = (self.view("qpos").data_ptr() - self.state.data_ptr()) // self.state.element_size()
         self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
         self._is_motion[start : start + model.nq + model.nv] = True
         self._motion = self.state[:, start : start + model.nq + model.nv]
@@ -67,20 +65,14 @@ class BatchEngine(Engine):
         """Positions, then velocities: a live view of the state rows, (N, nq + nv)."""
         return self._motion
 
-    def _column(self, name: str) -> int:
-        """Return the first column of a state field in the state rows."""
-        return (self.view(name).data_ptr() - self.state.data_ptr()) // self.state.element_size()
-
     def view(self, name: str) -> torch.Tensor:
-        """Return a live float64 view (N, ...) of an MjData field (see ``Engine.view``)."""
         if name not in self._views:
-            with warnings.catch_warnings():  # torch warns that it cannot mark a tensor read-only
+            with warnings.catch_warnings():  # Torch warns that it cannot mark a tensor as read-only.
                 warnings.simplefilter("ignore", UserWarning)
                 self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
 
     def derived(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an output that depends on positions and velocities; each step updates it."""
         view = self.view(name)
         if name not in self._current:
             self._current.add(name)
@@ -88,7 +80,6 @@ class BatchEngine(Engine):
         return view
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a model field one value per simulation; return the live tensor (N, ...)."""
         self.asked.add(name)
         if name not in self.expanded:
             self.expanded[name] = torch.from_numpy(self.batch.expand(name))
@@ -100,11 +91,6 @@ class BatchEngine(Engine):
         self._at_set_const = cloned(self.expanded)
 
     def step(self) -> None:
-        """Advance every simulation by one physics step.
-
-        Raises:
-            SimulationFailure: the engine raised an error.
-        """
         try:
             self.batch.step(nstep=1, stage=_STAGE_VEL if self._current else _STAGE_NONE)
         except SimulationError as error:
@@ -112,21 +98,17 @@ class BatchEngine(Engine):
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
         if self._current:
-            self.batch.forward(_rows(ids), stage=_STAGE_VEL)
+            self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Reset the state rows of ``ids``, except for positions and velocities that are finite."""
-        rows = self.state.index_select(0, ids)
+        rows = self.state.index_select(0, ids)  # A reset does not change finite positions and velocities.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have had NaN or huge values since their reset.
-
-        MuJoCo detects such values at the start of the next step, silently resets the simulation to the model's
-        defaults, and increments a warning counter. The values of the last step are therefore checked here, too.
-        """
+        # MuJoCo detects NaN and huge values at the start of the next step, silently resets the simulation to the
+        # model's defaults, and increments a warning counter. Therefore also check the values after the last step.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -139,59 +121,50 @@ class BatchEngine(Engine):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        groups = None
-        if geom_groups is not None:
-            groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
+        groups = None if geom_groups is None else np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
         points, vectors = (rays.double().contiguous().numpy() for rays in (origins, directions))
         still = self._still.get(tuple(geom_groups or ()))
         if still is not None and still.are_still(self.expanded):
             return torch.from_numpy(still.ray(points, vectors))
-        distances, _ = self.batch.ray(points, vectors, geomgroup=groups, ids=_rows(ids))
+        distances, _ = self.batch.ray(points, vectors, geomgroup=groups, ids=None if ids is None else ids.numpy())
         return torch.from_numpy(distances)
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that determines the next step: state rows, warnings, per-simulation model fields.
-
-        Raises:
-            ConfigError: a term has expanded a model field with ``batch.expand`` instead of the engine's ``expand``.
-        """
+        """Return state rows, warnings, and model fields; ConfigError if a field was not expanded by ``expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
                 f"a term has expanded {' and '.join(hidden)} with the batch's own method, which no checkpoint saves",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
-        fields = {name: values.clone() for name, values in sorted(self.expanded.items())}
         return {
             "state": self.state.clone(),
             "warning": torch.from_numpy(self.batch.warning.copy()),
-            "model_fields": fields,
+            "model_fields": {name: values.clone() for name, values in sorted(self.expanded.items())},
             "at_set_const": None if self._at_set_const is None else self._edited_since(self._at_set_const),
         }
 
     def _edited_since(self, then: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Return the values at the last ``set_const`` of the model fields that have been edited since."""
+        """Return the values that each model field edited after the last ``set_const`` had at the last ``set_const``."""
         before = {**self._unedited, **then}
         return {n: before[n].clone() for n, now in sorted(self.expanded.items()) if not torch.equal(before[n], now)}
 
     def _restore_fields(self, fields: dict[str, torch.Tensor], then: dict[str, torch.Tensor] | None) -> None:
-        """Write model fields, and let MuJoCo derive its constants from the values at the saved ``set_const``."""
+        """Write model fields, and make MuJoCo derive its constants from the saved values of the last ``set_const``."""
         for name in fields:
             self.expand(name)
         now = {**self._unedited, **fields}
         if then is not None or self._at_set_const is not None:
-            self._write_fields(self._unedited if then is None else {**now, **then})
+            for name, values in (self._unedited if then is None else {**now, **then}).items():
+                self.expanded[name].copy_(values)
             self.set_const()
-        self._write_fields(now)
+        for name, values in now.items():
+            self.expanded[name].copy_(values)
         if then is None:
             self._at_set_const = None
-
-    def _write_fields(self, fields: dict[str, torch.Tensor]) -> None:
-        for name, values in fields.items():
-            self.expanded[name].copy_(values)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         self._restore_fields(saved["model_fields"], saved["at_set_const"])
@@ -206,7 +179,3 @@ def _keep_log_out_of_files() -> None:
     config = mujoco.MjLogConfig.get()
     config.logto_file = False
     config.set()
-
-
-def _rows(ids: torch.Tensor | None) -> np.ndarray | None:
-    return None if ids is None else ids.numpy()

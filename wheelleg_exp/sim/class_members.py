@@ -14,7 +14,7 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
-    """Make a property that is computed at most once between two changes of the state."""
+    """Make a property that is computed at most once between two changes of the robot's state."""
     name = compute.__name__
 
     def get(self: Any) -> torch.Tensor:
@@ -27,21 +27,18 @@ def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
 
 
 def concatenation(first: str, second: str, doc: str) -> property:
-    """Make a cached property that concatenates two others along the last dimension."""
-    name = f"{first}|{second}"
+    """Make a cached property that concatenates two other properties along the last dimension."""
 
-    def get(self: Any) -> torch.Tensor:
-        value = self._cache.get(name)
-        if value is None:
-            value = self._cache[name] = torch.cat((getattr(self, first), getattr(self, second)), dim=-1)
-        return value
+    def compute(self: Any) -> torch.Tensor:
+        return torch.cat((getattr(self, first), getattr(self, second)), dim=-1)
 
-    return property(get, doc=doc)
+    compute.__name__, compute.__doc__ = f"{first}|{second}", doc
+    return cached_until_change(compute)
 
 
-def alias_of(name: str) -> property:
-    """Make a property that is a second name of another one."""
-    return property(attrgetter(name), doc=f"Same as ``{name}``.")
+def alias_of(name: str, doc: str | None = None) -> property:
+    """Make a read-only property that returns another attribute, such as ``layout.joint_names``."""
+    return property(attrgetter(name), doc=doc or f"Same as ``{name}``.")
 
 
 class NotInMuJoCo(ConfigError, AttributeError):
@@ -49,12 +46,7 @@ class NotInMuJoCo(ConfigError, AttributeError):
 
 
 class UnsupportedMember:
-    """A member of Isaac Lab that raises ``NotInMuJoCo`` on access.
-
-    Args:
-        name: the member.
-        why: what MuJoCo lacks, and what to use instead.
-    """
+    """A descriptor of an Isaac Lab member without a counterpart in MuJoCo; access raises ``NotInMuJoCo``."""
 
     def __init__(self, name: str, why: str) -> None:
         self.name, self.why = name, why
@@ -66,7 +58,7 @@ class UnsupportedMember:
 
 
 def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class]:
-    """Give a class members that raise ``NotInMuJoCo``, from the reason for each name."""
+    """Add members to a class that raise ``NotInMuJoCo``, with one reason per member name."""
 
     def give(owner: _Class) -> _Class:
         for name, why in reasons.items():

@@ -1,4 +1,4 @@
-"""Samples and joint targets that arrive some physics steps late, with a separate lag in each environment."""
+"""Delays of samples and joint targets by some physics steps, with a separate lag in each environment."""
 
 from __future__ import annotations
 
@@ -13,15 +13,11 @@ from wheelleg_exp.state import Stateful
 
 
 class DelayBuffer:
-    """The last samples of each environment; ``push`` returns the sample of age ``lag``.
+    """A buffer of the last samples of each environment; ``push`` returns the sample of age ``lag``.
 
-    The first sample after a reset replaces all earlier samples, so that the age is ``min(lag, samples - 1)``, as in
-    Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from their range; before the first reset they are 0.
-
-    Args:
-        sample: a sample (N, ...), for shape and device.
-        lags: shortest and longest lag, in samples.
-        generator: the random stream of the lags.
+    The first sample after a reset replaces all earlier samples. The age is therefore ``min(lag, samples - 1)``, as in
+    Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from the range ``lags``; before the first reset all
+    lags are 0. The samples have the shape (N, ...) and the device of ``sample``.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -33,24 +29,24 @@ class DelayBuffer:
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...) and return the delayed sample."""
-        # Assign a new tensor: the old one may have been created in inference mode.
+        # Assign a new tensor, because the old tensor may have been created in inference mode.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
         return self._read(self._samples)
 
     def peek(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return the result of ``push`` without storing the sample."""
+        """Return the delayed sample that ``push`` would return, without storing ``sample``."""
         return self._read(self._pushed(sample))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the samples of ``env_ids`` and draw their lags."""
+        """Drop the samples of the environments ``env_ids`` and draw new lags."""
         low, high = self._range
         drawn = torch.randint(low, high + 1, (len(env_ids),), generator=self._generator, device=self.lag.device)
         self.lag[env_ids] = drawn
         fill_rows(self._is_first, env_ids, True)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return samples and lags."""
+        """Return the stored samples and the lags of all environments."""
         return {"samples": self._samples.clone(), "is_first": self._is_first.clone(), "lag": self.lag.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -60,7 +56,6 @@ class DelayBuffer:
         self.lag.copy_(saved["lag"])
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return the samples with the new one in front."""
         newest = sample.unsqueeze(1)
         later = torch.cat((newest, self._samples[:, :-1]), dim=1)
         first = self._is_first.view(-1, *[1] * (later.ndim - 1))
@@ -71,15 +66,9 @@ class DelayBuffer:
 
 
 class TargetDelay(Stateful):
-    """Delays the targets of a group of joints by some physics steps.
+    """Delays the targets of a group of joints by some physics steps, with one lag per environment.
 
-    Each environment has one lag for positions, velocities and efforts (see ``DelayBuffer``).
-
-    Args:
-        bounds: shortest and longest lag, physics steps.
-        joint_ids: the group's joints, (k,).
-        shape: environments and joints of the robot, (N, J).
-        generator: the group's random stream.
+    ``bounds`` are the shortest and the longest lag, physics steps, and ``shape`` is (N, J).
     """
 
     settings = ("_ids",)
@@ -93,17 +82,12 @@ class TargetDelay(Stateful):
         self._seen = torch.zeros(shape[0], 3, shape[1], device=device)
         self.targets = JointTargets(*self._seen.unbind(dim=1))
 
-    @property
-    def lag(self) -> torch.Tensor:
-        """The lag of each environment, physics steps, (N,)."""
-        return self._past.lag
-
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the targets of ``env_ids`` and draw their lags."""
+        """Drop the joint targets of the environments ``env_ids`` and draw new lags."""
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Store the targets of a physics step, and return the delayed targets; only the group's joints are valid."""
+        """Store the joint targets of a physics step and return the delayed ones, valid only for the group's joints."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

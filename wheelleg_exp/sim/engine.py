@@ -17,9 +17,9 @@ WRENCHES = "wrenches"
 class Engine(Kept, ABC):
     """N simulations of one model.
 
-    State fields are always current. Outputs that depend on positions and velocities are updated after each step once a
-    term has read one of them (``derived``); before that they cost nothing. Torques and contact forces keep the values
-    of the last solve, which is the convention of PhysX and Isaac Lab.
+    State fields are always current. Once a term has called ``derived``, each step also updates the outputs that depend
+    on positions and velocities. Torques and contact forces are those of the last physics step, as in PhysX and Isaac
+    Lab.
 
     Attributes:
         name: the engine's name in ``env.sim.engine``.
@@ -59,13 +59,14 @@ class Engine(Kept, ABC):
     def view(self, name: str) -> torch.Tensor:
         """Return a live view (N, ...) of an MjData field.
 
-        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. Other fields are outputs of
-        the last step. Read them before the next call of ``forward``, which overwrites them.
+        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. All fields that do not belong
+        to the state are outputs of the last step. Read an output before the next call of ``forward``, which overwrites
+        it.
         """
 
     @property
     def motion(self) -> torch.Tensor:
-        """Present positions, then velocities, (N, nq + nv)."""
+        """Present positions and velocities of the simulations, (N, nq + nv), positions first."""
         return torch.cat((self.view("qpos"), self.view("qvel")), dim=1)
 
     @abstractmethod
@@ -85,19 +86,15 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def set_const(self) -> None:
-        """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
+        """Recompute the constants that MuJoCo derives from model fields, in each simulation."""
 
     @abstractmethod
     def step(self) -> None:
-        """Advance every simulation by one physics step.
-
-        Raises:
-            SimulationFailure: the engine raised an error.
-        """
+        """Advance every simulation by one physics step; SimulationFailure if the engine fails."""
 
     @property
     def is_captured(self) -> bool:
-        """Whether a control step, including the engine's steps, can be captured as a CUDA graph."""
+        """Whether a control step with its physics steps can be captured as a CUDA graph."""
         return False
 
     def require_room(self) -> None:
@@ -105,13 +102,14 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Recompute derived outputs for the present state of ``ids`` (None means all)."""
+        """Recompute the derived outputs from the state of the simulations ``ids``; None means all simulations."""
 
     @abstractmethod
     def reset(self, ids: torch.Tensor) -> None:
-        """Zero time, controls, applied forces, warm start and warnings of ``ids``; keep positions and velocities.
+        """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        Positions and velocities that are NaN or inf become the model's defaults.
+        Do not change positions and velocities. Positions and velocities that are NaN or inf are replaced by the model's
+        defaults.
         """
 
     @abstractmethod
@@ -130,29 +128,22 @@ class Engine(Kept, ABC):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the distance of each ray's first hit, in lengths of its direction, (n, R); -1 is a miss.
+        """Return the distance of each ray's first hit, in lengths of the ray's direction vector, (n, R); -1 is a miss.
 
-        Args:
-            origins: world, m, (n, R, 3).
-            directions: world, (n, R, 3).
-            geom_groups: MuJoCo's groups of the geoms that stop a ray; None means all groups.
-            ids: the simulations of the rays, (n,); None means all simulations.
+        Origins, m, and directions are (n, R, 3) in world axes. Only geoms in ``geom_groups`` stop a ray; None means all
+        groups. ``ids`` are the simulations of the rays, (n,); None means all simulations.
         """
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move, so that their rays may be cast in a model without the robot.
+        """Declare that the geoms of a group never move; an engine may then cast their rays without the robot.
 
-        This is an optimisation: an engine may ignore it.
-
-        Args:
-            geom_group: the group.
-            alone: returns a model that contains only these geoms, with the same names.
+        ``alone`` returns a model that contains only these geoms, with the same names.
         """
         del geom_group, alone
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that determines the next step."""
+        """Return the state of all simulations that determines the next physics step."""
 
     @abstractmethod
     def load_state_dict(self, saved: dict[str, Any]) -> None:

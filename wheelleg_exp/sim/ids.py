@@ -6,26 +6,17 @@ from collections.abc import Sequence
 
 import torch
 
-Columns = torch.Tensor | Sequence[int] | slice | None
-EnvIds = torch.Tensor | Sequence[int] | slice | None
+Ids = torch.Tensor | Sequence[int] | slice | None
 _ALL = slice(None)
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
-    """Return the indices (n,) at which a mask (N,) is True.
-
-    On a GPU the host waits for the count n. Other decisions within a step use whole tensors and do not wait.
-    """
+    """Return the indices (n,) at which a mask (N,) is True; on a GPU, the host waits for the number n."""
     return mask.nonzero().squeeze(1)
 
 
-def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
-    """Return a caller's indices as a tensor (n,).
-
-    Args:
-        ids: the indices; None means all.
-        everything: all indices, (N,).
-    """
+def chosen(ids: Ids, everything: torch.Tensor) -> torch.Tensor:
+    """Return indices as a tensor (n,); None means all indices, ``everything`` (N,)."""
     if ids is None:
         return everything
     if isinstance(ids, torch.Tensor):
@@ -34,21 +25,21 @@ def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
 
 
 def not_finite(values: torch.Tensor) -> torch.Tensor:
-    """Return where values are NaN or inf: there, and only there, ``x - x`` is NaN."""
+    """Return a mask of the values that are NaN or inf; only for NaN and inf is ``x - x`` NaN."""
     return values - values != 0.0
 
 
 def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> torch.Tensor:
-    """Return columns (N, k, ...) of values (N, K, ...), as ``values[:, ids]`` does, but several times as fast."""
-    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:  # not a mask
+    """Return the columns ``values[:, ids]``, (N, k, ...), several times faster than by indexing."""
+    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         return values.index_select(1, ids)
     return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
 
 
-def fill_rows(values: torch.Tensor, ids: EnvIds, number: float) -> None:
-    """Set rows of values (N, ...) to a number.
+def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
+    """Set the rows ``ids`` of values (N, ...) to a number.
 
-    ``values[ids] = number`` would copy the number from the host, which a CUDA graph cannot do.
+    In a CUDA graph, ``values[ids] = number`` would copy from the host.
     """
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         values.index_fill_(0, ids, number)
@@ -56,8 +47,8 @@ def fill_rows(values: torch.Tensor, ids: EnvIds, number: float) -> None:
         values[ids] = number
 
 
-def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:
-    """Return a caller's indices as a tensor or slice for one dimension; None means all."""
+def columns(ids: Ids, device: torch.device) -> torch.Tensor | slice:
+    """Return indices of one dimension as a tensor or a slice; None means all indices."""
     if ids is None:
         return slice(None)
     return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)

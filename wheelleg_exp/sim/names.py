@@ -17,17 +17,11 @@ def match_names(
     what: str,
     preserve_order: bool = False,
 ) -> tuple[list[int], list[str]]:
-    """Return the indices and names that whole-match the expressions.
+    """Return the indices and names that whole-match one or several regular expressions.
 
-    Args:
-        expressions: one regular expression or several.
-        names: the names to match, in the asset's order.
-        key: config key of the expressions, for the message.
-        what: what the names are (``joint``, ``body``), for the message.
-        preserve_order: order by expression (True) or by the asset (False).
-
-    Raises:
-        ConfigError: an expression matches nothing, or a name is matched by two expressions.
+    The names are in the order of the asset, or with ``preserve_order`` in the order of the expressions. ConfigError if
+    an expression matches no name, or if two expressions match one name. The message contains the config key ``key`` and
+    the noun ``what`` (``joint``, ``body``).
     """
     patterns = [expressions] if isinstance(expressions, str) else list(expressions)
     owner: dict[str, str] = {}
@@ -35,18 +29,14 @@ def match_names(
     for pattern in patterns:
         matched = [name for name in names if _compiled(pattern, key).fullmatch(name)]
         if not matched:
-            listed = (
-                f"an expression that matches some of: {', '.join(names)}" if names else f"nothing: no {what} exists"
-            )
+            some = f"an expression that matches some of: {', '.join(names)}"
             message, nearest = f"the {what} expression '{pattern}' matches nothing", nearest_name(pattern, names)
-            raise ConfigError(message, key=key, expected=listed, nearest=nearest)
+            expected = some if names else f"nothing: no {what} exists"
+            raise ConfigError(message, key=key, expected=expected, nearest=nearest)
         for name in matched:
             if name in owner:
-                raise ConfigError(
-                    f"{what} '{name}' is matched by both '{owner[name]}' and '{pattern}'",
-                    key=key,
-                    expected="expressions that do not overlap",
-                )
+                message = f"{what} '{name}' is matched by both '{owner[name]}' and '{pattern}'"
+                raise ConfigError(message, key=key, expected="expressions that do not overlap")
             owner[name] = pattern
         ordered += matched
     chosen = ordered if preserve_order else [name for name in names if name in owner]
@@ -58,10 +48,8 @@ def values_by_name(
 ) -> list[Any]:
     """Return one value for each name, from one number or from a mapping of expressions to values.
 
-    A name that no expression matches gets ``default``.
-
-    Raises:
-        ConfigError: an expression matches nothing, or two expressions match the same name.
+    A name that no expression matches gets the value ``default``. ``match_names`` raises the errors for wrong
+    expressions.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -83,7 +71,7 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
 
 
 def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
-    """Return the mistakes in ``env.robot.joint_order`` for a robot with these joints."""
+    """Return the errors in ``env.robot.joint_order`` for a robot with the joints ``joints``."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
     errors = [
         ConfigError(f"the robot has no joint '{n}'", key=key, expected=expected, nearest=nearest_name(str(n), joints))
@@ -101,11 +89,10 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 
 
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
-    """Return an error for each joint that two groups or terms drive.
+    """Return an error for each joint that two actuator groups or two action terms drive.
 
-    Args:
-        claims: name of the group or term, config key of its joint expressions, and its joints.
-        expected: what to write instead.
+    ``claims`` has, for each actuator group or action term, its name, the config key of its joint expressions, and its
+    joints.
     """
     owner: dict[str, str] = {}
     errors = []
@@ -121,6 +108,5 @@ def _compiled(pattern: str, key: str | None) -> re.Pattern[str]:
     try:
         return re.compile(pattern)
     except re.error as error:
-        raise ConfigError(
-            f"'{pattern}' is not a regular expression: {error}", key=key, expected="a regular expression"
-        ) from error
+        message = f"'{pattern}' is not a regular expression: {error}"
+        raise ConfigError(message, key=key, expected="a regular expression") from error

@@ -1,4 +1,7 @@
-"""Keys of ``env.sim``, ``env.scene`` and ``env.robot``. Almost none has a default: the config states every number."""
+"""Options of the config sections ``env.sim``, ``env.scene`` and ``env.robot``.
+
+Almost none has a default: the config states every number.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,6 @@ from wheelleg_exp.constraints import (
     relation,
 )
 
-GPU_EXTRA = "pip install 'wheelleg_exp[gpu]'"
-_GPU_PACKAGES = ("warp", "mujoco_warp")
-
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
     """Check that the engine supports the device and the solver, and that its packages are installed."""
@@ -40,17 +40,17 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         yield Broken("deterministic", message, "false, or engine: mujoco, which is bit-reproducible (docs/gpu.md)")
     if given["solver"] == "pgs":
         yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
-    for name in _GPU_PACKAGES:
+    for name in ("warp", "mujoco_warp"):
         if find_spec(name) is None:
             message = f"the engine 'warp' needs the package {name}, which is not installed"
-            yield Broken("engine", message, f"mujoco, or: {GPU_EXTRA}")
+            yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[gpu]'")
             return
 
 
 @relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
-    """The engine and the solver (``env.sim``), in MuJoCo's terms.
+    """Options of the engine and the solver (``env.sim``), named as in MuJoCo.
 
     Attributes:
         engine: ``mujoco`` is MuJoCo's batch on the CPU, which is bit-reproducible; ``warp`` is mujoco-warp in single

@@ -1,4 +1,7 @@
-"""The robot's state under Isaac Lab's names. Quantities are computed on the first read after a change."""
+"""The robot's state under Isaac Lab's names.
+
+Each quantity is computed on the first read after a change of the state.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Callable, Mapping
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.class_members import cached_until_change
+from wheelleg_exp.sim.class_members import alias_of, cached_until_change
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
@@ -15,28 +18,17 @@ from wheelleg_exp.state import Kept
 
 # Tensors that come from the config and the model, and that events can change.
 _SETTINGS = (
-    "default_joint_pos",
-    "default_joint_vel",
-    "joint_pos_limits",
-    "soft_joint_pos_limits",
-    "soft_joint_vel_limits",
-    "joint_effort_limits",
-    "encoder_bias",
-    "com_b",
+    *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
+    *("joint_effort_limits", "encoder_bias", "com_b"),
 )
 
 
 class RobotData(Kept):
     """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
 
-    ``_w`` is world axes, ``_b`` axes of the root link. Root linear velocities are of the root body's centre of
-    mass unless the name says ``link``; poses are of link frames.
-
-    Args:
-        sim: the running simulations.
-        layout: the robot's names, ids, defaults and limits.
-        targets: the joint targets.
-        computed_torque: returns the actuators' unclipped torques (N, J) of the last physics step.
+    The suffix ``_w`` means world axes, and ``_b`` means axes of the root link. Root linear velocities refer to the root
+    body's centre of mass, unless the attribute name contains ``link``. Poses refer to link frames. ``computed_torque``
+    returns the actuators' unclipped torques (N, J) of the last physics step.
 
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
@@ -84,20 +76,21 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        sim.view("actuator_force")  # a view that is bound before the first step reads zero until that step
+        # Create this view before the first physics step, because its values are zero until then.
+        sim.view("actuator_force")
 
     def invalidate(self) -> None:
-        """Clear the cache of derived quantities; called after each change of the state."""
+        """Clear the cache of derived quantities. Call this method after each change of the state."""
         self._cache.clear()
         self._shows_outputs = False
 
     def outputs_refreshed(self) -> None:
-        """Clear the cache if it contains engine outputs, which the engine has just recomputed for the written state."""
+        """Clear the cache if it contains engine outputs, because the engine has just recomputed them."""
         if self._shows_outputs:
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return an output of the engine; after a write it is out of date until the scene's refresh."""
+        """Return an output of the engine; after a write of the state, the output is stale until ``Scene.refresh``."""
         self._shows_outputs = True
         return self._sim.derived(name)
 
@@ -106,11 +99,11 @@ class RobotData(Kept):
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """Set the velocities (n, k) that the next finite-difference accelerations start from, after a write."""
+        """Set the previous velocities (n, k) of the finite-difference accelerations, after velocities were written."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
-        """Mark torques as valid in every environment after a physics step, and read them."""
+        """Store the torques of every environment after a physics step."""
         if not self._all_valid:
             self._torque_valid.fill_(1.0)
             self._all_valid = True
@@ -122,7 +115,7 @@ class RobotData(Kept):
         self.invalidate()
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Report zero torque and acceleration for ``ids`` until their next physics step."""
+        """Set torques and accelerations of the environments ``ids`` to zero until the next physics step."""
         self._torque_valid.index_fill_(0, ids, 0.0)
         self._all_valid = False
         self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
@@ -142,11 +135,10 @@ class RobotData(Kept):
         return constant.expand(self._sim.num_envs, *constant.shape)
 
     def _of_bodies(self, name: str) -> torch.Tensor:
-        """Return a field of the model for the robot's bodies, (N, B, ...)."""
         return self._model(name)[:, self._body_ids].float()
 
     def begin_control_step(self) -> None:
-        """Store the motion state that the coming control step starts from: a failure report contains it."""
+        """Store the motion state that the coming control step starts from, for failure reports."""
         self.motion_at_start.copy_(self._sim.motion)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
@@ -165,39 +157,23 @@ class RobotData(Kept):
         self._applied_torque = saved["applied_torque"].clone()
         self.invalidate()
 
-    @property
-    def joint_pos_target(self) -> torch.Tensor:
-        """Position targets, rad, (N, J)."""
-        return self._targets.pos
-
-    @property
-    def joint_vel_target(self) -> torch.Tensor:
-        """Velocity targets, rad/s, (N, J)."""
-        return self._targets.vel
-
-    @property
-    def joint_effort_target(self) -> torch.Tensor:
-        """Feed-forward efforts, N·m, (N, J)."""
-        return self._targets.effort
-
-    @property
-    def joint_vel_limits(self) -> torch.Tensor:
-        """The actuators' velocity limits, rad/s, (N, J): the engine itself limits no speed."""
-        return self.soft_joint_vel_limits
+    joint_pos_target = alias_of("_targets.pos", "Position targets, rad, (N, J).")
+    joint_vel_target = alias_of("_targets.vel", "Velocity targets, rad/s, (N, J).")
+    joint_effort_target = alias_of("_targets.effort", "Feed-forward efforts, N·m, (N, J).")
+    joint_vel_limits = alias_of(
+        "soft_joint_vel_limits", "The actuators' velocity limits, rad/s, (N, J); the engine itself limits no speed."
+    )
 
     @cached_until_change
     def _motion(self) -> torch.Tensor:
-        """Return positions and velocities in MuJoCo's order, float32, (N, nq + nv)."""
         return self._sim.motion.float()
 
     @cached_until_change
     def _positions(self) -> torch.Tensor:
-        """Return positions in MuJoCo's order, float32, (N, nq)."""
         return self._motion[:, : self._qpos.shape[1]]
 
     @cached_until_change
     def _velocities(self) -> torch.Tensor:
-        """Return velocities in MuJoCo's order, float32, (N, nv)."""
         return self._motion[:, self._qpos.shape[1] :]
 
     @cached_until_change
@@ -268,7 +244,7 @@ class RobotData(Kept):
 
     @property
     def joint_pos_measured(self) -> torch.Tensor:
-        """Readings of the joints' encoders, rad, (N, J): position + bias."""
+        """Readings of the joints' encoders, which are position plus bias, rad, (N, J)."""
         return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
 
     @cached_until_change
@@ -278,7 +254,7 @@ class RobotData(Kept):
 
     @cached_until_change
     def joint_acc(self) -> torch.Tensor:
-        """Joint accelerations, rad/s^2, (N, J): finite difference over the last physics step."""
+        """Joint accelerations as finite differences over the last physics step, rad/s^2, (N, J)."""
         return (self.joint_vel - self.joint_vel_before) / self._dt * self._torque_valid
 
     @cached_until_change
@@ -291,10 +267,10 @@ class RobotData(Kept):
         """Joint velocities from which the last physics step started, rad/s, (N, J)."""
         return self._qvel_before.index_select(1, self._dof_ids).float()
 
-    @property
-    def applied_torque(self) -> torch.Tensor:
-        """Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
-        return self._applied_torque
+    applied_torque = alias_of(
+        "_applied_torque",
+        "Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset.",
+    )
 
     @cached_until_change
     def computed_torque(self) -> torch.Tensor:
@@ -323,10 +299,8 @@ class RobotData(Kept):
 
     @cached_until_change
     def body_lin_vel_w(self) -> torch.Tensor:
-        """Velocities of the links' centres of mass, m/s, (N, B, 3).
-
-        MuJoCo's ``cvel`` refers to the centre of mass of the kinematic tree. It is shifted to the bodies' own.
-        """
+        """Velocities of the links' centres of mass, m/s, (N, B, 3)."""
+        # MuJoCo's cvel refers to the centre of mass of the kinematic tree. Shift it to each body's centre of mass.
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,17 +19,7 @@ from wheelleg_exp.state import Kept
 
 
 class RobotLayout(Kept):
-    """The robot's names, order, defaults and limits.
-
-    Args:
-        options: the ``env.robot`` section.
-        spec: the scene's spec, before compilation.
-        root_name: the robot's root body.
-        device: device of the tensors.
-
-    Raises:
-        ConfigError: the section does not fit the robot.
-    """
+    """The robot's names, order, defaults and limits; ConfigError if ``env.robot`` does not fit the robot."""
 
     def __init__(self, options: RobotOptions, spec: mujoco.MjSpec, root_name: str, device: torch.device) -> None:
         self._options = options
@@ -38,15 +27,23 @@ class RobotLayout(Kept):
         bodies = _breadth_first(spec.body(root_name))
         self.body_names = [body.name for body in bodies]
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
-        self._require_base()
+        wanted = options.base
+        if wanted != "auto" and (wanted == "floating") != self.floating:
+            raise ConfigError(
+                f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'",
+                key="env.robot.base",
+                expected="auto, or the base that the model has",
+            )
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
-        self.joint_names = self._order(found)
+        for error in () if options.joint_order is None else order_errors(options.joint_order, found):
+            raise error
+        self.joint_names = found if options.joint_order is None else list(options.joint_order)
         self._read_defaults()
-        if not self.floating:  # init_state places a fixed base for good, and a floating base at the start
+        if not self.floating:  # Events and actions cannot move a fixed base.
             bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
     def bind(self, model: mujoco.MjModel) -> None:
-        """Read ids and limits from the compiled model; ConfigError when a default is outside its joint's limits."""
+        """Read ids and limits from the compiled model; ConfigError if a default is outside its joint's limits."""
         self.qpos_ids = self._ids(int(model.joint(j).qposadr[0]) for j in self.joint_names)
         self.dof_ids = self._ids(int(model.joint(j).dofadr[0]) for j in self.joint_names)
         self.joint_ids = self._ids(int(model.joint(j).id) for j in self.joint_names)
@@ -57,37 +54,13 @@ class RobotLayout(Kept):
         self.velocity_limits = torch.full((len(self.joint_names),), torch.inf, device=self._device)
         self.effort_limits = torch.full_like(self.velocity_limits, torch.inf)
 
-    def add_drive(self, joint_ids: torch.Tensor, velocity_limit: torch.Tensor, effort_limit: torch.Tensor) -> None:
-        """Add the joints (k,) of an actuator group with their limits (k,), rad/s and N·m."""
-        self.actuated_ids = torch.cat((self.actuated_ids, joint_ids))
-        self.velocity_limits[joint_ids] = velocity_limit
-        self.effort_limits[joint_ids] = effort_limit
-
     def _ids(self, ids: Iterable[int]) -> torch.Tensor:
         return torch.tensor(list(ids), dtype=torch.long, device=self._device)
 
     def _numbers(self, values: Any) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
-    def _require_base(self) -> None:
-        wanted = self._options.base
-        if wanted != "auto" and (wanted == "floating") != self.floating:
-            raise ConfigError(
-                f"is '{wanted}', but the model's base is {'floating' if self.floating else 'fixed'}",
-                key="env.robot.base",
-                expected="auto, or the base that the model has",
-            )
-
-    def _order(self, found: list[str]) -> list[str]:
-        wanted = self._options.joint_order
-        if wanted is None:
-            return found
-        for error in order_errors(wanted, found):
-            raise error
-        return list(wanted)
-
     def _read_defaults(self) -> None:
-        """Read the initial state of each joint; a joint that no expression matches starts at 0."""
         init, names = self._options.init_state, self.joint_names
         key = "env.robot.init_state"
         pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
@@ -99,7 +72,6 @@ class RobotLayout(Kept):
         self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
 
     def _read_limits(self, model: mujoco.MjModel) -> None:
-        """Read hard limits from the compiled model, check the default positions, and derive soft limits."""
         ranges = []
         for name, value in zip(self.joint_names, self._default_positions, strict=True):
             index = model.joint(name).id
@@ -117,7 +89,7 @@ class RobotLayout(Kept):
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
-    """Return soft limits (..., 2): ``factor`` times the range about its middle; an infinite range stays infinite."""
+    """Return joint limits (..., 2) scaled by ``factor`` about their middle; infinite limits are unchanged."""
     middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
@@ -125,23 +97,15 @@ def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
 
 
 def _breadth_first(root: Any) -> list[Any]:
-    order, queue = [], deque([root])
-    while queue:
-        body = queue.popleft()
-        order.append(body)
-        queue.extend(body.bodies)
+    order = [root]
+    for body in order:
+        order.extend(body.bodies)
     return order
 
 
 @dataclass
 class JointTargets(Kept):
-    """Targets of every joint in the robot's order, (N, J).
-
-    Attributes:
-        pos: positions, rad.
-        vel: velocities, rad/s.
-        effort: feed-forward efforts, N·m.
-    """
+    """Targets of every joint in the robot's order, (N, J): positions, rad, velocities, rad/s, and efforts, N·m."""
 
     pos: torch.Tensor
     vel: torch.Tensor
@@ -157,16 +121,13 @@ class JointTargets(Kept):
             value.copy_(saved[f"joint_{name}_target"])
 
 
-_ROBOT_GROUP = 1  # geom group for the robot's geoms that are in the ground's group; also drawn by default
+_ROBOT_GROUP = 1  # Robot geoms in the ground's geom group move to this geom group, which MuJoCo also draws by default.
 
 
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
-    """Return a robot and the name of its root body.
+    """Return a robot and the name of its root body; AssetError unless the MJCF file contains exactly one robot.
 
-    Actuators, keyframes and sensors of the file are removed: the config defines them.
-
-    Raises:
-        AssetError: the file is not MJCF, or does not contain exactly one robot.
+    Actuators, keyframes and sensors of the MJCF file are removed, because the config defines actuators and sensors.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf))
@@ -177,15 +138,14 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
         spec.delete(element)
     roots = [body for body in spec.worldbody.bodies if body.joints or body.bodies]
     if len(roots) != 1:
-        raise AssetError(
-            f"the file contains {len(roots)} robots", key=str(mjcf), expected="exactly one tree of moving bodies"
-        )
-    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore events that move the centre of mass
+        message = f"the file contains {len(roots)} robots"
+        raise AssetError(message, key=str(mjcf), expected="exactly one tree of moving bodies")
+    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore events that move the centre of mass.
     return spec, str(roots[0].name)
 
 
 def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
-    """Turn collisions between the robot's geoms on or off; excluded pairs of bodies stay excluded."""
+    """Enable or disable collisions between the robot's geoms; pairs of bodies that the file excludes never collide."""
     if wanted is None:
         return
     for geom in spec.geoms:
@@ -194,7 +154,7 @@ def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
 
 
 def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
-    """Reserve one geom group for the ground, so that rays can select the ground by its group."""
+    """Put only the ground's geoms into the ground's geom group, so that rays can select the ground by its group."""
     for geom in spec.geoms:
         if is_ground(geom.name):
             geom.group = GROUND_GROUP
@@ -203,15 +163,11 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 
 
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
-    """Rotate the frame of the root link about its origin; the robot's shape and mass stay where they are.
+    """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    For robots whose file does not have x forwards and z upwards. Every term reads velocities, gravity and commands in
-    the new frame. ``env.robot.init_state.rot`` is the orientation of the new frame, too.
-
-    Args:
-        spec: the robot, before compilation.
-        root_name: its root body.
-        frame: the new frame's orientation in the file's, (w, x, y, z), of any length.
+    Use this function for robots whose file does not have x forwards and z upwards. Every manager term reads velocities,
+    gravity and commands in the new frame. ``env.robot.init_state.rot`` also refers to the new frame. ``frame`` is the
+    new frame's orientation in the file's frame, a quaternion (w, x, y, z) of any length.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)
@@ -227,8 +183,10 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
 
 
 def _turn_inertia(root: mujoco.MjsBody, back: np.ndarray) -> None:
-    """Rotate the inertia that the file states; an inertia that MuJoCo derives from shapes rotates with them."""
-    root.ipos = _rotated(root.ipos, back)
+    """Rotate an explicit inertia. MuJoCo derives all other inertias from the shapes, which are rotated already."""
+    ipos = np.empty(3)
+    mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
+    root.ipos = ipos
     if not np.isnan(root.fullinertia[0]):
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, back)
@@ -240,9 +198,3 @@ def _turn_inertia(root: mujoco.MjsBody, back: np.ndarray) -> None:
         quat = np.empty(4)
         mujoco.mju_mulQuat(quat, back, np.asarray(root.iquat, dtype=float))
         root.iquat = quat
-
-
-def _rotated(vector: Sequence[float], quat: np.ndarray) -> np.ndarray:
-    result = np.empty(3)
-    mujoco.mju_rotVecQuat(result, np.asarray(vector, dtype=float), quat)
-    return result

@@ -11,9 +11,9 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.actuators import ActuatorBase, ImplicitActuator
 from wheelleg_exp.sim.articulation_data import ArticulationData
-from wheelleg_exp.sim.class_members import declare_unsupported
+from wheelleg_exp.sim.class_members import alias_of, declare_unsupported
 from wheelleg_exp.sim.engine import WRENCHES, Engine
-from wheelleg_exp.sim.ids import Columns, EnvIds, chosen, columns
+from wheelleg_exp.sim.ids import Ids, chosen, columns
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout, soft_limits
@@ -21,6 +21,8 @@ from wheelleg_exp.state import Kept
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
+_STRONGEST = 1e10  # N·m; a drive without a torque limit gets MuJoCo's largest number
+Values = torch.Tensor | float
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
 
@@ -31,11 +33,16 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
     | {f"write_{kind}_tendon_properties_to_sim": _TENDONS for kind in ("fixed", "spatial")}
 )
 class RobotWriters(Kept):
-    """Find joints and bodies, write the state, and set targets; indices are tensors, lists, slices, or None for all.
+    """Methods that find joints and bodies, write the robot's state and parameters, and set joint targets.
 
-    Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity, in world axes.
+    Indices are tensors, lists, slices, or None, which means all. Poses, velocities and states are in world axes. A pose
+    is (x, y, z) and a quaternion (w, x, y, z). A velocity is a linear and an angular velocity. A state is a pose and a
+    velocity. Values of joint parameters are (n, k) for n environments and k joints, or one number. A joint without an
+    actuator ignores gains and limits.
     """
 
+    options: RobotOptions
+    actuators: dict[str, ActuatorBase]
     layout: RobotLayout
     targets: JointTargets
     data: ArticulationData
@@ -51,20 +58,11 @@ class RobotWriters(Kept):
     _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
-        """Mark ``ids`` as written (state or model fields), so that derived quantities are recomputed."""
+        """Mark the state or model fields of ``ids`` as written, so that derived quantities are recomputed."""
         raise NotImplementedError
 
-    # --- names ---
-
-    @property
-    def body_names(self) -> list[str]:
-        """Names of the bodies, breadth first."""
-        return self.layout.body_names
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the joints in the order that terms see."""
-        return self.layout.joint_names
+    body_names = alias_of("layout.body_names", "Names of the bodies, breadth first.")
+    joint_names = alias_of("layout.joint_names", "Names of the joints in the order that terms see.")
 
     @property
     def num_joints(self) -> int:
@@ -76,20 +74,14 @@ class RobotWriters(Kept):
         """Number of bodies, B."""
         return len(self.body_names)
 
-    @property
-    def num_instances(self) -> int:
-        """Number of environments, N."""
-        return self._sim.num_envs
+    num_instances = alias_of("_sim.num_envs", "Number of environments, N.")
 
     @property
     def is_fixed_base(self) -> bool:
         """Whether the base is fixed."""
         return not self.layout.floating
 
-    @property
-    def device(self) -> torch.device:
-        """Device of the tensors."""
-        return self._sim.device
+    device = alias_of("_sim.device", "Device of the robot's tensors.")
 
     @property
     def is_initialized(self) -> bool:
@@ -104,16 +96,10 @@ class RobotWriters(Kept):
         *,
         key: str | None = None,
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the joints that match.
+        """Return indices and names of the joints that match expressions; ConfigError if an expression matches no joint.
 
-        Args:
-            name_keys: expressions.
-            joint_subset: names to search; indices refer to this list. None means all joints.
-            preserve_order: order by expression (True) or by the robot (False).
-            key: config key of the expressions, for messages.
-
-        Raises:
-            ConfigError: an expression matches no joint.
+        Indices refer to ``joint_subset``, or to all joints. With ``preserve_order``, the joints are in the order of the
+        expressions instead of the robot's order. ``key`` is the config key of the expressions for error messages.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -124,9 +110,7 @@ class RobotWriters(Kept):
         """Return indices and names of the bodies that match (see ``find_joints``)."""
         return match_names(name_keys, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
-    # --- root ---
-
-    def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the root link's pose (n, 7)."""
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
@@ -138,7 +122,7 @@ class RobotWriters(Kept):
 
     write_root_link_pose_to_sim = write_root_pose_to_sim
 
-    def write_root_com_pose_to_sim(self, root_pose: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_com_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the pose (n, 7) of the root body's centre of mass and principal axes."""
         ids = self._rows(env_ids)
         axes = self.data.body_com_quat_b[ids, 0]
@@ -146,7 +130,7 @@ class RobotWriters(Kept):
         position = root_pose[:, 0:3] - rotation.rotate(rotation.quat_to_matrix(quat), self.data.com_b[ids])
         self.write_root_pose_to_sim(torch.cat((position, quat), dim=1), ids)
 
-    def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the velocity (n, 6) of the root body's centre of mass, at the present orientation."""
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
@@ -159,7 +143,7 @@ class RobotWriters(Kept):
 
     write_root_com_velocity_to_sim = write_root_velocity_to_sim
 
-    def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the velocity (n, 6) of the root link's origin, at the present orientation."""
         self._require_floating()
         ids, velocity = self._rows(env_ids), root_velocity.to(self._sim.dtype)
@@ -172,69 +156,59 @@ class RobotWriters(Kept):
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
 
-    def write_root_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_state_to_sim(self, root_state: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the root link's pose and its centre of mass's velocity (n, 13)."""
         self.write_root_pose_to_sim(root_state[:, :7], env_ids)
         self.write_root_velocity_to_sim(root_state[:, 7:], env_ids)
 
-    def write_root_link_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_link_state_to_sim(self, root_state: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the root link's pose and its origin's velocity (n, 13)."""
         self.write_root_pose_to_sim(root_state[:, :7], env_ids)
         self.write_root_link_velocity_to_sim(root_state[:, 7:], env_ids)
 
-    def write_root_com_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+    def write_root_com_state_to_sim(self, root_state: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the pose and the velocity (n, 13) of the root body's centre of mass."""
         self.write_root_com_pose_to_sim(root_state[:, :7], env_ids)
         self.write_root_velocity_to_sim(root_state[:, 7:], env_ids)
 
-    # --- joints ---
-
     def write_joint_state_to_sim(
-        self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+        self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None
     ) -> None:
-        """Set joint positions and velocities (n, k), rad and rad/s; the next accelerations start from them."""
+        """Set joint positions and velocities (n, k), rad and rad/s, without an effect on the reported accelerations."""
         self.write_joint_position_to_sim(position, joint_ids, env_ids)
         self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
 
-    def write_joint_position_to_sim(
-        self, position: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
+    def write_joint_position_to_sim(self, position: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set joint positions (n, k), rad."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qpos[ids.unsqueeze(1), self.layout.qpos_ids[joints]] = position.to(self._sim.dtype)
         self.mark_written(ids)
 
-    def write_joint_velocity_to_sim(
-        self, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
-        """Set joint velocities (n, k), rad/s; the next joint accelerations start from them."""
+    def write_joint_velocity_to_sim(self, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
+        """Set joint velocities (n, k), rad/s, without an effect on the reported accelerations."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joints]] = velocity.to(self._sim.dtype)
         self.data.set_velocity_before(ids, joints, velocity)
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
 
-    def set_joint_position_target(
-        self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
-        """Set position targets (n, k), rad."""
+    def set_joint_position_target(self, target: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
+        """Set the joints' position targets (n, k), rad."""
         self._set_target(self.targets.pos, target, joint_ids, env_ids)
 
-    def set_joint_velocity_target(
-        self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
-        """Set velocity targets (n, k), rad/s, clipped to the actuators' velocity limits."""
+    def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
+        """Set the joints' velocity targets (n, k), rad/s, clipped to the actuators' velocity limits."""
         joints = columns(joint_ids, self.device)
         limit = self.data.soft_joint_vel_limits[:, joints]
         if env_ids is not None:
             limit = limit[self._rows(env_ids)]
         self._set_target(self.targets.vel, torch.clamp(target, -limit, limit), joints, env_ids)
 
-    def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
-        """Set feed-forward efforts (n, k), N·m."""
+    def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
+        """Set the joints' feed-forward efforts (n, k), N·m."""
         self._set_target(self.targets.effort, target, joint_ids, env_ids)
 
-    def _set_target(self, of: torch.Tensor, target: torch.Tensor, joint_ids: Columns, env_ids: EnvIds) -> None:
+    def _set_target(self, of: torch.Tensor, target: torch.Tensor, joint_ids: Ids, env_ids: Ids) -> None:
         joints = columns(joint_ids, self.device)
         if env_ids is None:
             of[:, joints] = target
@@ -244,28 +218,20 @@ class RobotWriters(Kept):
             of[self._rows(env_ids).unsqueeze(1), joints] = target
         self._has_new_targets = True
 
-    # --- wrenches ---
-
     def set_external_force_and_torque(
         self,
         forces: torch.Tensor,
         torques: torch.Tensor,
         positions: torch.Tensor | None = None,
-        body_ids: Columns = None,
-        env_ids: EnvIds = None,
+        body_ids: Ids = None,
+        env_ids: Ids = None,
         is_global: bool = False,
     ) -> None:
         """Set forces (n, k, 3) in N and torques (n, k, 3) in N·m on bodies, until the next reset of ``env_ids``.
 
-        Forces act at the centres of mass. Forces and torques are in link axes and rotate with the links.
-
-        Args:
-            forces: forces.
-            torques: torques.
-            positions: points of application in the link's frame (in the world, with ``is_global``), m, (n, k, 3).
-            body_ids: bodies (k,).
-            env_ids: environments (n,).
-            is_global: whether forces and torques are in world axes now; afterwards they rotate with the links.
+        Forces act at the centres of mass, or at ``positions`` (n, k, 3), m, in the link's frame. Forces and torques are
+        in link axes and rotate with the links. With ``is_global``, forces, torques and positions are in world axes at
+        the time of the call.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -285,7 +251,7 @@ class RobotWriters(Kept):
         self.set_permanent_wrench(ids, bodies.tolist(), torch.cat((forces, torques), dim=-1))
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
-        """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
+        """Set wrenches (n, k, 6) at the bodies' centres of mass, in link axes, until the next reset of ``ids``."""
         columns_of_bodies = wrench.view(ids.shape[0], -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
         for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
             self._wrench[:, body].index_copy_(0, ids, values)
@@ -297,17 +263,16 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        if not set(body_ids) <= set(self._wrench_bodies):  # keep the same tuple: a captured step compares its identity
+        # A captured CUDA graph compares the identity of this tuple, so replace the tuple only if a body is new.
+        if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
 
-    # --- other members ---
-
     def update(self, dt: float) -> None:
-        """Do nothing: ``data`` is always current."""
+        """Do nothing, because ``data`` is always current."""
         del dt
 
-    def _rows(self, env_ids: EnvIds) -> torch.Tensor:
+    def _rows(self, env_ids: Ids) -> torch.Tensor:
         return chosen(env_ids, self._all_ids)
 
     def _require_floating(self) -> None:
@@ -317,33 +282,15 @@ class RobotWriters(Kept):
                 expected="terms that do not move the root, or env.robot.base=floating",
             )
 
-
-_STRONGEST = 1e10  # N·m: MuJoCo's largest number represents a drive without a limit
-Values = torch.Tensor | float
-
-
-class RobotParameterWriters(RobotWriters):
-    """Isaac Lab's methods that write joint parameters; values are (n, k) for environments and joints, or one number.
-
-    Gains and limits belong to the joints' actuators of any model; a joint without an actuator ignores them.
-    """
-
-    options: RobotOptions
-    actuators: dict[str, ActuatorBase]
-
-    def write_joint_stiffness_to_sim(
-        self, stiffness: Values, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
+    def write_joint_stiffness_to_sim(self, stiffness: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set kp of the joints' actuators, N·m/rad."""
         self._write_gain("stiffness", 1, stiffness, joint_ids, env_ids)
 
-    def write_joint_damping_to_sim(self, damping: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+    def write_joint_damping_to_sim(self, damping: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set kd of the joints' actuators, N·m·s/rad."""
         self._write_gain("damping", 2, damping, joint_ids, env_ids)
 
-    def write_joint_effort_limit_to_sim(
-        self, limits: Values, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
+    def write_joint_effort_limit_to_sim(self, limits: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set the largest torques of the joints' actuators, N·m."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._assign(self.data.joint_effort_limits, ids, joints, limits)
@@ -353,15 +300,13 @@ class RobotParameterWriters(RobotWriters):
             both = torch.stack((-largest, largest), dim=2)
             field[ids, place] = torch.where(named.unsqueeze(1), both, field[ids, place])
 
-    def write_joint_velocity_limit_to_sim(
-        self, limits: Values, joint_ids: Columns = None, env_ids: EnvIds = None
-    ) -> None:
+    def write_joint_velocity_limit_to_sim(self, limits: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set the largest speeds of the joints' actuators, rad/s, to which velocity targets are clipped."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._assign(self.data.soft_joint_vel_limits, ids, joints, limits)
         self._write_drives("velocity_limit", ids, joints, limits)
 
-    def write_joint_armature_to_sim(self, armature: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+    def write_joint_armature_to_sim(self, armature: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set reflected rotor inertias, kg·m^2."""
         self._write_dofs("dof_armature", armature, joint_ids, env_ids)
         self._sim.set_const()
@@ -371,8 +316,8 @@ class RobotParameterWriters(RobotWriters):
         joint_friction_coeff: Values,
         joint_dynamic_friction_coeff: Values | None = None,
         joint_viscous_friction_coeff: Values | None = None,
-        joint_ids: Columns = None,
-        env_ids: EnvIds = None,
+        joint_ids: Ids = None,
+        env_ids: Ids = None,
     ) -> None:
         """Set friction losses, N·m, and passive dampings, N·m·s/rad; MuJoCo has no separate dynamic friction."""
         del joint_dynamic_friction_coeff
@@ -381,17 +326,13 @@ class RobotParameterWriters(RobotWriters):
             self.write_joint_viscous_friction_coefficient_to_sim(joint_viscous_friction_coeff, joint_ids, env_ids)
 
     def write_joint_viscous_friction_coefficient_to_sim(
-        self, joint_viscous_friction_coeff: Values, joint_ids: Columns = None, env_ids: EnvIds = None
+        self, joint_viscous_friction_coeff: Values, joint_ids: Ids = None, env_ids: Ids = None
     ) -> None:
         """Set passive dampings, N·m·s/rad."""
         self._write_dofs("dof_damping", joint_viscous_friction_coeff, joint_ids, env_ids)
 
     def write_joint_position_limit_to_sim(
-        self,
-        limits: torch.Tensor,
-        joint_ids: Columns = None,
-        env_ids: EnvIds = None,
-        warn_limit_violation: bool = True,
+        self, limits: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None, warn_limit_violation: bool = True
     ) -> None:
         """Set joint limits (n, k, 2), rad, which may be infinite; update soft limits, and clamp default positions."""
         del warn_limit_violation
@@ -403,19 +344,19 @@ class RobotParameterWriters(RobotWriters):
         data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
         rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
         written = now[:, joints].to(sim.dtype)
-        # MuJoCo has one switch for both limits. If only one limit is finite, a very distant number replaces the other.
+        # MuJoCo has one switch for both limits of a joint. A very large number replaces an infinite limit.
         far = 2.0 * math.pi * 1e6
         if sim.may_differ("jnt_limited") or not self.layout.all_limited:
             sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
         sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
 
-    def write_encoder_bias(self, bias: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+    def write_encoder_bias(self, bias: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set the encoders' bias (reading minus position), rad."""
         self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
         self._has_new_targets = True
         self.data.invalidate()
 
-    def _write_gain(self, name: str, column: int, values: Values, joint_ids: Columns, env_ids: EnvIds) -> None:
+    def _write_gain(self, name: str, column: int, values: Values, joint_ids: Ids, env_ids: Ids) -> None:
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         for place, written, named in self._write_drives(name, ids, joints, values):
             field = self._sim.expand("actuator_biasprm")
@@ -425,12 +366,12 @@ class RobotParameterWriters(RobotWriters):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Write a gain or limit of the actuators by its name.
+        """Write the actuators' gain or limit ``name``.
 
-        Returns:
-            For each group whose drive is in the solver: slice of its controls, values (n, k), mask (k,) of the joints.
+        For each group with a drive in the solver, return the slice of its controls, its values (n, k), and the mask
+        (k,) of the written joints.
         """
-        self._has_new_targets = True  # the drives' controls depend on gains, too
+        self._has_new_targets = True  # The controls of drives in MuJoCo's solver also depend on the gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)
@@ -444,7 +385,7 @@ class RobotParameterWriters(RobotWriters):
                 found.append((place, theirs, which))
         return found
 
-    def _write_dofs(self, field: str, values: Values, joint_ids: Columns, env_ids: EnvIds) -> None:
+    def _write_dofs(self, field: str, values: Values, joint_ids: Ids, env_ids: Ids) -> None:
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         if isinstance(values, torch.Tensor):
             values = values.to(self._sim.dtype)
@@ -452,7 +393,6 @@ class RobotParameterWriters(RobotWriters):
 
     @staticmethod
     def _assign(of: torch.Tensor, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values) -> None:
-        """Write values (n, k, ...) into a tensor (N, J, ...)."""
         rows = of[ids]
         rows[:, joints] = values
         of[ids] = rows

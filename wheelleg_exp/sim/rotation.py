@@ -1,7 +1,7 @@
 """Rotations of whole tensors. Quaternions are (w, x, y, z); angles are radians.
 
-In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that one operation runs over all
-N matrices. Vectors (N, 3) and quaternions (N, 4) are contiguous as usual.
+In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that each operation processes a
+contiguous row. Vectors (N, 3) and quaternions (N, 4) are contiguous as usual.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from functools import cache
 
 import torch
 
-# R_ij as a linear map of the 16 products q_a q_b of a unit quaternion, (16, 9); row a*4+b.
+# This (16, 9) matrix maps the products q_a q_b of a unit quaternion, row a*4+b, to the rotation matrix R.
 _PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
@@ -24,7 +24,7 @@ for _i in range(3):
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
 
-# The Hamilton product as a linear map: the component that a_i b_j adds to, and its sign.
+# The table of the Hamilton product: each a_i b_j has the component that it is added to, and a sign.
 _PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
@@ -45,25 +45,16 @@ _HALF_ANGLES_TO_QUAT = _HALF_ANGLES_TO_QUAT.reshape(8, 4)
 
 
 @cache
-def _matrix_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    return _PRODUCTS_TO_MATRIX.to(device, dtype)
-
-
-@cache
-def _quat_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    return _PRODUCTS_TO_QUAT.to(device, dtype)
-
-
-@cache
-def _half_angles_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    return _HALF_ANGLES_TO_QUAT.to(device, dtype)
+def _on(table: torch.Tensor, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return table.to(device, dtype)
 
 
 def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
-    parts, table, n = q.T.contiguous(), _matrix_table(q.dtype, q.device), q.shape[0]
+    parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    if n == 1:  # a matrix-vector product sums in another order, which would change the last bit
+    # A matrix-vector product has a different summation order than a matrix product, and so a different last bit.
+    if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)
 
@@ -81,7 +72,7 @@ def rotate_inverse(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
 def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return the Hamilton product of quaternions (n, 4)."""
     products = (a.unsqueeze(2) * b.unsqueeze(1)).flatten(1)
-    return products @ _quat_table(products.dtype, products.device)
+    return products @ _on(_PRODUCTS_TO_QUAT, products.dtype, products.device)
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
@@ -89,7 +80,7 @@ def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tens
     half = torch.stack((roll, pitch, yaw), dim=1) / 2
     roll, pitch, yaw = torch.stack((half.cos(), half.sin()), dim=2).unbind(dim=1)
     products = (roll.unsqueeze(2) * pitch.unsqueeze(1)).unsqueeze(3) * yaw.view(-1, 1, 1, 2)
-    return products.flatten(1) @ _half_angles_table(products.dtype, products.device)
+    return products.flatten(1) @ _on(_HALF_ANGLES_TO_QUAT, products.dtype, products.device)
 
 
 def random_quat(count: int, generator: torch.Generator) -> torch.Tensor:
@@ -104,5 +95,5 @@ def wrap_to_pi(angles: torch.Tensor) -> torch.Tensor:
 
 
 def uniform(low: torch.Tensor, high: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Return U(low, high), (count, k), for bounds (k,)."""
+    """Return uniform random numbers (count, k) within the bounds ``low`` and ``high``, (k,)."""
     return low + (high - low) * torch.rand(count, low.shape[0], generator=generator, device=low.device)

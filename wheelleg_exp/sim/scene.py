@@ -27,25 +27,14 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_FILE_PATHS = ("paths", "npaths", "nbuffer")  # model fields that contain or count the paths of its files
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # These fields contain or count the file paths of a model.
 
 
 class Scene(Kept):
-    """Ground, robot and sensors of N environments.
+    """The ground, the robot and the sensors of N environments.
 
-    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until
-    ``play`` the model is a spec that can be edited.
-
-    Args:
-        mjcf: the robot's MJCF file.
-        num_envs: number of environments, N.
-        sim: the engine and the solver.
-        scene: the spacing of the environments.
-        terrain: the ground.
-        robot: the robot's options.
-        actuators: the robot's actuator groups by name.
-        sensors: sensors by name.
-        stream: returns the random stream of a config path.
+    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Before
+    ``play``, the model is a MuJoCo spec that can be edited. ``stream`` returns the random stream for a config key.
     """
 
     outside_graphs = ("_compiled", "spec", "options", "_sim_options")
@@ -104,10 +93,16 @@ class Scene(Kept):
             with blamed(sensor.key, sensor):
                 sensor.connect(self.sim, partial(self._stream, sensor.key))
             require_base_called(sensor, "_sim", "connect(sim, stream)")
-        self._place_at_defaults()
+        robot, data = self.robot, self.robot.data
+        if robot.floating:
+            pose = data.default_root_state[:, :7].clone()
+            pose[:, :3] += self.env_origins
+            robot.write_root_pose_to_sim(pose)
+        robot.write_joint_state_to_sim(data.default_joint_pos, data.default_joint_vel)
+        self.refresh()
 
     def __getitem__(self, name: str) -> Any:
-        if name == "robot":  # first, because most terms read it in every step
+        if name == "robot":
             return self.robot
         return self.terrain if name == "terrain" else self.sensors[name]
 
@@ -115,7 +110,7 @@ class Scene(Kept):
         return iter(("robot", "terrain", *self.sensors))
 
     def keys(self) -> list[str]:
-        """Return the names of the members."""
+        """Return the names of the scene's members."""
         return list(self)
 
     @property
@@ -125,12 +120,12 @@ class Scene(Kept):
 
     @property
     def articulations(self) -> dict[str, Robot]:
-        """The scene's one robot, by name."""
+        """A dictionary with the scene's only robot, by name."""
         return {"robot": self.robot}
 
     @property
     def rigid_objects(self) -> dict[str, Any]:
-        """Free bodies in addition to the robot: always empty."""
+        """An empty dictionary, because the scene has no free bodies in addition to the robot."""
         return {}
 
     @property
@@ -151,11 +146,12 @@ class Scene(Kept):
         return sensor
 
     def model_digest(self) -> str:
-        """Return the sha256 of the compiled model, which identifies everything that physics reads."""
+        """Return the sha256 of the compiled model, which covers every value that the physics depends on."""
         return model_digest(self.model)
 
     def require_compiled_model(self) -> None:
-        """Raise ConfigError if a term has written to ``model``, and name the fields: engines simulate a copy of it."""
+        """Raise ConfigError, with the changed fields, if a term has written to ``model``."""
+        # The engine simulates a copy of the model. Without this error, a write to the model would have no effect.
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(
@@ -167,7 +163,7 @@ class Scene(Kept):
             )
 
     def write_data_to_sim(self) -> None:
-        """Run the actuators and write controls and wrenches, before each physics step."""
+        """Compute the actuators' controls and write controls and wrenches, before each physics step."""
         self.robot.write_data_to_sim()
 
     def unstable(self) -> torch.Tensor:
@@ -177,17 +173,15 @@ class Scene(Kept):
         return self._unstable
 
     def motion(self) -> dict[str, torch.Tensor]:
-        """Return the engine's positions and velocities, (N, ...), by a name for reports."""
+        """Return the engine's positions and velocities, (N, ...), by the names that failure reports use."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
-        ``root_pose`` (N, 7), m and (w, x, y, z); ``root_velocity`` (N, 6), of the centre of mass in world axes, m/s and
-        rad/s; ``joint_position`` and ``joint_velocity`` (N, J), rad and rad/s.
-
-        Args:
-            is_relative: whether positions are relative to the environments' origins.
+        ``root_pose`` (N, 7), m and (w, x, y, z), relative to the environments' origins with ``is_relative``;
+        ``root_velocity`` (N, 6), of the centre of mass in world axes, m/s and rad/s; ``joint_position`` and
+        ``joint_velocity`` (N, J), rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -200,7 +194,7 @@ class Scene(Kept):
         return {"articulation": {"robot": state}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return the tensors that terms may have written to (see ``Engine.asked``), by a name for reports."""
+        """Return the tensors that terms may have written to (see ``Engine.asked``), by the names of failure reports."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}
@@ -236,7 +230,7 @@ class Scene(Kept):
         return log
 
     def refresh(self) -> None:
-        """Recompute derived quantities for the present state, even if it was written past the robot's methods."""
+        """Recompute derived quantities for the present state, even if no method of the robot wrote that state."""
         self.show_written()
         self.robot.data.invalidate()
 
@@ -251,7 +245,7 @@ class Scene(Kept):
                     sensor.refresh(ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of physics, robot and sensors."""
+        """Return the saved state of the physics engine, the robot and the sensors."""
         return {
             "sim": self.sim.state_dict(),
             "robot": self.robot.state_dict(),
@@ -271,34 +265,20 @@ class Scene(Kept):
         self.terrain.load_state_dict(saved.get("terrain", {}))
 
     def _effective_friction(self, spec: mujoco.MjSpec, source: str) -> None:
-        """Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions.
-
-        MuJoCo takes the friction of the geom with the higher priority, so the robot's geoms get that.
-        """
+        """Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions."""
+        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get that priority.
         ground = self.terrain.friction(source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
                 geom.priority = _ROBOT_PRIORITY
                 geom.friction[0] = (geom.friction[0] + ground) / 2
 
-    def _place_at_defaults(self) -> None:
-        robot, data = self.robot, self.robot.data
-        if robot.floating:
-            pose = data.default_root_state[:, :7].clone()
-            pose[:, :3] += self.env_origins
-            robot.write_root_pose_to_sim(pose)
-        robot.write_joint_state_to_sim(data.default_joint_pos, data.default_joint_vel)
-        self.refresh()
-
 
 def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> Engine:
-    """Return the engine that ``env.sim.engine`` names, with N simulations of the model.
-
-    Raises:
-        ConfigError: a package or a device of the engine is missing, or the engine cannot simulate the model.
-    """
+    """Return the engine that ``env.sim.engine`` names, with N simulations; ConfigError if the engine is unusable."""
     if options.engine == "warp":
-        from wheelleg_exp.sim.warp_engine import WarpEngine  # imports heavy, optional packages
+        # The module of the Warp engine imports large optional packages.
+        from wheelleg_exp.sim.warp_engine import WarpEngine
 
         return WarpEngine(model, num_envs, options)
     return BatchEngine(model, num_envs, options.nthread)
@@ -313,7 +293,6 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 
 def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the numbers and names of a model, without the paths of its files."""
     for prefix, holder in (("", model), ("opt.", model.opt)):
         for name in sorted(dir(holder)):
             if name.startswith("_") or name in _FILE_PATHS or name.endswith("pathadr"):
@@ -324,7 +303,6 @@ def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _checksums(model: mujoco.MjModel) -> dict[str, int]:
-    """Return a checksum of each field of a model by name; each checkpoint compares these checksums."""
     return {name: zlib.crc32(np.ascontiguousarray(value).data) for name, value in _fields(model)}
 
 

@@ -1,4 +1,4 @@
-"""Ray casts on the CPU against geoms that never move, such as the ground, in a model of these geoms alone."""
+"""Ray casts on the CPU against static geoms, such as the ground, in a model that contains only these geoms."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # m: boxes are enlarged by this margin against rounding errors
+_MARGIN = 1e-6  # m; the boxes are enlarged by this margin, because of rounding errors
 
 Floats = npt.NDArray[np.float64]
 
 
 class GeomBoxes:
-    """The axis-aligned boxes around geoms that never move; the box of a plane is infinite.
-
-    Args:
-        model: a model that contains only these geoms.
-    """
+    """The axis-aligned boxes around the geoms of a model that never move; the box of a plane is infinite."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
@@ -34,16 +30,11 @@ class GeomBoxes:
         self._all_high = self._high[ends].max(axis=0, initial=-np.inf)
 
     def reached(self, origins: Floats, directions: Floats) -> npt.NDArray[np.bool_]:
-        """Return which geoms (n, G) the rays of each row may hit: a superset of the geoms that they hit.
-
-        Args:
-            origins: world, m, (n, R, 3).
-            directions: world, (n, R, 3).
-        """
+        """Return which geoms (n, G) the rays (n, R, 3) of each row may hit: a superset of the geoms that they hit."""
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # much faster than one comparison of three axes
+        for axis in range(3):  # Three comparisons of one axis are much faster than one comparison of three axes.
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
@@ -65,22 +56,18 @@ class GeomBoxes:
 
 
 _GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
-_ROWS = 32  # simulations per thread, which determines how finely rays are distributed over threads
-_MANY = 8  # number of geoms from which on each block of rays sees only the geoms that it may hit
+_ROWS = 32  # simulations per thread
+_MANY = 8  # With this many geoms or more, a block of rays is tested only against geoms that the rays may hit.
 _TOGETHER = 48  # rays in a block
 _SHOWN, _HIDDEN = 0, 1  # geom groups
 
 
 class StaticGeoms:
-    """A group of geoms that is equal in all simulations, so that any simulation can cast any ray.
+    """A group of static geoms that is equal in all simulations, so that any simulation can cast any ray.
 
     The rays are cast in a model without the robot, because MuJoCo tests each ray against every geom of a model.
-
-    Args:
-        model: the whole model.
-        group: the geoms' group.
-        alone: returns a model that contains only these geoms, with the same names; called at the first ray.
-        nthread: number of threads.
+    ``alone`` returns the model that contains only the static geoms, with the same names. The first ray cast calls
+    ``alone``.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:
@@ -95,13 +82,10 @@ class StaticGeoms:
             alone = self._make()
             self._is_same = self._same(alone)
             if self._is_same:
-                self._prepare(alone)
+                self._batch = Batch(alone, self._nthread * _ROWS, nthread=self._nthread)
+                if alone.ngeom >= _MANY:
+                    self._reach, self._groups = GeomBoxes(alone), self._batch.expand("geom_group")
         return self._is_same and not any(name in expanded for name in _GEOM_FIELDS)
-
-    def _prepare(self, alone: mujoco.MjModel) -> None:
-        self._batch = Batch(alone, self._nthread * _ROWS, nthread=self._nthread)
-        if alone.ngeom >= _MANY:
-            self._reach, self._groups = GeomBoxes(alone), self._batch.expand("geom_group")
 
     def ray(self, origins: Floats, directions: Floats) -> Floats:
         """Return the distances of the first hits, (n, R), of rays (n, R, 3), as ``Engine.ray`` does."""

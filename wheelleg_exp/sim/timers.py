@@ -1,7 +1,7 @@
 """Countdown timers on a GPU, checked on the host without waiting for the GPU.
 
-A lower bound of the smallest timer is copied to the host asynchronously every few steps. While that bound, less the
-time since, is above zero, no timer can have expired.
+A lower bound of the smallest timer is copied to the host asynchronously every few steps. No timer can have expired
+while this bound exceeds the time since the copy.
 """
 
 from __future__ import annotations
@@ -9,19 +9,15 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # steps between two copies from the GPU
-_SLACK = 1e-3  # s: margin for rounding errors of float32
+_EVERY = 16  # The smallest timer is copied from the GPU every 16 steps.
+_SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return False only if no timer can have expired; on a CPU always True, because reading the timers is cheap there.
+    """Return False only if no timer can have expired. Always return True on a CPU, where reading the timers is cheap.
 
-    Code that sets a timer to less than ``least`` must call ``forget``.
-
-    Args:
-        timers: remaining times, s, (n,); call once per step.
-        least: smallest value that a timer is set to, s.
-        dt: time since the last call, s.
+    Call this function once per step. ``timers`` are the remaining times, s, (n,); ``dt`` is the time since the last
+    call, s. Code that sets a timer to less than ``least``, s, must call ``forget``.
     """
     if not timers.is_cuda:
         return True
@@ -31,7 +27,7 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Drop all bounds, because timers were set by other code, such as the restoring of a state."""
+    """Drop all bounds, because other code has set timers, such as code that restores a checkpoint."""
     _bounds.clear()
 
 
@@ -45,24 +41,20 @@ class _Bound:
         self._age, self._steps = 0.0, 0
 
     def may_be_due(self, timers: torch.Tensor, least: float, dt: float) -> bool:
-        """Return False only if no timer can have expired (see the function)."""
         self._bound -= dt
         self._age += dt
         if self._arrived is not None and self._arrived.query() and self._smallest is not None:
             self._bound = min(float(self._smallest), least) - self._age - dt - _SLACK
             self._arrived = None
         if self._steps % _EVERY == 0 and self._arrived is None:
-            self._copy(timers)
+            if self._smallest is None:
+                with torch.inference_mode(False):
+                    self._smallest = torch.zeros((), dtype=timers.dtype, device="cpu", pin_memory=True)
+            self._smallest.copy_(timers.amin(), non_blocking=True)
+            self._arrived, self._age = torch.cuda.Event(), 0.0
+            self._arrived.record()
         self._steps += 1
         return self._bound <= 0.0
-
-    def _copy(self, timers: torch.Tensor) -> None:
-        if self._smallest is None:
-            with torch.inference_mode(False):
-                self._smallest = torch.zeros((), dtype=timers.dtype, device="cpu", pin_memory=True)
-        self._smallest.copy_(timers.amin(), non_blocking=True)
-        self._arrived, self._age = torch.cuda.Event(), 0.0
-        self._arrived.record()
 
 
 _bounds: WeakTensorKeyDictionary = WeakTensorKeyDictionary()

@@ -16,42 +16,31 @@ from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.warp_fields import DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
-_CONTACTS = 24  # per simulation, on average: a wheel-legged robot that lies on the ground has about twelve
-_ON_RELIEF = 48  # a height field or a mesh touches one geom in several points
+# Contacts per simulation, on average. A wheel-legged robot that lies on the ground has about twelve contacts.
+_CONTACTS = 24
+_ON_RELIEF = 48  # A height field or a mesh touches one geom in several points.
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """Capacity of mujoco-warp's buffers per simulation.
-
-    Attributes:
-        contacts: contacts; all simulations share one buffer.
-        rows: constraint rows; each simulation has its own buffer.
-    """
+    """Capacity of mujoco-warp's buffers, as ``contacts`` and constraint ``rows`` per simulation."""
 
     contacts: int
     rows: int
 
 
 def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
-    """Return the capacity for a model, with estimates in place of 0.
-
-    Args:
-        model: the compiled scene.
-        nconmax: contacts per simulation, or 0.
-        njmax: constraint rows per simulation, or 0.
-    """
+    """Return the capacity for a model; values of 0 for ``nconmax`` and ``njmax``, per simulation, are estimated."""
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     relief = bool((np.isin(model.geom_type, uneven) & solid).any())
     contacts = nconmax or (_ON_RELIEF if relief else _CONTACTS)
     if njmax:
         return Capacity(contacts, njmax)
-    rows_of_contact = 2 * (
-        int(model.geom_condim.max(initial=3)) - 1
-    )  # a pyramidal cone needs more than an elliptic one
+    # A pyramidal friction cone needs more constraint rows than an elliptic friction cone.
+    rows_of_contact = 2 * (int(model.geom_condim.max(initial=3)) - 1)
     rows = contacts * rows_of_contact + model.neq * _ROWS_OF_EQUALITY
     rows += int((model.jnt_limited != 0).sum()) + int((model.dof_frictionloss != 0).sum())
     rows += int((model.tendon_limited != 0).sum()) + int((model.tendon_frictionloss != 0).sum())
@@ -61,10 +50,7 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
 class Overflow:
     """Detects that contacts or constraint rows exceeded the capacity, without waiting for a GPU.
 
-    Args:
-        kinds: mujoco-warp's enumeration of overflows.
-        flags: mujoco-warp's overflow flags of each simulation, (N,) int, a live view; they are never cleared.
-        room: the capacity.
+    ``flags`` are mujoco-warp's overflow flags of each simulation, (N,) int: a live view that is never cleared.
     """
 
     def __init__(self, kinds: Any, flags: torch.Tensor, room: Capacity) -> None:
@@ -74,16 +60,12 @@ class Overflow:
         self._seen = torch.zeros((), dtype=flags.dtype, device="cpu", pin_memory=flags.is_cuda)
 
     def look(self) -> None:
-        """Start copying the present flags to the host; ``require_none`` reads the copy once it has arrived."""
+        """Start copying the overflow flags to the host; ``require_none`` reads the copy once it has arrived."""
         lost = self._flags & (self._rows | self._contacts)
         self._seen.copy_(lost.amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
-        """Raise SimulationFailure if the flags that have arrived on the host show an overflow.
-
-        Args:
-            data: mujoco-warp's data, with the counts for the message.
-        """
+        """Raise SimulationFailure if the overflow flags that have arrived on the host show an overflow."""
         if not int(self._seen):
             return
         flags = int(self._seen)
@@ -101,7 +83,7 @@ class Overflow:
         )
 
 
-_HUGE = 1e10  # MuJoCo's mjMAXVAL: larger positions and velocities count as invalid
+_HUGE = 1e10  # Positions and velocities above MuJoCo's mjMAXVAL count as invalid.
 _LEAST_MATCHES = 8
 _MOTION = ("qpos", "qvel")
 
@@ -109,16 +91,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    One step agrees with MuJoCo's step to single precision. On a GPU the order of contacts and sums differs from run to
-    run, so that two runs from the same state diverge. On the CPU device a run is bit-reproducible.
-
-    Args:
-        model: the compiled scene.
-        num_envs: number of simulations, N.
-        options: the ``env.sim`` section.
-
-    Raises:
-        ConfigError: a package or a device is missing, or mujoco-warp cannot simulate the model.
+    A physics step agrees with MuJoCo's step to single precision. On a GPU the order of contacts and sums differs from
+    run to run, so that two runs from the same state diverge. On the CPU device a run is bit-reproducible. ConfigError
+    if a package or a device is missing, or if mujoco-warp cannot simulate the model.
     """
 
     name = "warp"
@@ -142,7 +117,7 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # reported as an error instead of a print in the kernel
+        self._m.opt.warn_overflow = 0  # The class Overflow raises an error, so the kernel need not print a warning.
         self._m.opt.contact_sensor_maxmatch = _most_matches(model)
         self._data = DataFields(wp, self._d, model)
         self._fields = ModelFields(wp, self._m, model, num_envs)
@@ -156,11 +131,9 @@ class WarpEngine(Engine):
         self._all_ids = torch.arange(num_envs, device=self.device)
         self._rows = self._flat_state()
         self._still: set[int] = set()
-        kinds = model.sensor_type
-        self._has_sensors = bool((kinds != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
+        self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
 
     def _first_state(self) -> dict[str, torch.Tensor]:
-        """Return MuJoCo's initial state, (1, ...) by name."""
         data = mujoco.MjData(self.model)
         found = {}
         for name, view in self._state.items():
@@ -170,31 +143,26 @@ class WarpEngine(Engine):
 
     def _flat_state(self) -> dict[str, tuple[Any, Any, float]]:
         """Return Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps."""
-        from wheelleg_exp.sim import warp_kernels  # which imports Warp
+        from wheelleg_exp.sim import warp_kernels  # The import of this module also imports Warp.
 
         self._kernels = warp_kernels
         self._bad_flags = self._wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
+        flat = warp_kernels.flat
         return {
-            name: (
-                warp_kernels.flat(view),
-                warp_kernels.flat(self._initial[name])[0],
-                _HUGE if name in _MOTION else 0.0,
-            )
+            name: (flat(view), flat(self._initial[name])[0], _HUGE if name in _MOTION else 0.0)
             for name, view in numbers.items()
         }
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
-        """The numbers that determine the next step, one row per simulation, (N, k); a copy."""
+        """A copy of the numbers that determine the next step, one row per simulation, (N, k)."""
         return torch.cat([value.reshape(self.num_envs, -1).float() for value in self._state.values()], dim=1)
 
     def view(self, name: str) -> torch.Tensor:
-        """Return a live float32 view (N, ...) of an MjData field (see ``Engine.view``)."""
         return self._data.view(name)
 
     def derived(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an output that depends on positions and velocities; each step updates it."""
         view = self.view(name)
         if name not in self._current:
             if name not in DERIVED:
@@ -212,11 +180,6 @@ class WarpEngine(Engine):
         return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a model field one value per simulation; return the live tensor (N, ...).
-
-        Raises:
-            ConfigError: mujoco-warp has one value of the field for all simulations.
-        """
         self.asked.add(name)
         if name not in self.expanded:
             self._graphs.forget()
@@ -227,19 +190,11 @@ class WarpEngine(Engine):
         if not self._fields.own.keys() >= {"body_subtreemass"}:
             self._graphs.forget()
             self._fields.expand_constants()
-        self._graphs.run("set_const", self._derive_constants)
+        self._graphs.run("set_const", lambda: self._mjw.set_const(self._m, self._d))
         self.forward()
 
-    def _derive_constants(self) -> None:
-        self._mjw.set_const(self._m, self._d)
-
     def step(self) -> None:
-        """Advance every simulation by one physics step.
-
-        Raises:
-            SimulationFailure: contacts or constraint rows exceeded the capacity; on a GPU the error comes a step or
-                two later.
-        """
+        """Advance every simulation by one physics step; on a GPU, an overflow is raised one or two steps later."""
         if not self._graphs.is_capturing:
             self.require_room()
         self._graphs.run("step", self._advance)
@@ -249,7 +204,6 @@ class WarpEngine(Engine):
 
     @property
     def is_captured(self) -> bool:
-        """Whether a control step, including the engine's steps, can be captured as a CUDA graph."""
         return self._captures
 
     def require_room(self) -> None:
@@ -261,8 +215,7 @@ class WarpEngine(Engine):
             self._derive()
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Recompute derived outputs of all simulations: on a GPU a fixed shape is cheaper than selected rows."""
-        del ids
+        del ids  # On a GPU, recomputing all simulations is cheaper than selecting some of them.
         if self._current:
             self._graphs.run("forward", self._derive)
 
@@ -276,7 +229,6 @@ class WarpEngine(Engine):
             mjw.sensor_vel(m, d)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Reset the state of ``ids``, except for positions and velocities that are neither NaN nor huge."""
         with self._graphs.here():
             rows = self._wp.from_torch(ids)
             for values, initial, most in self._rows.values():
@@ -300,10 +252,6 @@ class WarpEngine(Engine):
         return total[0]
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have had NaN or huge values since their reset.
-
-        mujoco-warp continues with such values; they never reach another simulation.
-        """
         with self._graphs.here():
             for name in (*_MOTION, "ctrl"):
                 if name in self._rows:
@@ -318,12 +266,8 @@ class WarpEngine(Engine):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the distance of each ray's first hit (see ``Engine.ray``).
-
-        mujoco-warp casts the same number of rays in every simulation. With ``ids``, the other simulations cast dummy
-        rays, whose results are dropped.
-        """
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
+        # mujoco-warp casts the same number of rays in every simulation. Simulations without rays cast dummy rays.
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)
@@ -333,7 +277,11 @@ class WarpEngine(Engine):
         geoms = torch.empty(self.num_envs, count, dtype=torch.int32, device=self.device)
         normals = torch.empty(self.num_envs, count, 3, device=self.device)
         nobody = torch.full((count,), -1, dtype=torch.int32, device=self.device)
-        chosen = self._group_mask(geom_groups)
+        if geom_groups is None:
+            mask = [-1.0] * mujoco.mjNGROUP
+        else:
+            mask = [float(group in geom_groups) for group in range(mujoco.mjNGROUP)]
+        chosen = wp.types.vector(length=mujoco.mjNGROUP, dtype=float)(*mask)
         with self._graphs.here():
             if geom_groups is None or not self._still.issuperset(geom_groups):
                 self._mjw.kinematics(self._m, self._d)
@@ -351,21 +299,13 @@ class WarpEngine(Engine):
             )
         return far if ids is None else far[ids]
 
-    def _group_mask(self, geom_groups: Sequence[int] | None) -> Any:
-        vec6 = self._wp.types.vector(length=mujoco.mjNGROUP, dtype=float)
-        if geom_groups is None:
-            return vec6(*[-1.0] * mujoco.mjNGROUP)
-        return vec6(*[float(group in geom_groups) for group in range(mujoco.mjNGROUP)])
-
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move, so that rays need no kinematics beforehand."""
-        del alone
+        del alone  # Later ray casts against this static geom group need no further kinematics.
         with self._graphs.here():
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that determines the next step: states and per-simulation model fields."""
         return {
             "state": {name: value.clone() for name, value in self._state.items()},
             "model_fields": {name: value.clone() for name, value in sorted(self._fields.own.items())},

@@ -14,54 +14,24 @@ from wheelleg_exp.sim.warp_runtime import ENGINE
 
 # The state of a simulation: these fields and the model determine the next step. A field may be empty.
 STATE = (
-    "time",
-    "qpos",
-    "qvel",
-    "act",
-    "history",
-    "plastic",
-    "qacc_warmstart",
-    "ctrl",
-    "qfrc_applied",
-    "xfrc_applied",
-    "eq_active",
-    "mocap_pos",
-    "mocap_quat",
-    "userdata",
+    *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart"),
+    *("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata"),
 )
-# Outputs of mujoco-warp's kinematics, com_pos and com_vel.
+# The outputs of the functions kinematics, com_pos and com_vel of mujoco-warp.
 DERIVED = frozenset(
     """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
     cdof_dot sensordata""".split()  # noqa: SIM905
 )
-# Outputs of set_const. They need one value per simulation as soon as a field that they depend on has.
+# The outputs of set_const. An output needs one value per simulation as soon as an input of set_const has one.
 CONSTANTS = (
-    "body_subtreemass",
-    "body_invweight0",
-    "dof_invweight0",
-    "actuator_acc0",
-    "tendon_length0",
-    "tendon_invweight0",
-    "eq_data",
-    "cam_pos0",
-    "cam_poscom0",
-    "cam_mat0",
-    "light_pos0",
-    "light_poscom0",
-    "light_dir0",
-    "geom_aabb",
-    "geom_rbound",
+    *("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0", "tendon_length0", "tendon_invweight0"),
+    *("eq_data", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0"),
+    *("geom_aabb", "geom_rbound"),
 )
 
 
 class DataFields:
-    """Fields of mujoco-warp's data, in MuJoCo's shapes.
-
-    Args:
-        wp: Warp.
-        data: mujoco-warp's data.
-        model: the compiled scene.
-    """
+    """Fields of mujoco-warp's data, in MuJoCo's shapes."""
 
     def __init__(self, wp: Any, data: Any, model: mujoco.MjModel) -> None:
         self._wp, self._data = wp, data
@@ -75,8 +45,10 @@ class DataFields:
             if like is None or not isinstance(array, self._wp.array):
                 raise ConfigError(f"mujoco-warp has no field '{name}'", key=ENGINE, expected="mujoco")
             shape = (int(self._data.nworld), *np.shape(like))
-            tensor = self._wp.to_torch(array) if array.size else self._empty(array, shape)
-            self._views[name] = tensor.view(shape)
+            if array.size:
+                self._views[name] = self._wp.to_torch(array).view(shape)
+            else:
+                self._views[name] = torch.zeros(shape, device=self._wp.device_to_torch(array.device))
         return self._views[name]
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -84,20 +56,9 @@ class DataFields:
         names = [name for name in STATE if hasattr(self._like, name) and hasattr(self._data, name)]
         return {name: self.view(name) for name in names if self.view(name).numel()}
 
-    def _empty(self, array: Any, shape: tuple[int, ...]) -> torch.Tensor:
-        device = self._wp.device_to_torch(array.device)
-        return torch.zeros(shape, dtype=torch.float32, device=device)
-
 
 class ModelFields:
-    """Fields of mujoco-warp's model, with one value for all simulations, or one for each.
-
-    Args:
-        wp: Warp.
-        on_device: mujoco-warp's model.
-        model: the compiled scene.
-        num_envs: number of simulations, N.
-    """
+    """Fields of mujoco-warp's model, with one value for all simulations, or one for each."""
 
     def __init__(self, wp: Any, on_device: Any, model: mujoco.MjModel, num_envs: int) -> None:
         self._wp, self._on_device, self._model, self._num_envs = wp, on_device, model, num_envs
@@ -105,22 +66,21 @@ class ModelFields:
         self._first: dict[str, torch.Tensor] = {}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a field one value per simulation; return the live tensor (N, ...) in MuJoCo's shape.
-
-        Raises:
-            ConfigError: mujoco-warp has one value of the field for all simulations.
-        """
+        """Give a field one value per simulation; return the live tensor (N, ...); ConfigError if that is impossible."""
         if name not in self.own:
             owner, last = self._place(name)
-            array, like = getattr(owner, last, None), self._like(name)
+            array: Any = getattr(owner, last, None)
             if not self.may_differ(name):
                 raise ConfigError(
                     f"mujoco-warp has one '{name}' for all simulations",
                     key=ENGINE,
                     expected="mujoco, or no event that gives each environment its own value",
                 )
-            self._give_each(owner, last, array)
-            self.own[name] = self._wp.to_torch(getattr(owner, last)).view(self._num_envs, *np.shape(like))
+            wp = self._wp
+            each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
+            wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))
+            setattr(owner, last, each)
+            self.own[name] = wp.to_torch(each).view(self._num_envs, *np.shape(self._like(name)))
             self._first[name] = self.own[name][:1].clone()
         return self.own[name]
 
@@ -155,9 +115,3 @@ class ModelFields:
     def _place(self, name: str) -> tuple[Any, str]:
         holder, _, last = name.rpartition(".")
         return (getattr(self._on_device, holder) if holder else self._on_device), last
-
-    def _give_each(self, owner: Any, name: str, array: Any) -> None:
-        wp = self._wp
-        each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
-        wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))
-        setattr(owner, name, each)

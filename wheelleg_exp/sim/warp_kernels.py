@@ -1,10 +1,10 @@
-"""Warp kernels that do in one launch what torch needs a dozen launches for; Warp compiles them at the first launch."""
+"""Warp kernels, each of which replaces a dozen torch kernels; Warp compiles a kernel at its first launch."""
 
 from typing import Any
 
 import warp as wp
 
-# No `from __future__ import annotations`: Warp reads the types.
+# Do not import annotations from __future__ here, because Warp reads the types of kernel arguments.
 
 
 @wp.kernel
@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """Set values of the simulations ``ids`` to their initial values where their size is ``huge`` or more, or NaN."""
+    """Reset values of the simulations ``ids`` to the initial values where a magnitude is at least ``huge`` or NaN."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:
@@ -23,7 +23,7 @@ def restore(
 
 @wp.kernel
 def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.array(dtype=wp.bool)) -> None:
-    """Mark the simulations that have a value whose size is ``huge`` or more, or a NaN."""
+    """Mark the simulations that have a NaN or a value whose magnitude is at least ``huge``."""
     world = wp.tid()
     for column in range(values.shape[1]):
         if not wp.abs(values[world, column]) < huge:
@@ -34,7 +34,7 @@ def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.
 def spoil(
     values: wp.array2d(dtype=wp.float32), ids: wp.array(dtype=wp.int64), total: wp.array(dtype=wp.float32)
 ) -> None:
-    """Set ``total`` to NaN if the simulations ``ids`` have a value that is NaN or inf."""
+    """Set ``total`` to NaN if a value of the simulations ``ids`` is NaN or inf."""
     row, column = wp.tid()
     if not wp.isfinite(values[int(ids[row]), column]):
         total[0] = wp.nan

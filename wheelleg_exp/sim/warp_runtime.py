@@ -21,24 +21,18 @@ DEVICE = "env.sim.device"
 
 
 def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
-    """Return Warp and mujoco-warp, ready for a device; compiled kernels are cached in the program's cache folder.
-
-    Args:
-        device: device of the simulations.
-
-    Raises:
-        ConfigError: a package is not installed, or the device does not exist.
-    """
+    """Return Warp and mujoco-warp for a device; ConfigError if a package or the device does not exist."""
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # configure only before the first use in a process
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only once.
             wp.config.log_level = wp.LOG_WARNING
-            wp.config.enable_backward = False  # gradients are not needed, and halve the speed of compilation
+            # The engine needs no gradient kernels, which would double the compile time.
+            wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # for tests, where compilation takes longer than the steps
+                wp.config.optimization_level = 0  # In tests on the CPU, compilation takes longer than the steps.
                 _init_without_cuda_warning(wp)
             wp.init()
         import mujoco_warp as mjw
@@ -78,11 +72,7 @@ def require_device(device: torch.device) -> None:
 
 
 def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
-    """Return mujoco-warp's model.
-
-    Raises:
-        ConfigError: mujoco-warp cannot simulate the model.
-    """
+    """Return mujoco-warp's model; ConfigError if mujoco-warp cannot simulate the MuJoCo model."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -99,12 +89,8 @@ class Graphs:
     """Launches functions on Warp's device in the order of torch's stream, on a GPU as CUDA graphs.
 
     The first call of a function runs it directly, which compiles its kernels. The second call captures it. Later calls
-    launch the captured graph. While torch captures a graph of its own, the function becomes part of that graph.
-
-    Args:
-        wp: Warp.
-        device: device of the kernels.
-        wanted: whether to capture; a CPU has no graphs.
+    of the function launch the captured graph. While torch captures a CUDA graph, the function becomes part of torch's
+    graph.
     """
 
     def __init__(self, wp: Any, device: torch.device, wanted: bool) -> None:
@@ -119,14 +105,14 @@ class Graphs:
         return self._device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     def forget(self) -> None:
-        """Drop all captured graphs, because arrays that they work on were replaced."""
+        """Drop all captured graphs, because their arrays were replaced."""
         self._captured.clear()
 
     @contextmanager
     def here(self) -> Iterator[None]:
-        """Launch the kernels inside the block on the device, after torch's earlier launches."""
+        """Launch the kernels inside the ``with`` block on the device, after torch's previous kernels."""
         wp, stream = self._wp, self._stream()
-        if stream is None:  # Warp's own stream is synchronised with torch's default stream
+        if stream is None:  # Warp's own stream is synchronised with torch's default stream.
             with wp.ScopedDevice(self.place):
                 yield
         elif torch.cuda.is_current_stream_capturing():
@@ -137,12 +123,7 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run a function that always launches the same kernels on the same arrays.
-
-        Args:
-            name: key of the captured graph.
-            work: launches the kernels.
-        """
+        """Run a function that always launches the same kernels on the same arrays; ``name`` is the key of its graph."""
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()

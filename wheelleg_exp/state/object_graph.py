@@ -1,8 +1,10 @@
-"""Walk over an object graph: find the objects below some roots, and the places that hold their values.
+"""Walk over an object graph: find the objects below some roots, and the slots that hold their values.
 
-The checks for unsaved state and the capture of CUDA graphs use the same walk. It enters objects of this package and of
-classes that derive from this package's classes, and the containers, bound methods, partials, and closures that hold
-them. A class lists in ``outside_graphs`` the attributes that no captured part of a step reads or writes.
+The checks for unsaved state and the capture of CUDA graphs both use the walk of this module. The walk must reach every
+object that a term can change, but no foreign object, because foreign objects can be huge or have side effects. So the
+walk enters objects of this package and of classes that derive from this package's classes, and the containers, bound
+methods, partials, and closures that hold them. A class lists in ``outside_graphs`` the attributes that no captured part
+of a step reads or writes.
 """
 
 from __future__ import annotations
@@ -23,14 +25,10 @@ Named = tuple[str, Any]
 
 
 def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
-    """Yield each object once, with its dotted name: the roots, their children, and so on.
-
-    Args:
-        roots: the first objects by name.
-        children: returns the objects directly below an object, by name.
-    """
+    """Yield each object once with its dotted name: the roots, the ``children`` of each object, and so on."""
     waiting, seen = list(roots), set[int]()
-    for name, node in waiting:  # grows during the loop
+    # The list grows during the loop: a breadth-first search. Ids detect shared objects and cycles.
+    for name, node in waiting:
         if id(node) not in seen:
             seen.add(id(node))
             yield name, node
@@ -44,7 +42,7 @@ def is_own(kind: type) -> bool:
 
 def is_plain(value: Any) -> bool:
     """Return whether a value is a number, a text, None, or a tuple of such values."""
-    if type(value) in PLAIN or isinstance(value, Number):  # includes the numbers of NumPy
+    if type(value) in PLAIN or isinstance(value, Number):
         return True
     return type(value) is tuple and all(map(is_plain, value))
 
@@ -52,9 +50,7 @@ def is_plain(value: Any) -> bool:
 class Slot:
     """A place that holds a value: an attribute of an object, or an entry of a dictionary or list in an attribute.
 
-    Args:
-        owner: the object.
-        path: the name of the attribute, then keys of nested dictionaries and lists.
+    ``path`` is the name of the attribute, followed by the keys of nested dictionaries and lists.
     """
 
     def __init__(self, owner: Any, path: tuple[Any, ...]) -> None:
@@ -66,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that holds the value directly; ``MISSING`` if it no longer exists."""
+        """The dictionary or list that holds the value directly; ``MISSING`` if the container no longer exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)
@@ -76,24 +72,24 @@ class Slot:
 
     @property
     def containers(self) -> Iterator[tuple[Any, Any, Any]]:
-        """Every container on the path below the attributes: its parent, its key there, and the container."""
+        """Every container on the path below the attributes, with its parent and its key in the parent."""
         parent: Any = vars(self.owner)
         for key in self.path[:-1]:
             yield parent, key, entry(parent, key)
             parent = entry(parent, key)
 
     def get(self) -> Any:
-        """Return the value; ``MISSING`` if the slot no longer exists."""
+        """Return the value of the slot; ``MISSING`` if the slot no longer exists."""
         return entry(self.container, self.path[-1])
 
     def reader(self) -> Callable[[], Any]:
-        """Return a function that does the same as ``get``, faster for an attribute."""
+        """Return a function that returns the value of the slot, faster than ``get`` for an attribute."""
         if len(self.path) > 1:
             return self.get
         return functools.partial(vars(self.owner).get, self.path[0], MISSING)
 
     def set(self, value: Any) -> None:
-        """Assign a value. ``MISSING`` removes the entry from its dictionary."""
+        """Assign a value to the slot. ``MISSING`` removes the entry from its dictionary."""
         container, key = self.container, self.path[-1]
         if value is MISSING and isinstance(container, dict):
             container.pop(key, None)
@@ -102,14 +98,14 @@ class Slot:
 
 
 def entry(container: Any, key: Any) -> Any:
-    """Return the entry of a dictionary or a list; ``MISSING`` if there is no such entry."""
+    """Return the entry of a dictionary or a list; ``MISSING`` if the key does not exist."""
     if isinstance(container, dict):
         return container.get(key, MISSING)
     return container[key] if isinstance(container, list) and key < len(container) else MISSING
 
 
 def parts(name: str, node: Any) -> Iterator[Named]:
-    """Yield everything directly below an object in which tensors or plain values may be found."""
+    """Yield every object directly below an object in which tensors or plain values may be found."""
     if isinstance(node, functools.partial):
         found: Iterable[Any] = (node.func, *node.args, *node.keywords.values())
     elif isinstance(node, (tuple, set, frozenset, list)):
@@ -129,7 +125,8 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
     """Yield the attributes of an object of this package that a captured part of a step may read or write."""
     kind = type(node)
-    if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):  # state only keeps books about others
+    # Objects of the package ``state`` only refer to the state of other objects.
+    if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):
         return
     skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}
     yield from ((name, value) for name, value in getattr(node, "__dict__", {}).items() if name not in skipped)
@@ -150,6 +147,6 @@ def _slots_below(owner: Any, path: tuple[Any, ...], value: Any) -> Iterator[Slot
 
 
 def _are_names(owner: Any, value: Any) -> bool:
-    """Return whether a list of this package holds only text: names of joints and bodies, which never change."""
+    """Return whether a list of this package holds only names of joints and bodies, which never change."""
     own = type(owner).__module__.partition(".")[0] == PACKAGE
     return own and isinstance(value, list) and all(type(item) is str for item in value)

@@ -1,10 +1,11 @@
 """Convert the attributes of an object to values that a checkpoint can store, compare them, and restore them.
 
 State is: tensors, arrays, numbers, text, random generators, plain containers of these, and objects with their own
-``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as
-long as they do not change; and objects that another part saves (``Kept``). Everything else is ``Unsaveable``.
-``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries. A reference appears in
-this tree as a ``Reference``.
+``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as long as
+they do not change; and objects that another part saves (``Kept``). Every other value is ``Unsaveable``.
+
+``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries, because a checkpoint is
+loaded without running code. A reference appears in this tree as a ``Reference``.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from wheelleg_exp.state.object_graph import PLAIN
+
 TAG = "__kind__"
 NOTHING = object()
-_PLAIN = (bool, int, float, str, type(None))
 CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
-# Objects of these types never change in place.
+# Objects of these types cannot change in place, so a checkpoint need not store them.
 _CONSTANTS = (
     bytes,
     complex,
@@ -60,7 +62,10 @@ GENERATORS: dict[str, Generator] = {
 
 
 class Kept:
-    """Marks objects whose state another part saves: an object that refers to one does not save it again."""
+    """Marks objects whose state another part saves.
+
+    An object that refers to a ``Kept`` object does not save the state of that object again.
+    """
 
 
 class NamedStream(Kept, torch.Generator):
@@ -68,7 +73,7 @@ class NamedStream(Kept, torch.Generator):
 
 
 class Unsaveable(Exception):
-    """A value whose state cannot be saved."""
+    """The error for a value whose state cannot be saved."""
 
     def __init__(self, path: str, value: Any, why: str = "") -> None:
         kind = type(value)
@@ -88,12 +93,8 @@ class Reference:
 
 
 def snapshot(value: Any, path: str) -> Any:
-    """Return a copy of a value as tensors, numbers, tagged dictionaries, and references.
-
-    Raises:
-        Unsaveable: the value is, or contains, anything else.
-    """
-    if type(value) in _PLAIN:
+    """Return a copy of a value as tensors, numbers, tagged dictionaries, and references, or raise Unsaveable."""
+    if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
         if value.layout != torch.strided:
@@ -116,7 +117,8 @@ def snapshot(value: Any, path: str) -> Any:
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
-    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:  # for example a mask would be lost
+    # A subclass of ndarray can have further state, for example the mask of a masked array.
+    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:
         raise Unsaveable(path, value)
     try:
         tensor = torch.from_numpy(np.array(value))
@@ -130,7 +132,7 @@ def _container(value: Any, path: str) -> dict[str, Any]:
     if isinstance(value, dict):
         tagged["keys"] = [snapshot(key, f"{path} (a key)") for key in value]
         return {**tagged, "items": [snapshot(item, f"{path}[{key!r}]") for key, item in value.items()]}
-    # The order of a set differs between processes.
+    # Sort the items of a set, because the order of a set differs between processes.
     items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
     tagged["items"] = [snapshot(item, f"{path}[{i}]") for i, item in enumerate(items)]
     return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
@@ -141,14 +143,13 @@ def _saves_itself(value: Any) -> bool:
 
 
 def _rest(value: Any, path: str) -> Reference:
-    """Return the values that a network's ``state_dict`` omits. A user-defined ``state_dict`` is taken as complete."""
+    """Return the attributes of a network that its ``state_dict`` omits; none if it is not a torch module."""
     if not isinstance(value, torch.nn.Module) or isinstance(value, torch.jit.ScriptModule):
         return Reference(None)
     return Reference(None, {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)})
 
 
 def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
-    """Yield the plain attributes and buffers of a network that are not in its ``state_dict``."""
     own = vars(torch.nn.Module()).keys() - {"training"}
     for prefix, part in network.named_modules():
         buffers = {name: part._buffers[name] for name in part._non_persistent_buffers_set}
@@ -157,7 +158,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether an attribute only refers to parameters, as in recurrent networks."""
+    """Return whether an attribute only refers to parameters, as attributes of recurrent networks do."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -182,13 +183,15 @@ def same(a: Any, b: Any) -> bool:
     if type(a) is not type(b):
         return False
     if isinstance(a, torch.Tensor):
-        return a.dtype == b.dtype and a.shape == b.shape and _equal_bytes(a, b)
+        # Tensors are compared by their bytes, so that a NaN equals its copy, and 0.0 differs from -0.0.
+        alike = (a.dtype, a.shape, a.device) == (b.dtype, b.shape, b.device)
+        return alike and torch.equal(bytes_of(a), bytes_of(b))
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if isinstance(a, (list, tuple)):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, Reference):
-        # Each access to a bound method makes a new, equal object.
+        # Bound methods are compared with ==, because each access to a bound method makes a new object.
         methods = isinstance(a.value, (*_CONSTANTS, types.MethodType)) and a.value == b.value
         return (a.value is b.value or methods) and same(a.seen, b.seen)
     if isinstance(a, float):
@@ -196,15 +199,10 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _equal_bytes(a: torch.Tensor, b: torch.Tensor) -> bool:
-    """Compare bytes: NaN equals the same NaN, and 0.0 differs from -0.0."""
-    return a.device == b.device and torch.equal(bytes_of(a), bytes_of(b))
-
-
 def bytes_of(value: torch.Tensor) -> torch.Tensor:
     """Return the bytes of a tensor's elements in order, without a copy if the tensor is contiguous."""
     flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
-    if flat.stride(0) != 1:  # torch calls a row of one element contiguous, whatever its stride
+    if flat.stride(0) != 1:  # For torch, a row of one element is contiguous with any stride.
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
 
@@ -237,13 +235,9 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     """Return a value from ``snapshot`` in a form that a checkpoint can store.
 
-    Args:
-        item: the present value.
-        before: the value when its owner was made. Loading writes into an object that was made in the same way.
-        path: name of the attribute.
-
-    Raises:
-        Unsaveable: a reference was bound or changed since then, or the value is an object that only its owner can make.
+    ``before`` is the value at the time when its owner was made. Loading writes into a new object that was made from the
+    same config. So a reference that was bound or changed later raises Unsaveable, and so does a value that only its
+    owner can make.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
@@ -300,7 +294,7 @@ def restored_value(item: Any, present: Any = None) -> Any:
 def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
     if not isinstance(present, torch.Tensor) or (present.shape, present.dtype) != (item.shape, item.dtype):
         return item.clone()
-    if 0 in present.stride() and present.numel() > 1:  # an expanded tensor cannot be written to
+    if 0 in present.stride() and present.numel() > 1:  # An expanded tensor cannot be written to.
         return item.clone()
     with torch.inference_mode() if present.is_inference() else torch.no_grad():
         return present.copy_(item)

@@ -1,7 +1,8 @@
 """Objects whose attributes are their state, and settings of terms that changed after the environment was built.
 
-A tensor attribute is always saved, unless the class names it in ``settings``. Every other attribute is saved only
-if it differs from its first value. Loading therefore does not undo a later change of the config.
+A tensor attribute is always saved, unless the class names it in ``settings``. All other attributes, including tensors
+in ``settings``, are saved only if they differ from their initial values. So the values in a checkpoint do not undo a
+later change of the config.
 """
 
 from __future__ import annotations
@@ -15,21 +16,18 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # represents a tensor that is saved even if it has not changed
+_TENSOR = "a tensor"  # This text marks a tensor that is always saved.
 
 
 class _Base(NamedTuple):
-    """The attributes of an object when it was made (see ``snapshot``), and the config key for messages."""
-
     values: dict[str, Any]
     key: str | None
 
 
 class Stateful:
-    """An object that saves and restores its attributes (see the module).
+    """Base class of objects that save and restore their attributes (see the module docstring).
 
-    Attributes:
-        settings: names of tensor attributes that come from the config, and that are saved only if they have changed.
+    ``settings`` names tensor attributes that come from the config, and that are saved only if they have changed.
     """
 
     settings: ClassVar[tuple[str, ...]] = ()
@@ -44,13 +42,10 @@ class Stateful:
 
 
 def made(value: Any, key: str | None = None) -> None:
-    """Note the present attributes of an object as its first ones.
-
-    Raises:
-        ConfigError: an attribute holds state that cannot be saved.
-    """
+    """Record the present attributes of an object as its initial state; ConfigError if an attribute cannot be saved."""
     try:
-        _require_no_slots(value)
+        if any(vars(kind).get("__slots__") for kind in type(value).__mro__):
+            raise Unsaveable("__slots__", value)
         seen = {name: snapshot(item, name) for name, item in attributes(value).items()}
     except (Unsaveable, RecursionError) as error:
         raise refusal(value, error, key) from error
@@ -59,11 +54,7 @@ def made(value: Any, key: str | None = None) -> None:
 
 
 def save(value: Any) -> dict[str, Any]:
-    """Return the state of an object as tensors and plain values.
-
-    Raises:
-        ConfigError: an attribute holds state that cannot be saved.
-    """
+    """Return the state of an object as tensors and plain values; ConfigError if an attribute cannot be saved."""
     if _BASE not in vars(value):
         made(value)
     base, key = vars(value)[_BASE]
@@ -81,7 +72,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore the state that ``save`` returned. Attributes that were not saved get their first values."""
+    """Restore the state that ``save`` returned. Attributes without a saved value get their initial values."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -95,11 +86,7 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Give an object the settings of another object of its class, and keep its own state. Tensors keep their memory.
-
-    Raises:
-        ConfigError: the other object holds state that cannot be saved.
-    """
+    """Copy the settings of ``made_anew`` to ``value``, but not the state. Tensors stay at their memory addresses."""
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
         vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
@@ -113,18 +100,11 @@ def attributes(value: Any) -> dict[str, Any]:
 
 
 def _settings(value: Any) -> tuple[str, ...]:
-    found: tuple[str, ...] = getattr(type(value), "settings", ())
-    return found
-
-
-def _require_no_slots(value: Any) -> None:
-    for kind in type(value).__mro__:
-        if vars(kind).get("__slots__"):
-            raise Unsaveable("__slots__", value)
+    return getattr(type(value), "settings", ())
 
 
 def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
-    """Return the error for an object that holds state that cannot be saved."""
+    """Return the error for an object with state that cannot be saved."""
     why = "points back at itself" if isinstance(error, RecursionError) else str(error)
     return ConfigError(
         f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ",
@@ -151,28 +131,17 @@ class _Attributes:
 
 
 def stateful(value: Any, key: str) -> Any:
-    """Return an object that saves and restores ``value``: the value itself if it has ``state_dict``.
-
-    Raises:
-        ConfigError: the value holds state that cannot be saved.
-    """
+    """Return an object that saves and restores ``value``: the value itself if it has ``state_dict``."""
     itself = hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
     return value if itself else _Attributes(value, key)
 
 
-_Snapshots = dict[str, dict[str, Any]]
-
-
 class Settings:
-    """The settings of a term from its config. Later differences, for example by a curriculum, are state.
+    """The settings of a term from its config. Settings that change later, for example by a curriculum, are state.
 
     A change is saved together with the setting from the config. It is restored only if the config still has the same
-    setting: a setting that was changed in the config has priority.
-
-    Args:
-        groups: dictionaries of settings by name.
-        key: config key of the term, for messages.
-        skip: names of settings that save their own state.
+    setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of settings by name, and
+    ``skip`` names settings that save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -181,7 +150,7 @@ class Settings:
         self._skip = frozenset(skip)
         self._base = self._snapshots()
 
-    def _snapshots(self) -> _Snapshots:
+    def _snapshots(self) -> dict[str, dict[str, Any]]:
         try:
             return {
                 group: {name: snapshot(value, name) for name, value in values.items() if name not in self._skip}
@@ -220,5 +189,4 @@ class Settings:
 
 
 def _written(seen: Any) -> Any:
-    """Return a setting of the config in a form that a checkpoint can store."""
     return checkpoint_value(seen, seen, "")

@@ -1,4 +1,4 @@
-"""Nested mappings and sequences of tensors: merge the states of two sets of environments, copy a tensor to the host."""
+"""Merge the states of two sets of environments, and copy a tensor to host memory."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import torch
 
 
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
-    """Merge two state dicts: the rows of some environments from ``after``, all other rows from ``before``.
+    """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Args:
-        before: a state dict whose tensors (N, ...) have one row for each environment.
-        after: a later state dict of the same object. Values without rows are taken from it.
-        rows: environments (N,) bool to take from ``after``.
+    Tensors (N, ...) have one row for each environment. Values without rows are taken from ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}

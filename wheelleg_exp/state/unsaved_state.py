@@ -1,9 +1,9 @@
 """Find and reject state that no checkpoint could restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and anything written to the scene, the managers, or the config. Module variables and closures are not
-checked. ``Memory`` finds tensors that share memory. Each attribute is saved and restored separately, so two
-attributes that share memory would not share it afterwards.
+and classes, and values that the term writes to the scene, the managers, or the config. Module variables and closures
+are not checked. ``Memory`` finds tensors that share memory. A checkpoint saves and restores each attribute separately,
+so two attributes that share memory would not share it after a resume.
 """
 
 from __future__ import annotations
@@ -26,14 +26,10 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 class Outside:
     """Detects changes that terms make outside their own attributes.
 
-    Args:
-        code: the function or class of each term, by config key.
-        owners: objects that terms may read but not write, by name. Terms must not add attributes to them or to this
-            package's objects below them, and must not change their public numbers and texts.
-        config: the config from which the terms were made.
-
-    Raises:
-        ConfigError: a class attribute or a default argument is an iterator, whose position cannot be read.
+    ``code`` is the function or class of each term by config key, and ``config`` the config of the terms. Terms may read
+    but not write the objects in ``owners``: they must not add attributes to them or to this package's objects below
+    them, and must not change their public numbers and texts. A class attribute or a default argument that is an
+    iterator raises ConfigError, because the position of an iterator cannot be read.
     """
 
     def __init__(self, code: Mapping[str, Callable[..., Any]], owners: Mapping[str, Any], config: Any) -> None:
@@ -42,14 +38,14 @@ class Outside:
         self._before = dict(self._seen())
 
     def require_unchanged(self) -> None:
-        """Raise ConfigError if a term has changed anything, with the name of the place."""
+        """Raise ConfigError, with the name of the value, if a term has changed a value outside its own attributes."""
         now = dict(self._seen())
         for place in {**self._before, **now}:
             was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
             if was is not item and not same(was, item):
                 key, name = place
                 raise ConfigError(
-                    f"a term has changed {name}, which no checkpoint saves",
+                    f"a term has changed {name}, but no checkpoint saves this place",
                     key=key,
                     expected="a class term that stores it on self",
                 )
@@ -70,10 +66,8 @@ class Outside:
                 if own and isinstance(item, PLAIN) and not name.startswith("_"):
                     yield (key, f"the attribute '{name}'"), item
                 elif not _is_default(value, name):
-                    yield (
-                        (key, f"the attribute '{name}'"),
-                        (isinstance(item, torch.Tensor) and {**vars(item)}) or "there",
-                    )
+                    mark = (isinstance(item, torch.Tensor) and {**vars(item)}) or "there"
+                    yield (key, f"the attribute '{name}'"), mark
         yield from _leaves(self._config, "env")
 
 
@@ -92,7 +86,6 @@ def _is_default(value: Any, name: str) -> bool:
 
 
 def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    """Yield attributes and default arguments of a function, or of a class and its bases, that may hold state."""
     if not inspect.isclass(code):
         function: Any = code
         while function is not None:
@@ -104,14 +97,13 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # attributes that __init__ sets are saved with the object
+                if name != "__init__":  # Attributes that __init__ sets are saved with the object.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
 
 
 def _defaults(function: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the default arguments of a function that can be changed in place."""
     if not inspect.isfunction(function):
         return
     count, given = function.__code__.co_argcount, function.__defaults__ or ()
@@ -129,7 +121,6 @@ def _contents(item: Any, name: str) -> Any:
 
 
 def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
-    """Yield the leaves of a config by their keys."""
     if isinstance(tree, Mapping):
         for name, item in tree.items():
             yield from _leaves(item, f"{path}.{name}")
@@ -141,13 +132,12 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-_MOST_WORK = 10_000  # for NumPy's exact check; beyond that, overlapping ranges count as shared
+# The limit of NumPy's exact check. Beyond this limit, overlapping ranges count as shared.
+_MOST_WORK = 10_000
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A tensor, an array, or a container: its owner, its name, and the range of its addresses."""
-
     owner: str
     name: str
     node: Any
@@ -156,17 +146,11 @@ class _Place:
 
 
 class Memory:
-    """Rejects tensors that come to share memory.
+    """Raises ConfigError if two tensors start to share memory during a run.
 
-    Within one object, sharing is always rejected. Between an object and others it is allowed if it existed from the
-    start and still exists, because a write then reaches both.
-
-    Args:
-        owners: objects that save their attributes, by config key.
-        others: returns the tensors of all other objects, by name.
-
-    Raises:
-        ConfigError: two attributes of one object share memory.
+    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners``, which
+    save their attributes, may share memory with a tensor that ``others`` returns, if both shared memory from the start
+    and still do, because a write then reaches both tensors.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
@@ -174,14 +158,17 @@ class Memory:
         self._shared = self._sharing()
 
     def require_apart(self) -> None:
-        """Raise ConfigError if two tensors share memory that did not at the start, or no longer share it."""
+        """Raise ConfigError if two tensors share memory now but not at the start, or at the start but not now."""
         now = self._sharing()
         for owner, name, other in sorted(now ^ self._shared):
             verb = "has come to share" if (owner, name, other) in now else "no longer shares"
             raise _refusal(owner, f"'{name}' {verb} its memory with {other}")
 
     def _sharing(self) -> set[tuple[str, str, str]]:
-        """Return all pairs that share memory: an owner, the name of its attribute, and the name of the other."""
+        """Return all pairs that share memory: an owner, the name of its attribute, and the name of the other.
+
+        The places are sorted by their first address, so that only places with overlapping ranges are compared.
+        """
         places = [p for owner, value in self._owners.items() for p in _places(attributes(value), owner)]
         places += [_place("", name, tensor) for name, tensor in self._others().items() if tensor.numel()]
         found, near = set(), list[_Place]()
@@ -231,23 +218,20 @@ def _place(owner: str, name: str, node: torch.Tensor | np.ndarray) -> _Place:
 
 
 def _share(a: Any, b: Any) -> bool:
-    """Return whether two objects with overlapping address ranges have an element in common."""
     if not isinstance(a, (torch.Tensor, np.ndarray)) or not isinstance(b, (torch.Tensor, np.ndarray)):
         return a is b
     try:
-        return np.shares_memory(_array(a), _array(b), max_work=_MOST_WORK)  # type: ignore[arg-type]  # numpy's stubs know two values
-    except (TypeError, RuntimeError):  # no strides, or the exact check takes too long
+        return np.shares_memory(_array(a), _array(b), max_work=_MOST_WORK)  # type: ignore[arg-type]
+    except (TypeError, RuntimeError):  # The exact check failed.
         return True
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return an array at the same addresses, for address checks only: GPU memory cannot be read."""
+    """Return an array at the addresses of a tensor. The array serves address checks only: GPU memory cannot be read."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 
 class _Addresses:
-    """The addresses of a tensor as NumPy's array interface."""
-
     def __init__(self, node: torch.Tensor) -> None:
         size = node.element_size()
         self.__array_interface__ = {

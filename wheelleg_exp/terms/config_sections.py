@@ -75,7 +75,7 @@ _Options = TypeVar("_Options", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Key:
-    """One allowed key of a section."""
+    """An allowed key of a section of the config."""
 
     name: str
     annotation: Any
@@ -94,7 +94,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Check one section against a dataclass's fields and, if each value is valid, against the dataclass's rules."""
+    """Check a section against the fields of a dataclass and, if each value is valid, against its rules."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -102,9 +102,8 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
         if name in keys:
             errors += _value_errors(key, value, keys[name].annotation)
         else:
-            errors.append(
-                UnreadKey(key=key, expected="one of " + ", ".join(keys), nearest=nearest_name(str(name), keys))
-            )
+            expected, nearest = "one of " + ", ".join(keys), nearest_name(str(name), keys)
+            errors.append(UnreadKey(key=key, expected=expected, nearest=nearest))
     for absent in keys.values():
         if absent.required and absent.name not in node:
             errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
@@ -130,7 +129,6 @@ def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def _dataclass_of_values(annotation: Any) -> Any | None:
-    """Return the dataclass of a mapping's values; None if the annotation is not a mapping to a dataclass."""
     values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
     return next((value for value in values if dataclass_in(value) is not None), None)
 
@@ -142,11 +140,7 @@ def dataclass_in(annotation: Any) -> type | None:
 
 
 def read_section(options: type[_Options], node: Any, path: str) -> _Options:
-    """Return a section as its dataclass.
-
-    Raises:
-        ConfigError: the section is missing, a key is missing or unknown, or a value is not valid.
-    """
+    """Return a section of the config as its dataclass; raise ConfigError at the first mistake."""
     if not isinstance(node, Mapping):
         raise MissingValue(key=path, expected="a mapping")
     for error in section_errors(path, node, options):
@@ -167,11 +161,7 @@ def _read_value(value: Any, path: str, annotation: Any) -> Any:
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value at one key of a section. Other keys of the section can be missing.
-
-    Raises:
-        ConfigError: the value is missing or not valid.
-    """
+    """Return the value at one key of a section of the config. The remaining keys of the section can be missing."""
     for error in section_errors(path, node, options):
         if error.key == below(path, name):
             raise error

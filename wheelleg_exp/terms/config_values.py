@@ -22,11 +22,9 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """One mistake in a value.
+    """A mistake in a value of the config.
 
     Attributes:
-        message: the mistake.
-        expected: the expected value.
         keys: the path from the value to the mistake; a mistake in a list's element belongs to the list.
         nearest: the nearest valid word.
         is_type: whether the value has the wrong type; False if the value is out of range.
@@ -60,13 +58,13 @@ def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def require_fit(key: str, value: Any, annotation: Any) -> None:
-    """Raise the first mistake in a value as a ConfigError."""
+    """Raise the first mistake in a config value as a ConfigError."""
     for error in value_errors(key, value, annotation):
         raise error
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return every mistake in a value."""
+    """Return every mistake in a config value, compared with an annotation."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
@@ -121,7 +119,7 @@ def _of_scalar(value: Any, annotation: Any) -> list[Misfit]:
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # the text of the expected value must include the constraints
+    if found:  # describe the expected value with its constraints
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -134,7 +132,7 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
 
 
 def _of_union(value: Any, annotation: Any) -> list[Misfit]:
-    """Return the mistakes against the option whose type matches the value; without one, a wrong type."""
+    """Return the mistakes in a value that must fit a union, compared with the option whose type fits the value."""
     found = [misfits(value, option) for option in typing.get_args(annotation)]
     if not all(found):
         return []
@@ -173,7 +171,6 @@ def _of_mapping(value: Any, annotation: Any, arguments: tuple[Any, ...]) -> list
 
 
 def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
-    """Check the elements of a list. A wrong element is reported as a mistake in the whole list."""
     if not arguments:
         return []
     each = arguments if kind is tuple and Ellipsis not in arguments else arguments[:1] * len(value)

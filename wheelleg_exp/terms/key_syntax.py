@@ -5,6 +5,7 @@ A key is ``env.rewards.alive`` or ``env.robot.init_state.joint_pos[.*_hip]``.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable
 
@@ -14,16 +15,13 @@ _PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
 def is_override(word: str) -> bool:
-    """Return whether a word of a command line is an override; any other word is a name."""
+    """Return whether a command-line argument is an override. Arguments that are not overrides are names."""
     return "=" in word or word.startswith(("~", "+"))
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text. A key that contains dots or brackets is put in brackets."""
-    text = ""
-    for key in keys:
-        text = below(text, key)
-    return text
+    """Return the path as text. A key that contains dots or brackets is written in brackets."""
+    return functools.reduce(below, keys, "")
 
 
 def below(path: str, key: str) -> str:
@@ -38,9 +36,12 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # the name of the primary config for pipelines, and of its section
+PIPELINE = "pipeline"  # names of the primary config of pipelines and of the pipeline's config section
 
 
 def names_pipeline(word: str) -> bool:
-    """Return whether an override or a key selects or changes a pipeline. Others change what its phases train."""
+    """Return whether an override or a key belongs to the pipeline.
+
+    Overrides that do not belong to the pipeline change what the phases train.
+    """
     return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE

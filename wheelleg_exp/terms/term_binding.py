@@ -11,7 +11,6 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -27,20 +26,20 @@ _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim"
 
 
 class NotAllowed(ConfigError):
-    """A target or a class is outside the allowed packages."""
+    """The error for a target or a class outside the allowed packages."""
 
 
 def allowed_packages() -> tuple[str, ...]:
     """Return the packages that targets can come from: this package's terms, and packages that declare themselves.
 
     A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
-    package's name. The package is installed, or its entry point is in the ``pyproject.toml`` of the project whose
+    package's name. The entry point belongs to an installed package, or to the ``pyproject.toml`` of the project whose
     configs are in use (see ``wheelleg_exp.packages``).
     """
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
 
-# Cached, because reading every installed distribution takes a millisecond.
+# Cache the installed packages, because reading every installed distribution takes a millisecond.
 _declared_packages = functools.cache(installed_packages)
 
 
@@ -70,7 +69,7 @@ def is_inside(name: str, packages: tuple[str, ...]) -> bool:
 
 _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
 
-# The managers' own fields by section. A target must not have a parameter of such a name.
+# The fields that managers read, by section. A target must not have a parameter with the name of such a field.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
@@ -82,10 +81,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# If a tree lacks this section, it stays missing. Other missing sections are treated as empty.
+# A config may lack this section. All other missing sections are treated as empty.
 OPTIONAL = "recorders"
 
-# The types of the managers' own fields, and the fields that every term of a section must have.
+# The types of the fields that managers read, and the fields that every term of a section must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -104,7 +103,7 @@ FIELD_TYPES: dict[str, Any] = {
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # Events can have user-defined modes. A mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# The fields that only events of one mode read, and that mode.
+# Fields of event terms that apply only in one mode, and the name of this mode.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
 # The arguments that a manager passes to every target. A config never contains them.
@@ -117,12 +116,12 @@ _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.Co
 
 
 class NotSelected(ConfigError):
-    """The config has settings for a term that no list selects."""
+    """The error for a config with settings of a term that is not selected."""
 
 
 @dataclass(frozen=True)
 class TermNode:
-    """A split term node: ``fields`` belong to the manager, ``params`` are passed to the target."""
+    """A split term node: the manager reads ``fields``, and ``params`` are passed to the target."""
 
     name: str
     path: str
@@ -132,7 +131,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove null terms from a tree, make missing sections empty mappings, and return the paths that were null."""
+    """Remove null terms from a config, make missing sections empty mappings, and return the keys that were null."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -161,15 +160,9 @@ def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
 
 
 def split_node(kind: str, path: str, node: Any) -> TermNode:
-    """Split one term node into the manager's fields and the target's parameters.
+    """Split the term node at the config key ``path`` into the fields of its manager and the parameters of its target.
 
-    Args:
-        kind: the section that contains the node, a key of ``RESERVED``.
-        path: the node's config key, such as ``env.rewards.alive``.
-        node: the composed mapping.
-
-    Raises:
-        ConfigError: the node is not a mapping, or has no target.
+    ``kind`` is the section that contains the node, a key of ``RESERVED``.
     """
     if not isinstance(node, Mapping):
         raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
@@ -207,27 +200,16 @@ def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Return the keyword arguments of a ``_target_`` node.
-
-    Raises:
-        ConfigError: the node has another of Hydra's special keys, which nothing here reads.
-    """
+    """Return the keyword arguments of a ``_target_`` node."""
     for key in node:
         if key in _HYDRA_ONLY:
-            raise ConfigError(
-                f"Hydra's '{key}' does not work here",
-                key=f"{path}.{key}",
-                expected=f"{TARGET} and its parameters alone",
-            )
+            expected = f"{TARGET} and its parameters alone"
+            raise ConfigError(f"Hydra's '{key}' is not supported in terms", key=f"{path}.{key}", expected=expected)
     return {str(key): value for key, value in node.items() if key != TARGET}
 
 
 def resolve_target(target: str, path: str) -> Callable[..., Any]:
-    """Import and return an allowed target.
-
-    Raises:
-        ConfigError: the target is not allowed, does not exist, or is not callable.
-    """
+    """Import and return an allowed target."""
     target = _MOVED.get(target, target)
     require_allowed(target, path)
     module_name, _, attribute = target.rpartition(".")
@@ -239,13 +221,12 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception as error:  # a user's module can raise anything
+    except Exception as error:  # importing a user's module can raise any error
         reason = str(error) if isinstance(error, ImportError) else in_words(error)
         absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         expected = "package.module.name" if absent else "a module that can be imported"
-        raise ConfigError(
-            f"cannot import '{module_name}': {reason}", key=f"{path}.{TARGET}", expected=expected
-        ) from error
+        message = f"cannot import '{module_name}': {reason}"
+        raise ConfigError(message, key=f"{path}.{TARGET}", expected=expected) from error
     found = getattr(module, attribute, None)
     why = getattr(module, "ABSENT", {}).get(attribute)
     if why is not None:
@@ -257,20 +238,16 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
             key=f"{path}.{TARGET}",
             nearest=target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public),
         )
-    # An allowed module can import any function. Check where the function is defined, so that a config cannot call a
-    # function of the standard library through the module.
+    # An allowed module can import any function. Check the module that defines the function, so that a config cannot
+    # call a function of the standard library through an allowed module.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
 
 def resolve_class(name: Any) -> Any:
-    """Return the class or function that an allowed ``class_name`` of an agent names, resolved as rsl_rl resolves it.
+    """Return the class or function that a ``class_name`` of an agent names, or None if the name does not exist.
 
-    Returns:
-        The class or function, or None if the name does not exist.
-
-    Raises:
-        ConfigError: the module cannot be imported.
+    rsl_rl resolves the name. Raise ConfigError if the module cannot be imported.
     """
     from rsl_rl.utils import resolve_callable
 
@@ -311,14 +288,14 @@ def cfg_class(target: Callable[..., Any]) -> type | None:
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):
         first, *rest = found.split(".")
-        found = reduce(
-            lambda holder, name: getattr(holder, name, None), rest, getattr(made, "__globals__", {}).get(first)
-        )
+        found = getattr(made, "__globals__", {}).get(first)
+        for name in rest:
+            found = getattr(found, name, None)
     return found if inspect.isclass(found) else None
 
 
 def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
-    """Return whether a term's module imports ``wheelleg_exp.isaaclab``. Such a term draws from global generators."""
+    """Return whether a term's module imports ``wheelleg_exp.isaaclab``: such a term draws from global generators."""
     module = sys.modules.get(getattr(target, "__module__", ""))
     found = vars(module).values() if module is not None else ()
     names = (str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found)

@@ -1,7 +1,8 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The first half checks a term node, and the nodes inside it, against the annotations of the classes and functions
-that they name. The second half turns an exception in such code into one error with the config key and the line.
+The first half of the module checks a term node, and the nodes inside it, against the annotations of the classes and
+functions that the nodes name. The second half converts an exception in the code of a term into an error with the
+config key and the line.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: TermNode) -> list[ConfigError]:
-    """Return the mistakes in the manager's own fields of a term."""
+    """Return the mistakes in those fields of a term node that its manager reads."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in REQUIRED_FIELDS.get(section, ())
@@ -57,8 +58,7 @@ def _mode_errors(term: TermNode) -> list[ConfigError]:
     nearest = nearest_name(mode, EVENT_MODES)
     if nearest is not None and mode != nearest:
         expected = ", ".join(EVENT_MODES) + ", or a user-defined name that is less similar to these"
-        message = f"unknown mode '{mode}'"
-        return [ConfigError(message, key=f"{term.path}.mode", expected=expected, nearest=nearest)]
+        return [ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)]
     errors = [
         ConfigError(
             f"only events of mode '{owner}' read this field, and this event has mode '{mode}'",
@@ -85,7 +85,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
         term = TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), {}, target_arguments(node, path))
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # the manager of this section has no fields of its own
+    return parameter_errors("commands", term, target)  # command terms have no fields that the manager reads
 
 
 def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -99,7 +99,7 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
             )
             return
     known = [*accepted, *RESERVED[section]]
-    meant: set[str] = set()  # required parameters that a misspelled key stands for: not reported as missing
+    meant: set[str] = set()  # a parameter with a misspelled key is not also reported as missing
     for name, value in term.params.items():
         if name in accepted:
             continue
@@ -121,7 +121,6 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
 
 
 def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
-    """Check parameters against the target's annotations and, if each value is valid, against the target's rules."""
     hints = type_hints(target)
     errors: list[ConfigError] = []
     accepted = signature_parameters(target)
@@ -142,10 +141,10 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
 
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations of a target's parameters, constraints included.
+    """Return the annotations of a target's parameters, including constraints.
 
-    An annotation can be unreadable because it names a class that is imported under ``TYPE_CHECKING`` only. Terms of
-    Isaac Lab annotate the environment in this way. Such an annotation is left out, and the remaining ones are returned.
+    An annotation is left out if it names a class that is imported only under ``TYPE_CHECKING``. Terms written for Isaac
+    Lab annotate the environment with such a class.
     """
     target = read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -158,7 +157,7 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
 def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for name, annotation in getattr(function, "__annotations__", {}).items():
         alone = types.SimpleNamespace(__annotations__={name: annotation})
-        with suppress(Exception):  # evaluating the text of an annotation can raise anything
+        with suppress(Exception):  # evaluating an annotation can raise any error
             yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
@@ -169,15 +168,10 @@ def has_target(value: Any) -> bool:
 
 @contextmanager
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
-    """Convert an exception that a part of the scene raises in the body into an error with the part's config key.
+    """Convert an exception that a part of the scene raises in the body into an error at the config key ``path``.
 
-    Args:
-        path: the part's config key.
-        part: the object.
-        has_worked: whether the scene has been built with the part. Then the run has failed, not the input.
-
-    Raises:
-        ConfigError: the part raised an exception. With ``has_worked``, SimulationFailure instead.
+    ``has_worked`` says that the scene has already been built with the part; the error is then a failure of the run, not
+    of the config.
     """
     try:
         yield
@@ -196,17 +190,11 @@ def dotted_name(part: Any) -> str:
 def failure(
     error: BaseException, path: str, target: str, code: Any, *, has_worked: bool, what: str = "a term"
 ) -> BaseException:
-    """Convert an exception from a term's code into an error with config key, file, and line.
+    """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged.
-
-    Args:
-        error: the exception.
-        path: the term's config key.
-        target: dotted name of the function or class.
-        code: the function or object.
-        has_worked: whether an earlier call succeeded. Then the run has failed, not the input.
-        what: the text for the code in the message.
+    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. ``has_worked`` says
+    that an earlier call succeeded; the error is then a failure of the run, not of the config. ``what`` names the code
+    in the message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -223,7 +211,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return the error with the term's path before its key, unless the key is a full path already."""
+    """Return an error whose key starts with the path of the term, unless the key is a full path already."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path
@@ -245,7 +233,6 @@ def _definition(code: Any) -> Callable[..., Any]:
 
 
 def _line_of(error: BaseException, code: Any) -> str | None:
-    """Return the innermost line of the term's file in the exception's traceback."""
     try:
         file = inspect.getsourcefile(_definition(code))
     except TypeError:

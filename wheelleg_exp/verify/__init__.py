@@ -1,4 +1,4 @@
-"""Check runs against their own manifests, and compare two runs. Torch is imported for checkpoints only.
+"""Check runs against their own manifests, and compare two runs. Torch is imported only to compare checkpoints.
 
 | module | offers |
 |---|---|
@@ -11,17 +11,5 @@
 
 from wheelleg_exp.verify.check_files import Check, RunFindings
 from wheelleg_exp.verify.check_run import verify_run
-from wheelleg_exp.verify.comparison_text import Divergence
 from wheelleg_exp.verify.run_comparison import Comparison, compare_runs
 from wheelleg_exp.verify.run_differences import FactDifference, environment_differences
-
-__all__ = [
-    "Check",
-    "Comparison",
-    "Divergence",
-    "FactDifference",
-    "RunFindings",
-    "compare_runs",
-    "environment_differences",
-    "verify_run",
-]

@@ -1,4 +1,4 @@
-"""Check the manifest of a run and the files that it lists."""
+"""Check the manifest of a run, and the files that the manifest lists."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNENDED = ("running", "crashed")
 
 @dataclass(frozen=True)
 class Subject:
-    """A run to check: its manifest, status, and iteration log."""
+    """A run to check: its directory, manifest, status, and iteration log."""
 
     run: RunDirectory
     manifest: Manifest
@@ -35,29 +35,25 @@ class Subject:
 
     @property
     def has_ended(self) -> bool:
-        """Whether its process ended by itself."""
+        """Whether the run's process ended without being killed."""
         return self.status not in _UNENDED
 
     @property
     def has_snapshot(self) -> bool:
-        """Whether the snapshot was written completely. If not, the run stopped before its first step."""
+        """Whether the run's snapshot was written completely; without it, the run stopped before its first step."""
         return bool(self.data.get("source")) or self.has_ended
 
 
 State = Literal["ok", "note", "failed", "not checked"]
-_SHOWN = 10  # lines of one check that are printed
+_SHOWN = 10  # One check prints at most this number of lines.
 
 
 @dataclass(frozen=True)
 class Check:
     """The result of one check.
 
-    Attributes:
-        name: the name of the check.
-        text: one line on what was checked.
-        failures: what is wrong.
-        notes: facts that are not mistakes.
-        skipped: why the check could not run; None if it ran.
+    The attribute ``failures`` lists the mistakes that the check found, and ``notes`` lists harmless facts. The
+    attribute ``skipped`` says why the check could not run; it is None if the check ran.
     """
 
     name: str
@@ -68,7 +64,7 @@ class Check:
 
     @property
     def state(self) -> State:
-        """``failed``, ``not checked``, ``note`` or ``ok``."""
+        """The verdict of the check: ``failed``, ``not checked``, ``note`` or ``ok``."""
         if self.failures:
             return "failed"
         if self.skipped is not None:
@@ -76,7 +72,7 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the printed lines of the check."""
+        """Return the result of the check as printed lines."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 
@@ -91,7 +87,7 @@ class RunFindings:
 
     @property
     def is_sound(self) -> bool:
-        """Whether no check failed."""
+        """Whether no check of the run failed."""
         return not any(check.failures for check in self.checks)
 
     @property
@@ -100,12 +96,12 @@ class RunFindings:
         return "sound" if self.is_sound else "damaged"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all findings for JSON."""
+        """Return all findings about a run as a JSON document."""
         checks = [{"state": check.state, **asdict(check)} for check in self.checks]
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
 
     def lines(self) -> list[str]:
-        """Return the printed lines of all checks, the verdict last."""
+        """Return the results of all checks as printed lines, with the verdict in the last line."""
         lines = [f"{self.path.parent.name}/{self.path.name}  {self.status}", ""]
         lines += [line for check in self.checks for line in check.lines()]
         failed = [check.name for check in self.checks if check.failures]
@@ -114,17 +110,17 @@ class RunFindings:
 
 
 def cut(lines: Iterable[str]) -> list[str]:
-    """Return the first lines, and a line that counts the remaining ones."""
+    """Return the first lines of a check's output, and a line that counts the remaining lines."""
     found = list(lines)
     hidden = len(found) - _SHOWN
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# Commands read these files as parts of a run even if the manifest does not list them.
+# Commands read files with these names as parts of a run, even if the manifest does not list them.
 _READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# A running process writes these files. Their digests are recorded when the run ends.
+# A running training still writes files with these names. The manifest records their digests when the run ends.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
@@ -132,7 +128,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that nobody changed the manifest after it was written, and note what it records about the run."""
+    """Check that the manifest was not changed after the run wrote it, and note what it records about the run."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -145,33 +141,26 @@ def manifest(subject: Subject) -> Check:
         notes.append(f"the run was called '{data['id']}' when it was made")
     if subject.status == "crashed":
         notes.append("its process died: 'wheelleg resume' continues from the last checkpoint")
-    error = data.get("error")
-    if isinstance(error, Mapping):
-        notes.append(f"it ended with {error.get('type')}: {error.get('message')}")
-    resumes = [entry for entry in data["resumes"] if isinstance(entry, Mapping)]
-    notes += map(_resume_note, sorted(resumes, key=lambda entry: entry.get("exact") is not False))
+    if data.get("error"):
+        notes.append(f"it ended with {data['error'].get('type')}: {data['error'].get('message')}")
+    for entry in sorted(data["resumes"], key=lambda entry: entry.get("exact") is not False):
+        where = "" if entry.get("iteration") is None else f" from iteration {entry['iteration']}"
+        how = "" if "exact" not in entry else ", exactly" if entry["exact"] else ", not exactly"
+        reasons = (" ".join(entry.get("overrides") or ()), "; ".join(entry.get("why") or ()))
+        notes.append(": ".join(filter(None, (f"resumed on {entry.get('when')}{where}{how}", *reasons))))
     return Check("manifest", f"format {data['format']}, {len(data['files'])} files recorded", failures, notes)
-
-
-def _resume_note(entry: Mapping[str, Any]) -> str:
-    where = "" if entry.get("iteration") is None else f" from iteration {entry['iteration']}"
-    words = " ".join(map(str, entry.get("overrides") or ()))
-    how = "" if "exact" not in entry else ", exactly" if entry["exact"] else ", not exactly"
-    reasons = "; ".join(map(str, entry.get("why") or ()))
-    return f"resumed on {entry.get('when')}{where}{how}" + "".join(f": {text}" for text in (words, reasons) if text)
 
 
 def files(subject: Subject) -> Check:
     """Compare the files with the manifest's records: missing, changed, unreadable, and unlisted files."""
     found = subject.manifest.compare_files()
-    waiting = _waiting(subject)
     others = [name for name in found.unlisted if not _is_growing(subject, name)]
     growing = len(found.unlisted) - len(others)
     notes = [f"{growing} files are recorded when the run ends"] if growing else []
     unknown = [name for name in others if not _READ_BY_COMMANDS.fullmatch(name)]
     notes += [f"{name} is not part of the run: the manifest does not list it" for name in unknown]
     notes += [f"{name} is a symbolic link and not part of the run" for name in found.links]
-    notes += [f"{name} is not rewritten yet: a resume stopped before that" for name in waiting]
+    notes += [f"{name} is not rewritten yet: a resume stopped before that" for name in _waiting(subject)]
     records = subject.manifest.recorded_files()
     size = sum(int(record["size"]) for record in records.values()) / 1e6
     wrong = [f"{name} {what}" for name, what in _wrong(subject, found).items()]
@@ -179,7 +168,7 @@ def files(subject: Subject) -> Check:
 
 
 def damage(subject: Subject) -> dict[str, str]:
-    """Return the problem of each file that differs from its record in the manifest, the manifest included."""
+    """Return the problem of each file that differs from its manifest record, and the problem of the manifest."""
     wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.matches_digest() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
@@ -187,7 +176,10 @@ def damage(subject: Subject) -> dict[str, str]:
 def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
     waiting, root = _waiting(subject), subject.run.path
     wrong = {name: _what_became_of(root / name) for name in found.missing}
-    wrong |= {name: f"was changed: {_how(subject, name)}" for name in found.changed if name not in waiting}
+    for name in (name for name in found.changed if name not in waiting):
+        recorded, size = int(subject.manifest.recorded_files()[name]["size"]), (root / name).stat().st_size
+        how = "same size, other content" if size == recorded else f"{size} bytes instead of {recorded}"
+        wrong[name] = f"was changed: {how}"
     wrong |= {name: "cannot be read" for name in found.unreadable}
     wrong |= {name: "is missing, and the manifest does not list it" for name in _never_recorded(subject)}
     for name in found.unlisted:
@@ -197,7 +189,7 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
 
 
 def _never_recorded(subject: Subject) -> list[str]:
-    """Return the files that a run with these settings writes but the manifest does not list."""
+    """Return the files that a run with these parameters writes, but that the manifest does not list."""
     if not subject.has_snapshot:
         return []
     expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
@@ -215,42 +207,30 @@ def _what_became_of(path: Path) -> str:
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether the manifest will list a file once the run ends."""
+    """Return whether the manifest will list a file when the run ends."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that the last resume recorded but did not rewrite yet. The next resume rewrites them."""
-    entry = subject.data["resumes"][-1] if subject.data["resumes"] else None
-    texts = entry.get("files_to_write") if isinstance(entry, Mapping) else None
-    return sorted(texts) if isinstance(texts, Mapping) and not subject.has_ended else []
-
-
-def _how(subject: Subject, name: str) -> str:
-    recorded = int(subject.manifest.recorded_files()[name]["size"])
-    size = (subject.run.path / name).stat().st_size
-    return "same size, other content" if size == recorded else f"{size} bytes instead of {recorded}"
+    """Return the files that the last resume recorded but did not rewrite. The next resume rewrites them."""
+    texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
+    return sorted(texts) if texts and not subject.has_ended else []
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
     """Return the checkpoints that differ from the records of an earlier process, unless a resume replaced them."""
     records: dict[str, Mapping[str, Any]] = {}
     for entry in subject.data["resumes"]:
-        before = entry.get("before") if isinstance(entry, Mapping) else None
-        if isinstance(before, Mapping) and isinstance(before.get("files"), Mapping):
-            records |= {name: record for name, record in before["files"].items() if isinstance(record, Mapping)}
+        if entry.get("before") and entry["before"].get("files"):
+            records |= {name: record for name, record in entry["before"]["files"].items() if CHECKPOINT.fullmatch(name)}
             start = entry.get("iteration")
-            records = {name: record for name, record in records.items() if _is_before(name, start)}
+            replaced = [name for name in records if start is not None and checkpoint_iteration(Path(name)) >= start]
+            records = {name: record for name, record in records.items() if name not in replaced}
     wrong = {}
     for name, record in records.items():
         path = subject.run.path / name
         if not path.is_file():
             wrong[name] = _what_became_of(path)
-        elif sha256(path) != record.get("sha256"):
+        elif sha256(path) != record["sha256"]:
             wrong[name] = "was changed after it was recorded"
     return wrong
-
-
-def _is_before(name: str, start: Any) -> bool:
-    known = isinstance(start, int)
-    return CHECKPOINT.fullmatch(name) is not None and (not known or checkpoint_iteration(Path(name)) < start)

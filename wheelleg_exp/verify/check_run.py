@@ -1,6 +1,6 @@
 """Check one run against its own manifest, and its files against each other.
 
-Checked are the inputs (parameters, source, robot) and the results (iterations, checkpoints, recording, exported
+The checks cover the inputs (parameters, source, robot) and the results (iterations, checkpoints, recording, exported
 policy).
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +29,8 @@ from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
-# Resolvers whose result depends on the machine and the time.
+# The results of these OmegaConf resolvers depend on the machine and on the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
-
-
-@dataclass(frozen=True)
-class _Config:
-    """Hydra's config as written, and resolved without removed terms; ``asks`` if it reads its surroundings."""
-
-    written: dict[str, Any]
-    resolved: dict[str, Any]
-    asks: bool
 
 
 def params(subject: Subject) -> Check:
@@ -49,14 +39,28 @@ def params(subject: Subject) -> Check:
         return Check("params", "", skipped="the run stopped while its snapshot was written")
     found = dict(zip(PARTS, load_params(subject.run), strict=True))
     drop_removed(found)
-    text = "env.yaml and agent.yaml are the config's env and agent"
-    config = _config(subject.run.path / CONFIG, subject.data.get("config_variables"))
-    if isinstance(config, str):
-        return Check("params", text, skipped=config)
-    failures, notes = list(_identity_problems(subject, config.resolved)), []
+    text, path = "env.yaml and agent.yaml are the config's env and agent", subject.run.path / CONFIG
+    if not path.is_file():
+        return Check("params", text, skipped=f"there is no {CONFIG} to compare with")
+    written = read_yaml(path)
+    if not isinstance(written, dict):
+        return Check("params", text, skipped=f"{CONFIG} is not a mapping")
+    try:
+        # An environment variable that the run did not record becomes None.
+        config = resolved(written, subject.data.get("config_variables") or {}, lambda _: None)
+    except RunDirectoryError as error:
+        return Check("params", text, skipped=f"{CONFIG}: {error.message}")
+    drop_removed(config)
+    depends_on_machine = _OUTSIDE.search(read_text(path)) is not None
+    failures, notes = [], []
+    seeds, task = subject.data.get("seeds"), config.get("task")
+    if seeds and config.get("seed") not in (None, seeds[0]):
+        failures.append(f"the config's seed is {config['seed']}, the manifest's {seeds[0]}")
+    if isinstance(task, Mapping) and task.get("name") != subject.data["task"]:
+        failures.append(f"the config's task is '{task.get('name')}', the manifest's '{subject.data['task']}'")
     for part in PARTS:
-        changes = plain_changes(found[part], config.resolved.get(part), (part,))
-        unknown = [change for change in changes if config.asks and _is_interpolated(config.written, change.keys)]
+        changes = plain_changes(found[part], config.get(part), (part,))
+        unknown = [change for change in changes if depends_on_machine and _is_interpolated(written, change.keys)]
         changes = [change for change in changes if change not in unknown]
         if changes:
             failures.append(f"params/{part}.yaml is not the config's {part}: {changes_text(changes)}")
@@ -64,32 +68,8 @@ def params(subject: Subject) -> Check:
     return Check("params", text, failures, notes)
 
 
-def _identity_problems(subject: Subject, config: Mapping[str, Any]) -> Iterator[str]:
-    seeds, task = subject.data.get("seeds"), config.get("task")
-    if seeds and config.get("seed") is not None and config["seed"] != seeds[0]:
-        yield f"the config's seed is {config['seed']}, the manifest's {seeds[0]}"
-    if isinstance(task, Mapping) and task.get("name") != subject.data["task"]:
-        yield f"the config's task is '{task.get('name')}', the manifest's '{subject.data['task']}'"
-
-
-def _config(path: Path, variables: Mapping[str, str] | None) -> _Config | str:
-    """Return Hydra's config, or why it cannot be read. Recorded environment variables keep their recorded values."""
-    if not path.is_file():
-        return f"there is no {CONFIG} to compare with"
-    tree = read_yaml(path)
-    if not isinstance(tree, dict):
-        return f"{CONFIG} is not a mapping"
-    try:
-        recorded = resolved(tree, variables or {}, lambda _: None)  # None: the run did not record this variable
-    except RunDirectoryError as error:
-        return f"{CONFIG} {error.message}"
-    asks = _OUTSIDE.search(read_text(path)) is not None
-    drop_removed(recorded)
-    return _Config(tree, recorded, asks)
-
-
 def _is_interpolated(tree: Any, keys: Keys) -> bool:
-    """Return whether the value at some keys is an interpolation, or is inside one."""
+    """Return whether the config value at a path of keys is an interpolation, or is inside an interpolation."""
     for name in keys:
         if isinstance(tree, str):
             break
@@ -101,36 +81,26 @@ def source(subject: Subject) -> Check:
     """Compare the source record with the manifest, and the patches with the source record."""
     if not subject.has_snapshot:
         return Check("source", "", skipped="the run stopped while its snapshot was written")
-    path = subject.run.source / RECORD_NAME
-    if not path.is_file():
-        return Check("source", "", [f"there is no source/{RECORD_NAME}"])
-    record = read_json(path)
+    folder, where = subject.run.source, f"source/{RECORD_NAME}"
+    if not (folder / RECORD_NAME).is_file():
+        return Check("source", "", [f"there is no {where}"])
+    record = read_json(folder / RECORD_NAME)
     if not isinstance(record, Mapping):
-        return Check("source", "", [f"source/{RECORD_NAME} does not describe a source"])
-    summary = subject.data.get("source") or {}
+        return Check("source", "", [f"{where} does not describe a source"])
     failures = [
-        f"{key} is {record.get(key)} in source/{RECORD_NAME} and {value} in the manifest"
-        for key, value in summary.items()
+        f"{key} is {record.get(key)} in {where} and {value} in the manifest"
+        for key, value in (subject.data.get("source") or {}).items()
         if key in ("status", "commit", "tree", "dirty") and record.get(key) != value
     ]
     records = source_entries(record)
-    failures += [problem for one in records for problem in _patch_problems(subject.run.source, one)]
+    for name, digest in ((one.get("patch"), one.get("patch_sha256")) for one in records):
+        if isinstance(name, str) and not (folder / Path(name).name).is_file():
+            failures.append(f"source/{name} is missing")
+        elif isinstance(name, str) and sha256(folder / Path(name).name) != digest:
+            failures.append(f"source/{name} is not the patch that {where} describes")
     notes = [f"{one.get('status')}: {one['note']}" for one in records if one.get("note")]
-    return Check(
-        "source", f"commit {str(record.get('commit'))[:10]}, tree {str(record.get('tree'))[:10]}", failures, notes
-    )
-
-
-def _patch_problems(folder: Path, record: Mapping[str, Any]) -> Iterator[str]:
-    name = record.get("patch")
-    if not isinstance(name, str):
-        return
-    path = folder / Path(name).name
-    if not path.is_file():
-        yield f"source/{name} is missing"
-        return
-    if sha256(path) != record.get("patch_sha256"):
-        yield f"source/{name} is not the patch that source/{RECORD_NAME} describes"
+    text = f"commit {str(record.get('commit'))[:10]}, tree {str(record.get('tree'))[:10]}"
+    return Check("source", text, failures, notes)
 
 
 def asset(subject: Subject) -> Check:
@@ -139,8 +109,8 @@ def asset(subject: Subject) -> Check:
     if not identity.is_file():
         return Check("asset", "", skipped="the run saved no robot")
     known = read_json(identity)
-    sources = known.get("sources") if isinstance(known, Mapping) else None
-    model = known.get("model_sha256") if isinstance(known, Mapping) else None
+    known = known if isinstance(known, Mapping) else {}
+    sources, model = known.get("sources"), known.get("model_sha256")
     failures = [] if (subject.run.asset / "robot.xml").is_file() else ["asset/robot.xml is missing"]
     if not isinstance(model, str) or not re.fullmatch(r"[0-9a-f]{64}", model):
         failures.append(f"{ROBOT} has no digest of the compiled model")
@@ -148,11 +118,10 @@ def asset(subject: Subject) -> Check:
 
 
 def iterations(subject: Subject) -> Check:
-    """Check that the log counts from 0 without gaps, and ends as the results say."""
+    """Check that the iteration log counts from 0 without gaps, and ends at the iteration in the manifest's results."""
     log, failures = subject.log, list(subject.log.problems)
     notes: list[str] = []
-    missing = not subject.run.iterations.is_file()
-    if missing and not subject.run.checkpoints() and subject.status != "finished":
+    if not subject.run.iterations.is_file() and not subject.run.checkpoints() and subject.status != "finished":
         return Check("iterations", "", skipped="the run has no iteration yet")
     if log.cut_off:
         (failures if subject.has_ended else notes).append("the last line is cut off")
@@ -163,7 +132,6 @@ def iterations(subject: Subject) -> Check:
 
 
 def _results_problems(subject: Subject) -> Iterator[str]:
-    """Compare the manifest's results with the last iteration of the log."""
     results, lines = subject.manifest.results, subject.log.lines
     if not subject.has_ended or not lines or subject.log.problems:
         return
@@ -176,22 +144,20 @@ def _results_problems(subject: Subject) -> Iterator[str]:
 
 
 def checkpoints(subject: Subject) -> Check:
-    """Load every checkpoint, and compare it with its name and the log."""
-    paths = subject.run.checkpoints()
+    """Load every checkpoint, and compare its iteration with the file name and its digests with the iteration log."""
+    paths, last = subject.run.checkpoints(), subject.manifest.results.get("checkpoint")
     if not paths:
-        last = subject.manifest.results.get("checkpoint")
         missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
         return Check("checkpoints", "none", missing)
-    failures: list[str] = []
-    notes: list[str] = []
-    agreed = 0
+    failures, notes = [], []
+    agreed, damaged = 0, 0
     for path in paths:
         problems, compared = _checkpoint_problems(subject, path)
         failures += [f"{path.name} {problem}" for problem in problems]
         agreed += bool(compared) and not problems
-    if agreed + len({failure.split()[0] for failure in failures}) < len(paths):
+        damaged += bool(problems)
+    if agreed + damaged < len(paths):
         notes.append("the log's digests have another definition, so the remaining checkpoints were only loaded")
-    last = subject.manifest.results.get("checkpoint")
     if subject.has_ended and last and last != paths[-1].name:
         failures.append(f"the manifest's last checkpoint is {last}, the last file is {paths[-1].name}")
     return Check("checkpoints", f"{len(paths)} load; {agreed} agree with the digests of the log", failures, notes)
@@ -220,7 +186,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
 
 def failure(subject: Subject) -> Check:
-    """Check that the saved failure can be read, and agrees with the manifest."""
+    """Check that the saved simulation state of a failure can be read, and agrees with the manifest."""
     entry, path = subject.data.get("failure"), subject.run.path / FAILURE
     if entry is None:
         return Check("failure", "none")
@@ -237,7 +203,7 @@ def failure(subject: Subject) -> Check:
 
 
 def recording(subject: Subject) -> Check:
-    """Check that the recording can be read and was closed."""
+    """Check that the training recording can be read and was closed."""
     path = subject.run.recording
     if not path.exists():
         return Check("recording", "", skipped="the run has no recording")
@@ -249,20 +215,15 @@ def recording(subject: Subject) -> Check:
     text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
     if health.damaged or (subject.has_ended and health.readable < health.size):
         return Check("recording", text, lines)
-    if subject.has_ended and not health.is_closed:
-        return _unfinished(subject, text, lines)
-    return Check("recording", text, notes=lines)
-
-
-def _unfinished(subject: Subject, text: str, lines: list[str]) -> Check:
-    """Judge a recording without an index: it is complete if its bytes are those that the manifest recorded."""
-    record = subject.manifest.recorded_files().get(subject.run.recording.name)
-    if record is None or record["sha256"] != sha256(subject.run.recording):
+    if not subject.has_ended or health.is_closed:
+        return Check("recording", text, notes=lines)
+    # A recording without an index is complete if its bytes are those that the manifest recorded.
+    record = subject.manifest.recorded_files().get(path.name)
+    if record is None or record["sha256"] != sha256(path):
         return Check("recording", text, lines)
     why = subject.data.get("recording_unfinished")
-    reason = f" ({why})" if isinstance(why, str) else ""
-    note = "it is complete but has no index, so it opens slowly"
-    return Check("recording", text, notes=[f"{note}{reason}: 'wheelleg inspect RUN --repair' writes a copy with one"])
+    note = "it is complete but has no index, so it opens slowly" + (f" ({why})" if why else "")
+    return Check("recording", text, notes=[f"{note}: 'wheelleg inspect RUN --repair' writes a copy with one"])
 
 
 def exported(subject: Subject) -> Check:
@@ -272,51 +233,35 @@ def exported(subject: Subject) -> Check:
     if not names:
         return Check("exported", "", skipped="the run exported no policy")
     failures = []
-    if "policy.pt" in names and _archive_problem(folder / "policy.pt"):
-        failures.append("exported/policy.pt is damaged")
+    if "policy.pt" in names:
+        try:
+            with zipfile.ZipFile(folder / "policy.pt") as archive:
+                require_bounded(archive)
+                damaged = archive.testzip() is not None
+        except Exception:  # A damaged archive can raise any error.
+            damaged = True
+        failures += ["exported/policy.pt is damaged"] if damaged else []
     if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
         failures.append("exported/policy.json does not describe a policy")
     return Check("exported", ", ".join(names), failures)
 
 
-def _archive_problem(path: Path) -> bool:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            require_bounded(archive)
-            return archive.testzip() is not None
-    except Exception:  # a damaged archive may fail in any way
-        return True
-
-
 _OF_THE_FILES = (check_files.manifest, check_files.files)
-_OF_THE_CONTENT = (
-    params,
-    source,
-    asset,
-    iterations,
-    checkpoints,
-    failure,
-    recording,
-    exported,
-)
+_OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, recording, exported)
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
     """Check a run against its manifest, and its files against each other.
 
-    Nothing of the run is executed: checkpoints are loaded as numbers and names only.
-
-    Raises:
-        RunDirectoryError: the manifest is missing or damaged, or its format is unknown.
+    No code of the run is executed: checkpoints are loaded as numbers and names only.
     """
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]
     odd = odd_entries(run.path)
-    if odd:  # a link leads outside the run, and reading a pipe may never end
-        checks.append(
-            Check("entries", "", [f"{name} is {what}, which may lead anywhere" for name, what in odd.items()])
-        )
+    if odd:  # A symbolic link can lead outside the run directory, and reading from a pipe may never end.
+        found = [f"{name} is {what}, which may lead anywhere" for name, what in odd.items()]
+        checks.append(Check("entries", "", found))
         skipped = "the run holds other entries than files and folders"
         checks += [Check(check.__name__, "", skipped=skipped) for check in _OF_THE_CONTENT]
     else:
@@ -325,10 +270,10 @@ def verify_run(run: RunDirectory) -> RunFindings:
 
 
 def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
-    """Run a check. If it cannot read a file, that is a failure of this check only."""
+    """Run a check. If a check cannot read a file, only that check fails."""
     try:
         return check(subject)
     except RunDirectoryError as error:
         return Check(check.__name__, "", [str(error)])
-    except Exception as error:  # a damaged file can raise any error
+    except Exception as error:  # Reading a damaged file can raise any error.
         return Check(check.__name__, "", [f"it cannot be checked: {type(error).__name__}: {error}"])

@@ -1,4 +1,4 @@
-"""The first difference of two runs, and the parts of a comparison as text."""
+"""Find the first difference of two runs, and write the parts of a comparison as text."""
 
 from __future__ import annotations
 
@@ -16,14 +16,10 @@ from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
 class Divergence:
     """The first difference of two runs.
 
-    Attributes:
-        iteration: the first iteration that differs; None if the difference belongs to no iteration.
-        part: ``settings``, ``robot``, ``digests``, ``scalars``, ``checkpoints``, ``recording``, ``exported``,
-            ``results``, ``files`` (a file is missing or damaged) or ``length``.
-        name: the first key, digest, scalar, tensor, or entity that differs.
-        a: its value in A, if it is a single value.
-        b: its value in B.
-        details: further names, what is still equal, and the tensor's index and differences.
+    ``part`` is ``settings``, ``robot``, ``digests``, ``scalars``, ``checkpoints``, ``recording``, ``exported``,
+    ``results``, ``files`` (a file is missing or damaged), or ``length``. ``iteration`` is None for a difference outside
+    the training iterations, such as one in the settings. ``name`` is the first key, digest, scalar, tensor, or entity
+    that differs. ``a`` and ``b`` are the values of ``name`` in the two runs, if these are single values.
     """
 
     iteration: int | None
@@ -42,16 +38,15 @@ def first_divergence(
     sides: tuple[Measured, Measured],
 ) -> Divergence | None:
     """Return the first difference of two runs: settings and robot first, then the numbers, then their length."""
+    inside = _first_of_numbers(parts, parted, found, sides)
     for name in ("settings", "robot"):
         if parts[name].state == "different":
             change = parts[name].details["differing"][0]
-            inside = _first_of_numbers(parts, parted, found, sides)
             details = {} if inside is None else {"numbers": asdict(inside)}
             return Divergence(None, name, change["key"], change["a"], change["b"], details)
-    inside = _first_of_numbers(parts, parted, found, sides)
-    one, other = sides
     if inside is None and span.shorter:
-        return Divergence(span.until, "length", f"{span.shorter} stops", len(one.log.lines), len(other.log.lines))
+        a, b = (len(side.log.lines) for side in sides)
+        return Divergence(span.until, "length", f"{span.shorter} stops", a, b)
     return inside
 
 
@@ -95,21 +90,17 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
     return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_FACTS = 12  # differences of the environment that are shown
-_DIGITS = 10
-
-
-def run_line(name: str, side: Measured) -> str:
-    """Return one line with the run's name, status, and length."""
-    return f"{name}  {side.label}  {side.status}, {len(side.log.lines)} iterations"
+_FACTS = 12  # At most this number of differences of the environment is printed.
 
 
 def divergence_lines(first: Divergence) -> list[str]:
-    """Return the printed lines of the first difference."""
+    """Return the first difference of two runs as printed lines."""
     place = "" if first.iteration is None else f"iteration {first.iteration}: "
     lines = [f"first difference: {place}{_what(first)}"]
     if first.part in ("digests", "scalars"):
-        lines += list(_log_lines(first.details))
+        scalars = first.details["scalars"]
+        lines += [f"  {name}: {brief(a)} in A, {brief(b)} in B" for name, (a, b) in list(scalars.items())[:3]]
+        lines += [f"  and {len(scalars) - 3} more scalars"] if len(scalars) > 3 else []
     inside = first.details.get("numbers")
     if inside is not None:
         place = "" if inside["iteration"] is None else f"iteration {inside['iteration']}, "
@@ -121,14 +112,16 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
-    """Yield lines on differences of the environment and of settings that change no number."""
+    """Yield printed lines about differences of the environment, and of settings that change no number."""
     harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")
         return
     title = "these differ, but changed no number" if equal else "these differ, and may be the cause"
     yield from ("", title)
-    rows = [_fact_row(difference) for difference in _by_weight(found)]
+    # Differences of the code are first, followed by differences that allow unequal numbers; distributions are last.
+    ordered = sorted(found, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
+    rows = [_fact_row(difference) for difference in ordered]
     rows += [(change.key, brief(change.a), brief(change.b), "changes no number") for change in harmless]
     widths = [max(len(row[column]) for row in rows[:_FACTS]) for column in range(3)]
     for row in rows[:_FACTS]:
@@ -141,15 +134,11 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
 
 
 def checkpoints_text(found: CheckpointComparison) -> str:
-    """Return one line on all pairs of checkpoints."""
+    """Return one line that summarizes all pairs of checkpoints."""
     states = [pair.state for pair in found.pairs]
-    kinds = (
-        ("bytes", "byte for byte"),
-        ("content", "equal, in different bytes"),
-        ("different", "different"),
-        ("unreadable", "unreadable"),
-    )
-    texts = [f"{states.count(state)} {words}" for state, words in kinds if state in states]
+    kinds = {"bytes": "byte for byte", "content": "equal, in different bytes"}
+    kinds |= {"different": "different", "unreadable": "unreadable"}
+    texts = [f"{states.count(state)} {words}" for state, words in kinds.items() if state in states]
     texts += [f"{len(only)} only in {side}" for side, only in (("A", found.only_a), ("B", found.only_b)) if only]
     first = next((pair for pair in found.pairs if not pair.equal), None)
     if first is not None:
@@ -163,60 +152,38 @@ def _what(first: Divergence) -> str:
     if first.part == "length":
         return f"{first.name} ({first.a} and {first.b} iterations)"
     if first.part == "digests":
-        still = first.details["equal_digests"]
-        return f"digests of {', '.join(first.details['digests'])}" + (
-            f" ({', '.join(still)} still equal)" if still else ""
-        )
+        equal = first.details["equal_digests"]
+        still = f" ({', '.join(equal)} still equal)" if equal else ""
+        return f"digests of {', '.join(first.details['digests'])}{still}"
     if first.part == "scalars":
         return f"scalars, while the digests {'are equal' if first.details['equal_digests'] else 'cannot be compared'}"
     if first.part == "checkpoints" and first.iteration is not None:
-        return _checkpoint_text(
-            {"iteration": first.iteration, "name": first.name, "a": first.a, "b": first.b, "details": first.details}
-        )
+        return _checkpoint_text(asdict(first))
     return f"{first.part}: {first.name}"
 
 
-def _log_lines(details: Mapping[str, Any]) -> Iterator[str]:
-    scalars = details["scalars"]
-    for name, (one, other) in list(scalars.items())[:3]:
-        yield f"  {name}: {brief(one)} in A, {brief(other)} in B"
-    if len(scalars) > 3:
-        yield f"  and {len(scalars) - 3} more scalars"
-
-
 def _checkpoint_text(found: Mapping[str, Any]) -> str:
-    details = found["details"]
-    name = f"model_{found['iteration']}.pt: "
+    details, name = found["details"], f"model_{found['iteration']}.pt: "
     if "kind" not in details:
         return name + str(found["name"])
     parts = ", ".join(f"{count} in {part}" for part, count in details["by_part"].items())
-    count = f"{details['differing']} of {details['of']} entries differ ({parts}); "
-    return name + count + _leaf(found["name"], details["kind"], details, found["a"], found["b"])
-
-
-def _leaf(name: str, kind: str, details: Mapping[str, Any], a: Any, b: Any) -> str:
-    if kind != "values":
-        return f"{name}: {kind} ({brief(a)} and {brief(b)})"
+    name += f"{details['differing']} of {details['of']} entries differ ({parts}); "
+    values = f"{brief(found['a'])} and {brief(found['b'])}"
+    if details["kind"] != "values":
+        return f"{name}{found['name']}: {details['kind']} ({values})"
     index = f"[{', '.join(map(str, details['index']))}]" if details["index"] else ""
     if details["largest"] is None:
-        return f"{name}{index}: {brief(a)} and {brief(b)}"
+        return f"{name}{found['name']}{index}: {values}"
     relative = "" if details["relative"] is None else f", relative {details['relative']:.1e}"
-    return f"largest at {name}{index}: {brief(a)} and {brief(b)}, apart {details['largest']:.1e}{relative}"
-
-
-def _by_weight(differences: Sequence[FactDifference]) -> list[FactDifference]:
-    """Sort: other code first, then differences that allow other numbers; installed distributions last."""
-    return sorted(differences, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
+    return f"{name}largest at {found['name']}{index}: {values}, apart {details['largest']:.1e}{relative}"
 
 
 def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:
     a, b = difference.a, difference.b
     if isinstance(a, list) and isinstance(b, list):
         a, b = ([x for x in one if x not in other] for one, other in ((a, b), (b, a)))
-    values = [_hash(x) if difference.section == "code" else x for x in (a, b)]
+    # Only the first digits of source code hashes are printed.
+    is_hash = [difference.section == "code" and isinstance(x, str) and len(x) in (40, 64) for x in (a, b)]
+    one, other = (brief(x[:10] if short else x) for x, short in zip((a, b), is_hash, strict=True))
     allows = f"allows other rounding: {difference.allows}" if difference.allows else ""
-    return f"{difference.section}.{difference.name}", brief(values[0]), brief(values[1]), allows
-
-
-def _hash(value: Any) -> Any:
-    return value[:_DIGITS] if isinstance(value, str) and len(value) in (40, 64) else value
+    return f"{difference.section}.{difference.name}", one, other, allows

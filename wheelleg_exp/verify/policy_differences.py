@@ -1,18 +1,19 @@
 """Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs.
 
-One pair of checkpoints is in memory at a time. Exported policies are never run.
+Only one pair of checkpoints is in memory at a time. Exported policies are never run.
 """
 
 from __future__ import annotations
 
 import filecmp
 import hashlib
+import math
 import pickletools
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,24 +28,18 @@ if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
 
-_MOST_LEAVES = 50  # stored per pair
+_MOST_LEAVES = 50  # At most this number of differing leaves is stored for one pair of checkpoints.
 
 
 @dataclass(frozen=True)
 class Pair:
     """The checkpoints of one iteration in two runs.
 
-    Attributes:
-        iteration: the iteration.
-        state: ``bytes`` (equal files), ``content`` (equal tensors in different bytes), ``different``, or
-            ``unreadable``.
-        count: how many leaves differ.
-        of: how many leaves there are.
-        differences: the leaves that differ: networks first, random streams last; within a part, the largest relative
-            difference first.
-        by_part: how many leaves differ in each part of the checkpoint.
-        parameters: relative Euclidean distance of the networks' parameters; None if it was not needed.
-        problem: why a file cannot be read.
+    ``state`` is ``bytes`` (equal files), ``content`` (equal tensors in different bytes), ``different``, or
+    ``unreadable``. ``count`` of ``of`` leaves differ. ``differences`` lists them: networks first, random streams last,
+    and within a part the largest relative difference first. ``by_part`` counts the differing leaves by part of the
+    checkpoint. ``parameters`` is the relative Euclidean distance of the networks' parameters. ``problem`` says why a
+    checkpoint file cannot be read.
     """
 
     iteration: int
@@ -58,12 +53,8 @@ class Pair:
 
     @property
     def equal(self) -> bool:
-        """Whether every number is equal bit for bit."""
+        """Whether all numbers of the two checkpoints are equal bit for bit."""
         return self.state in ("bytes", "content")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the pair for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -101,12 +92,12 @@ def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
     from wheelleg_exp.rl import checkpoint
     from wheelleg_exp.verify import tensor_differences
 
-    one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # NaN is compared too
+    one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
     found = list(tensor_differences.tree_differences(one, other))
     of = tensor_differences.count_leaves(one)
     if not found:
         return Pair(iteration, "content", of=of)
-    found.sort(key=lambda difference: (_rank(difference.name), -_weight(difference)))
+    found.sort(key=_order)
     distance = tensor_differences.relative_distance(_networks(one), _networks(other))
     parts = Counter(_part(difference.name) for difference in found)
     return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
@@ -126,33 +117,35 @@ def _part(name: str) -> str:
     return "env.streams" if name.startswith("env.streams") else name.split(".")[0].split("[")[0]
 
 
-def _rank(name: str) -> int:
-    part = _part(name)
+def _order(difference: Difference) -> tuple[int, float]:
+    """Return the sort key of a difference: by part of the checkpoint, then by size.
+
+    Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative ones.
+    """
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
-    if part in order:
-        return order.index(part)
-    return len(order) + (part in ("env.streams", "rng"))
-
-
-def _weight(difference: Difference) -> float:
-    """Return the sort key: another shape or a missing tensor first, then NaN on one side, then the relative size."""
+    part = _part(difference.name)
+    rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
     if difference.kind != "values" or difference.relative is None:
-        return 3.0
-    return 2.5 if difference.relative != difference.relative else difference.relative
+        return rank, -3.0
+    # A relative difference is at most 2.
+    return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
 _EQUAL = "equal"
 _EQUAL_CONTENT = "weights and code equal, other bytes"
-# TorchScript numbers its classes by the order of scripting in a process.
+# TorchScript numbers its classes in the order in which the process scripted them, so the numbers are ignored.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# Pickle operations that hold no value: the protocol version, and positions in the memo.
+# These pickle operations contain only the protocol version and memo positions, and no value.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
 def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
     """Compare the exported policies: their bytes, and if these differ, their weights, code, and graphs."""
-    ones, others = ({path.name: path for path in _files(run.exported)} for run in (a, b))
+    ones, others = (
+        {path.name: path for path in run.exported.iterdir() if path.is_file()} if run.exported.is_dir() else {}
+        for run in (a, b)
+    )
     if not ones or not others:
         sides = [side for side, files in (("A", ones), ("B", others)) if files]
         return Part("not compared", f"only {sides[0]} exported a policy" if sides else "neither run exported a policy")
@@ -164,35 +157,26 @@ def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
     return Part("equal" if set(odd.values()) == {_EQUAL_CONTENT} else "different", text, {"files": files})
 
 
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
-
-
 def _compare(a: Path | None, b: Path | None) -> str:
     if a is None or b is None:
         return "only in A" if a else "only in B"
-    one, other = read_bytes(a), read_bytes(b)
-    if one == other:
+    if read_bytes(a) == read_bytes(b):
         return _EQUAL
     try:
-        return _compare_files(a, b)
-    except Exception as error:  # a damaged file can raise any error
+        if a.suffix == ".json":
+            changes = plain_changes(read_json(a), read_json(b))
+            return f"differs in {some([change.key for change in changes])}" if changes else _EQUAL_CONTENT
+        sides: Sequence[Callable[[Path], Any]] = (_onnx_weights, _onnx_graph)
+        if a.suffix != ".onnx":
+            sides = (_archived_weights, _archived_code)
+        texts = ("weights differ", "code differs")
+        differing = [text for text, side in zip(texts, sides, strict=True) if side(a) != side(b)]
+        return " and ".join(differing) or _EQUAL_CONTENT
+    except Exception as error:  # Reading a damaged file can raise any error.
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
 
 
-def _compare_files(a: Path, b: Path) -> str:
-    if a.suffix == ".json":
-        changes = plain_changes(read_json(a), read_json(b))
-        return f"differs in {some([change.key for change in changes])}" if changes else _EQUAL_CONTENT
-    sides: Sequence[Callable[[Path], Any]] = (_onnx_weights, _onnx_graph)
-    if a.suffix != ".onnx":
-        sides = (_archived_weights, _archived_code)
-    texts = ("weights differ", "code differs")
-    differing = [text for text, side in zip(texts, sides, strict=True) if side(a) != side(b)]
-    return " and ".join(differing) or _EQUAL_CONTENT
-
-
-# TorchScript archives are never loaded, because loading runs their code.
+# Do not load TorchScript archives, because loading runs their code.
 def _archived_weights(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -203,7 +187,8 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors.
 
-    The numbers of classes and the order of constants are removed: both depend on the process that wrote the archive.
+    The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
+    archive.
     """
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
@@ -211,7 +196,11 @@ def _archived_code(path: Path) -> dict[str, Any]:
         for name in archive.namelist():
             inner = name.split("/", 1)[-1]
             if inner.endswith(".pkl"):
-                found[inner] = list(_pickled(archive.read(name)))
+                # List the operations of a pickle without running them.
+                operations = pickletools.genops(archive.read(name))
+                found[inner] = [
+                    (op.name, _NUMBER.sub("", repr(x))) for op, x, _ in operations if op.name not in _BOOKKEEPING
+                ]
             elif inner.startswith("code/") and not inner.endswith(".debug_pkl"):
                 plain = _NUMBER_IN_PATH.sub("", inner)
                 found[plain] = sorted([*found.get(plain, []), *_definitions(archive.read(name).decode())])
@@ -225,23 +214,13 @@ def _definitions(code: str) -> list[str]:
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 
-def _pickled(data: bytes) -> Iterator[tuple[str, Any]]:
-    """Yield the operations of a pickle without running them."""
-    for operation, value, _ in pickletools.genops(data):
-        if operation.name not in _BOOKKEEPING:
-            yield operation.name, _NUMBER.sub("", repr(value))
-
-
 def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
     import onnx
     from onnx import numpy_helper
 
     graph = onnx.load(path, load_external_data=False).graph
     arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    return {
-        name: (array.shape, str(array.dtype), hashlib.sha256(array.tobytes()).hexdigest())
-        for name, array in arrays.items()
-    }
+    return {name: (x.shape, str(x.dtype), hashlib.sha256(x.tobytes()).hexdigest()) for name, x in arrays.items()}
 
 
 def _onnx_graph(path: Path) -> bytes:

@@ -1,9 +1,9 @@
 """Differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
-A difference *allows* other numbers when it is known to change the order or the kind of floating-point operations,
-and nothing else: another CPU, other vector instructions, another build of the libraries that compute. Other
-settings and another number of physics threads never allow other numbers. Other code *forbids* a comparison within
-tolerance, because its effect cannot be separated from the effect of rounding.
+A difference *allows* other numbers if it is known to change the order or the kind of floating-point operations, and
+nothing else: another CPU, other vector instructions, another build of the libraries that compute. A different setting
+or a different number of physics threads never allows unequal numbers. Different code *forbids* a comparison within
+tolerance, because the effects of code and rounding cannot be separated.
 """
 
 from __future__ import annotations
@@ -26,33 +26,21 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# These settings change what is written and when, speed, or buffer sizes; a buffer that is too small is an error.
-_HARMLESS = (
-    ("agent", "max_iterations"),
-    ("agent", "save_interval"),
-    ("agent", "max_non_finite"),
-    ("agent", "torch_threads"),
-    ("agent", "logger"),
-    ("env", "sim", "nthread"),
-    ("env", "sim", "nconmax"),
-    ("env", "sim", "njmax"),
-    ("env", "sim", "graph"),
-    ("env", "sim", "deterministic"),
+# These settings change files, speed, or buffer sizes, but no number. A buffer that is too small raises an error.
+_HARMLESS: tuple[Keys, ...] = (
+    *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
+    *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
     ("recording",),
 )
 
 
 def decides(keys: Keys) -> bool:
-    """Return whether the setting at these keys can change a number. Settings below harmless keys cannot."""
+    """Return whether the setting at a path of keys can change a number of the training."""
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
 
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return how the settings of two runs differ, those that decide numbers first.
-
-    Raises:
-        RunDirectoryError: the parameters of a run are missing or damaged.
-    """
+    """Return how the settings of two runs differ, with settings that can change a number first."""
     found = plain_changes(_settings(a), _settings(b))
     return sorted(found, key=lambda change: not decides(change.keys))
 
@@ -68,36 +56,30 @@ def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
 
 
 def as_dict(change: Change) -> dict[str, Any]:
-    """Return a change for JSON."""
-    # JSON has no value for a missing key.
+    """Return a changed setting as a JSON document."""
+    # JSON has no value for a missing key, so write the marker as text.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
 def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
-    """Return the settings that differ, the first few with their values."""
+    """Return the settings that differ as text, the first few with their values."""
     texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
     return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
 
 
 def brief(value: Any) -> str:
-    """Return a value on one short line; for a term, the name of its target."""
+    """Return a config value on one short line; for a term, the name of its target."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = str(value["_target_"]).rsplit(".", 1)[-1]
     written = repr(value) if isinstance(value, float) else str(value)
     return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
 
 
-def recording_changes(changes: list[Change]) -> list[Change]:
-    """Return the changes that decide what a recording contains."""
-    return [change for change in changes if change.keys[0].startswith("recording")]
-
-
 def _settings(run: RunDirectory) -> dict[str, Any]:
     env, agent = load_params(run)
     data = run.manifest().data
-    resumes = [entry for entry in data["resumes"] if isinstance(entry, Mapping)]
-    changed = [[entry.get("iteration"), changes] for entry in resumes if (changes := _resume_changes(entry))]
+    changed = [[entry.get("iteration"), changes] for entry in data["resumes"] if (changes := _resume_changes(entry))]
     settings = {
         "seed": data.get("seeds"),
         "task": data["task"],
@@ -110,9 +92,9 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
 
 
 def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a resume changed and that decide numbers."""
-    changes = [change for change in entry.get("changes") or () if isinstance(change, Mapping)]
-    return {str(c.get("key")): c.get("now") for c in changes if decides(tuple(str(c.get("key")).split(".")))}
+    """Return the settings that a resume changed and that can change a number."""
+    changed = {str(change.get("key")): change.get("now") for change in entry.get("changes") or ()}
+    return {key: value for key, value in changed.items() if decides(tuple(key.split(".")))}
 
 
 def _robot(run: RunDirectory) -> dict[str, Any]:
@@ -145,10 +127,14 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-_WIDEST = 40  # longer values are cut
+_WIDEST = 40  # Longer values are cut to this number of characters.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
+_KERNEL_VARIABLES = (
+    *("MKL_CBWR", "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY"),
+    *("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE"),
+)
 _ALLOWING: dict[str, dict[str, str]] = {
     "hardware": {
         "cpu": "another CPU",
@@ -166,39 +152,23 @@ _ALLOWING: dict[str, dict[str, str]] = {
         "mkl": "other kernels of the matrix library",
         "matmul": "other products in the update (agent.matmul)",
     },
-    "environment_variables": {
-        name: "other kernels of the matrix libraries"
-        for name in (
-            "MKL_CBWR",
-            "MKL_ENABLE_INSTRUCTIONS",
-            "MKL_DEBUG_CPU_TYPE",
-            "ATEN_CPU_CAPABILITY",
-            "ONEDNN_MAX_CPU_ISA",
-            "DNNL_MAX_CPU_ISA",
-            "OPENBLAS_CORETYPE",
-        )
-    },
+    "environment_variables": dict.fromkeys(_KERNEL_VARIABLES, "other kernels of the matrix libraries"),
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # facts of a process that has not imported torch
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # A process can record this fact only after the import of torch.
 
 
 @dataclass(frozen=True)
 class FactDifference:
     """One fact in which two runs differ.
 
-    Attributes:
-        section: ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables`` or
-            ``distributions``.
-        name: the fact.
-        a: its value in A; a list if A was resumed with another value.
-        b: its value in B.
-        allows: why it can change the last digits of a number; None if it must not.
-        forbids: whether it can change any number by any amount: other code, or a resume that was inexact for other
-            reasons than the machine. Then no tolerance applies.
-        note: the difference in words, if the values are digests.
+    ``section`` is ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables``, or
+    ``distributions``. ``a`` and ``b`` are the values; a value is a list if the run was resumed with another one.
+    ``allows`` says why the fact can change the last digits of a number; it is None if the fact must not change them.
+    ``forbids`` is true if the fact can change any number by any amount: other code, or a resume that was inexact for
+    other reasons than the machine. No tolerance applies then. ``note`` describes a difference of digests in words.
     """
 
     section: str
@@ -215,7 +185,8 @@ def environment_differences(
 ) -> list[FactDifference]:
     """Return how two manifests, or parts of them, differ in ``SECTIONS``.
 
-    A section that only one manifest has is skipped. So are the names of ``unknown``, which one side cannot know yet.
+    A section that only one manifest has is skipped. The facts in ``unknown`` are also skipped, because one run has not
+    recorded them yet.
     """
     found = []
     for section in SECTIONS:
@@ -224,7 +195,8 @@ def environment_differences(
             for name in sorted({*ones, *others} - set(unknown)):
                 one, other = ones.get(name, []), others.get(name, [])
                 if one != other:
-                    found.append(_difference(section, name, one, other, (a, b)))
+                    x, y = (values[0] if len(values) == 1 else values or None for values in (one, other))
+                    found.append(FactDifference(section, name, x, y, _allows(section, name, one, other, (a, b))))
     return found
 
 
@@ -233,12 +205,17 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     one, other = a.manifest(), b.manifest()
     facts = environment_differences(one.data, other.data)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
-    more = [d for d in _distributions(a, b) if _normal(d.name) not in listed]
+    ones, others = _installed(a), _installed(b)
+    more = [
+        FactDifference("distributions", name, ones.get(name), others.get(name))
+        for name in (sorted({*ones, *others} - listed) if ones and others else ())
+        if ones.get(name) != others.get(name)
+    ]
     return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return the values of each fact over the processes that wrote the run, the first process first."""
+    """Return each fact's values in the order of the processes that wrote the run."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -250,19 +227,11 @@ def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] |
     return values if tables else None
 
 
-def _difference(section: str, name: str, a: list[Any], b: list[Any], manifests: tuple[Any, Any]) -> FactDifference:
-    return FactDifference(section, name, _single(a), _single(b), _allows(section, name, a, b, manifests))
-
-
-def _single(values: list[Any]) -> Any:
-    return values[0] if len(values) == 1 else values or None
-
-
 def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tuple[Any, Any]) -> str | None:
     if (section, name) == ("threads", "torch"):
         return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
     if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
-        return None  # only the kernel's version differs
+        return None  # The platforms differ only in the version of the Linux kernel.
     return _ALLOWING.get(section, {}).get(name)
 
 
@@ -294,62 +263,44 @@ def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
 def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
     for number in range(max(len(a), len(b), 1)):
         one, other = (side[number] if number < len(side) else {} for side in (a, b))
-        if _same_code(one, other):
+        # The same tree or the same digest means the same files, whatever the commits are.
+        if any(one.get(key) is not None and one.get(key) == other.get(key) for key in ("tree", "content_sha256")):
             continue
         mark = f" ({number + 1})" if number else ""
         facts = [name for name in _CODE if one.get(name) != other.get(name)]
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # the records do not identify the files
+        if not facts:  # The records do not identify the files of the source.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
     """Yield resumes that were not exact, with the reasons: other code, or another machine."""
-    ones, others = _inexact(a), _inexact(b)
-    for name in dict.fromkeys([*ones, *others]):
-        one, other = ("; ".join(map(_why, side.get(name, ()))) or None for side in (ones, others))
+    # The resumes are stored by their first iteration, because several resumes can start from one checkpoint.
+    inexact: tuple[dict[str, list[Mapping[str, Any]]], ...] = ({}, {})
+    for found, manifest in zip(inexact, (a, b), strict=True):
+        for entry in manifest.data["resumes"]:
+            if entry.get("exact") is False:
+                found.setdefault(f"from iteration {entry.get('iteration')}", []).append(entry)
+    for name in dict.fromkeys([*inexact[0], *inexact[1]]):
+        one, other = (
+            "; ".join("; ".join(entry.get("why") or ()) or "not exactly" for entry in side.get(name, ())) or None
+            for side in inexact
+        )
         if one != other:
-            entries = [*ones.get(name, ()), *others.get(name, ())]
+            entries = [entry for side in inexact for entry in side.get(name, ())]
             yield FactDifference("resumed", name, one, other, forbids=not all(map(is_the_machine, entries)))
 
 
-def _inexact(manifest: Manifest) -> dict[str, list[Mapping[str, Any]]]:
-    """Return the resumes that were not exact by their start. Several may start at one checkpoint."""
-    found: dict[str, list[Mapping[str, Any]]] = {}
-    for entry in manifest.data["resumes"]:
-        if isinstance(entry, Mapping) and entry.get("exact") is False:
-            found.setdefault(f"from iteration {entry.get('iteration')}", []).append(entry)
-    return found
-
-
-def _why(entry: Mapping[str, Any]) -> str:
-    return "; ".join(map(str, entry.get("why") or ())) or "not exactly"
-
-
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether recorded differences of machine and versions are the only reasons that a resume was inexact."""
+    """Return whether recorded differences of machine and versions are the only reasons for an inexact resume."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
 
 
-def _same_code(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Return whether two records are of the same files, in whatever commit."""
-    return any(a.get(key) is not None and a.get(key) == b.get(key) for key in ("tree", "content_sha256"))
-
-
-def _distributions(a: RunDirectory, b: RunDirectory) -> Iterator[FactDifference]:
-    ones, others = _installed(a), _installed(b)
-    if ones and others:
-        for name in sorted({*ones, *others}):
-            if ones.get(name) != others.get(name):
-                yield FactDifference("distributions", name, ones.get(name), others.get(name))
-
-
 def _installed(run: RunDirectory) -> dict[str, str]:
-    """Return the versions of the distributions in ``environment.txt`` by name."""
     try:
         lines = read_bytes(run.environment).decode("utf-8", errors="replace").splitlines()
     except RunDirectoryError:
@@ -368,5 +319,5 @@ def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
 
 
 def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences that rule out any tolerance."""
+    """Return the differences that rule out a comparison within tolerance."""
     return [difference for difference in differences if difference.forbids]

@@ -1,11 +1,8 @@
-"""Compare parts of two runs over the iterations that both have.
-
-The parts are scalars, digests, recordings, and results.
-"""
+"""Compare scalars, digests, recordings, and results of two runs over the iterations that both runs have."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -24,7 +21,7 @@ _OF_ITERATIONS = (MANIFEST_NAME, "iterations.jsonl")
 
 @dataclass(frozen=True)
 class Measured:
-    """One of the two runs: its status, its log, and the problem of each damaged file by name."""
+    """One of two compared runs: its status, its log, and the problem of each damaged file by name."""
 
     run: RunDirectory
     status: str
@@ -33,24 +30,22 @@ class Measured:
 
     @property
     def label(self) -> str:
-        """The task and the id."""
+        """The name of a compared run: its task and its id."""
         return f"{self.run.path.parent.name}/{self.run.id}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the run for JSON."""
+        """Return the facts about a compared run as a JSON document."""
         facts = {"run": str(self.run.path), "status": self.status, "iterations": len(self.log.lines)}
         return {**facts, "problems": [f"{name} {what}" for name, what in self.damage.items()]}
 
 
 @dataclass(frozen=True)
 class Span:
-    """The iterations that are compared.
+    """The iterations of two runs that are compared: the iterations below ``until``.
 
-    Attributes:
-        until: compared are the iterations below this number.
-        whole: whether neither run has more iterations, now or later.
-        closed: whether the runs are whole and ended by themselves, so that no file is cut off.
-        shorter: the run that stopped earlier, if that matters: ``A`` or ``B``.
+    The attribute ``whole`` is true if neither run has or will have iterations after the compared ones. ``closed`` is
+    true if both runs also ended without being killed, so that no file is cut off. ``shorter`` is ``A`` or ``B``, the
+    run with fewer iterations, or None if the runs' lengths do not matter.
     """
 
     until: int
@@ -67,11 +62,7 @@ class Span:
 
 
 def measure(run: RunDirectory) -> Measured:
-    """Read the status, log, and damage of a run.
-
-    Raises:
-        RunDirectoryError: its manifest cannot be read.
-    """
+    """Read a run's status and iteration log, and find its damaged files."""
     manifest, log = run.manifest(), read_log(run.iterations)
     subject = Subject(run, manifest, effective_status(manifest), log)
     found = damage(subject)
@@ -81,20 +72,15 @@ def measure(run: RunDirectory) -> Measured:
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
-    """Return the iterations of two runs that are compared (see ``compare_runs``).
-
-    Raises:
-        RunDirectoryError: no iteration can be compared, and damage is not the reason.
-    """
+    """Return the iterations of two runs that are compared; raise RunDirectoryError if no iteration can be compared."""
     lengths = len(a.log.lines), len(b.log.lines)
     asked = max(lengths) if iterations is None else iterations
     until = min(*lengths, asked)
     if until < 1 and not (a.damage or b.damage):
         empty = a if not lengths[0] else b
         problem = f": {empty.log.problems[0]}" if empty.log.problems else ""
-        raise RunDirectoryError(
-            f"no iteration of '{empty.run.id}' can be compared{problem}", expected="runs with finished iterations"
-        )
+        message = f"no iteration of '{empty.run.id}' can be compared{problem}"
+        raise RunDirectoryError(message, expected="runs with finished iterations")
     running = any(side.status == "running" for side in (a, b))
     uneven = min(lengths[0], asked) != min(lengths[1], asked)
     whole = lengths[0] == lengths[1] == until and not running
@@ -105,31 +91,25 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 
 State = Literal["equal", "different", "not compared"]
 
-_TIME = "seconds"  # results with this ending are durations, and may differ
+_TIME = "seconds"  # Results whose key has this suffix are durations, which can differ between equal runs.
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a comparison.
-
-    Attributes:
-        state: ``equal`` bit for bit, ``different``, or ``not compared``.
-        text: one printed line.
-        details: data for programs.
-    """
+    """One part of a comparison: its state, one printed line, and data for programs."""
 
     state: State
     text: str
     details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the part for JSON."""
+        """Return one part of a comparison as a JSON document."""
         return {"state": self.state, "text": self.text, **self.details}
 
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which two logs differ, and its differing digests and scalars."""
+    """The first iteration in which two logs differ, with its differing digests and scalars."""
 
     iteration: int
     digests: list[str]
@@ -138,12 +118,12 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the digests that both lines have in one format."""
+    """Return the names of the digests that both iterations have in one format."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
 def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
-    """Return where two logs of equal length first differ; None if they are equal."""
+    """Return the place at which two logs of equal length first differ; None if the logs are equal."""
     for one, other in zip(a, b, strict=True):
         names = compared_digests(one, other)
         digests = [name for name in names if one.digests[name] != other.digests[name]]
@@ -154,13 +134,13 @@ def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
 
 
 def differing_scalars(a: Line, b: Line) -> list[str]:
-    """Return the scalars that differ in two iterations. A missing scalar and the sign of a zero count."""
+    """Return the scalars that differ in two iterations. A missing scalar is a difference, and 0.0 differs from -0.0."""
     names = dict.fromkeys([*a.scalars, *b.scalars])
     return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
 
 
 def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the scalars of every iteration."""
+    """Compare the scalars of two runs in every iteration."""
     changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
     if not a:
         return Part("not compared", "the runs have no common iteration")
@@ -174,7 +154,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the digests of every iteration by name."""
+    """Compare the digests of two runs in every iteration by name."""
     names: dict[str, int] = {}
     first: dict[str, int] = {}
     for one, other in zip(a, b, strict=True):
@@ -209,24 +189,19 @@ def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
     changed = [entity for entity in one if entity in other and one[entity] != other[entity]]
     only_a, only_b = ([entity for entity in x if entity not in y] for x, y in ((one, other), (other, one)))
     details = {"entities": len(one), "differing": changed, "only_a": only_a, "only_b": only_b}
-    if not (changed or only_a or only_b):
-        return Part("equal", f"{len(one)} entities", details)
-    return Part("different", _entities_text(one, changed, only_a, only_b), details)
-
-
-def _entities_text(one: Mapping[str, str], changed: list[str], only_a: list[str], only_b: list[str]) -> str:
     counted = [(changed, f"of {len(one)} entities differ"), (only_a, "only in A"), (only_b, "only in B")]
-    return "; ".join(f"{len(names)} {what} ({some(names)})" for names, what in counted if names)
+    text = "; ".join(f"{len(names)} {what} ({some(names)})" for names, what in counted if names)
+    return Part("different", text, details) if text else Part("equal", f"{len(one)} entities", details)
 
 
 def some(names: Sequence[str], shown: int = 3) -> str:
-    """Return the first few names and the number of remaining names."""
+    """Return the first few names as text, and the number of the remaining names."""
     hidden = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the results in the manifests, without durations."""
+    """Compare the results in the manifests of two runs, without durations."""
     ones, others = ({k: v for k, v in run.manifest().results.items() if not k.endswith(_TIME)} for run in (a, b))
     if not ones or not others:
         owners = [side for side, results in (("A", ones), ("B", others)) if results]
@@ -235,9 +210,6 @@ def results_part(a: RunDirectory, b: RunDirectory) -> Part:
     details = {"differing": [as_dict(change) for change in changes]}
     if not changes:
         return Part("equal", f"{len(ones)} figures", details)
-    texts = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]
+    sides = [[f"{x:.6g}" if isinstance(x, float) else str(x) for x in (change.a, change.b)] for change in changes]
+    texts = [f"{change.key} {a} and {b}" for change, (a, b) in zip(changes, sides, strict=True)]
     return Part("different", some(texts), details)
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

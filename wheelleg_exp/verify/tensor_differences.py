@@ -1,4 +1,7 @@
-"""Compare two trees of tensors, numbers, and text bit by bit. Imports torch, so import this module lazily."""
+"""Compare two trees of tensors, numbers, and text bit by bit.
+
+This module imports torch, so its callers must import this module lazily.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,12 @@ _ABSENT = "(absent)"
 
 @dataclass(frozen=True)
 class Difference:
-    """One leaf in which two trees differ.
+    """One leaf in which two trees A and B differ, with its dotted name.
 
-    Attributes:
-        name: its dotted path.
-        kind: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
-        a: the value in A where the difference is largest, or the shape, dtype, or kind.
-        b: the same of B.
-        index: the index of that value in the tensor.
-        largest: the largest absolute difference (NaN if only one side is NaN or infinite).
-        relative: the largest difference over the larger of the two magnitudes.
-        count: how many elements differ.
-        of: how many elements there are.
+    ``kind`` is ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``. ``a`` and ``b`` are the
+    values at the ``index`` of the largest difference, or the shapes, dtypes, or kinds. ``largest`` is the largest
+    absolute difference (NaN if only one side is NaN or infinite). ``relative`` is the largest absolute difference
+    divided by the larger magnitude of the two values. ``count`` of ``of`` elements differ.
     """
 
     name: str
@@ -43,7 +40,7 @@ class Difference:
 
 
 def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
-    """Yield the leaves in which two trees differ, in A's order and then B's."""
+    """Yield the leaves in which two trees differ, in the order of A and then of B."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             yield from _child(a, b, key, f"{name}.{key}" if name else str(key))
@@ -51,11 +48,20 @@ def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
         for index in range(max(len(a), len(b))):
             yield from _child(dict(enumerate(a)), dict(enumerate(b)), index, f"{name}[{index}]")
     elif isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
-        yield from _tensors(name, a, b)
+        if a.shape != b.shape:
+            yield Difference(name, "shape", list(a.shape), list(b.shape))
+        elif a.dtype != b.dtype:
+            yield Difference(name, "dtype", str(a.dtype), str(b.dtype))
+        elif tensor_bytes(a) != tensor_bytes(b):
+            yield _values(name, a, b)
     elif type(a) is not type(b):
         yield Difference(name, "kind", type(a).__name__, type(b).__name__)
-    elif not _same(a, b):
-        yield _numbers(name, a, b)
+    elif struct.pack("d", a) != struct.pack("d", b) if isinstance(a, float) else a != b:
+        if not isinstance(a, (int, float)) or isinstance(a, bool):
+            yield Difference(name, "values", a, b)
+        else:
+            largest, scale = float(abs(a - b)), max(abs(a), abs(b))
+            yield Difference(name, "values", a, b, (), largest, float(largest / scale) if scale else 0.0)
 
 
 def count_leaves(tree: Any) -> int:
@@ -87,44 +93,22 @@ def _brief(value: Any) -> str:
     return f"{value.dtype} {tuple(value.shape)}" if isinstance(value, torch.Tensor) else type(value).__name__
 
 
-def _tensors(name: str, a: torch.Tensor, b: torch.Tensor) -> Iterator[Difference]:
-    if a.shape != b.shape:
-        yield Difference(name, "shape", list(a.shape), list(b.shape))
-    elif a.dtype != b.dtype:
-        yield Difference(name, "dtype", str(a.dtype), str(b.dtype))
-    elif tensor_bytes(a) != tensor_bytes(b):
-        yield _values(name, a, b)
-
-
 def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     width = a.element_size()
-    # Compare bits, because NaN != NaN and -0.0 == 0.0 for values.
+    # Compare the bits of floats, because NaN != NaN and -0.0 == 0.0 for values.
     bits = [torch.frombuffer(bytearray(tensor_bytes(x)), dtype=torch.uint8).reshape(-1, width) for x in (a, b)]
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
     apart = (ones - others).abs()
-    # inf - inf and NaN - NaN are NaN; equal infinities, NaNs, and zeros of either sign count as 0 apart.
+    # inf - inf and NaN - NaN are NaN, so set the difference of equal infinities, of two NaNs, and of two zeros to 0.
     apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0
     odd = differs & ~apart.isfinite()
-    at = int(odd.int().argmax()) if bool(odd.any()) else _largest(apart, differs)
+    if bool(odd.any()):
+        at = int(odd.int().argmax())
+    else:  # Take the largest difference. If all values are equal, take the first element whose bits differ.
+        at = int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
     scale = max(abs(one), abs(other))
     relative = largest / scale if scale and math.isfinite(scale) else (0.0 if largest == 0.0 else math.nan)
     index = tuple(int(i) for i in torch.unravel_index(torch.tensor(at), a.shape)) if a.ndim else ()
     return Difference(name, "values", one, other, index, largest, relative, int(differs.sum()), a.numel())
-
-
-def _largest(apart: torch.Tensor, differs: torch.Tensor) -> int:
-    """Return the index of the largest difference; if all values are equal, the first index whose bits differ."""
-    return int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
-
-
-def _numbers(name: str, a: Any, b: Any) -> Difference:
-    if not isinstance(a, (int, float)) or isinstance(a, bool):
-        return Difference(name, "values", a, b)
-    largest, scale = abs(a - b), max(abs(a), abs(b))
-    return Difference(name, "values", a, b, (), float(largest), float(largest / scale) if scale else 0.0)
-
-
-def _same(a: Any, b: Any) -> bool:
-    return struct.pack("d", a) == struct.pack("d", b) if isinstance(a, float) else bool(a == b)

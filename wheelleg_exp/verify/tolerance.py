@@ -1,21 +1,22 @@
-"""Decide whether unequal numbers count as the same training.
+"""Decide whether two runs with unequal numbers are the same training up to rounding.
 
-Training amplifies a difference in the last digit. Two runs of the stock task with other matrix kernels agree to 1e-6
-for about four iterations, and after eight have only their statistics in common. So no bound on every iteration can
-hold. Two tests replace it:
+A training amplifies a difference in the last digit of a number. Two runs of the stock task with other matrix kernels
+agree to 1e-6 for about four iterations, and after eight iterations only their statistics agree. Therefore no tolerance
+can apply to every iteration. Two runs are within tolerance if they pass two tests:
 
-- Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude. So do
-  the networks' parameters (Euclidean) if both runs have that checkpoint. Measured: 1e-6; with another seed, 0.4 and
-      more.
+- Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
+  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. Other matrix kernels gave
+  a deviation of 1e-6, another seed one of at least 0.4.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
   their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation is
-  large while a run still learns fast. Measured after 110 iterations: 0.001 of the range.
+  large while a run still learns fast. After 110 iterations, the deviation was 0.001 of the range.
 
-Iterations without a figure are skipped, such as those before the first episode has ended. A figure that only one run
-has at the end fails the test; a figure that neither has is noted. Runs of at least 50 iterations without any comparable
-figure are not shown to be within tolerance. Shorter runs, and the first parts of runs, only pass the start test.
+Iterations without a value of the figure are skipped, such as those before the end of the first episode. A figure that
+only one run has at the end fails the test. A figure that is missing in both runs gives a note. Runs of at least 50
+iterations without any comparable figure are not within tolerance. Shorter runs, and the first parts of runs, only need
+to pass the start test.
 
-If nothing allows two runs to differ, every bit must be equal and these tests do not apply.
+If no known difference of the runs allows unequal numbers, every bit must be equal and these tests do not apply.
 """
 
 from __future__ import annotations
@@ -32,21 +33,16 @@ START = 1e-3
 END = 0.1
 SPREADS = 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # iterations; the ends of shorter runs are not compared
-_TINY = 1e-9  # smaller magnitudes count as zero: they are means of terms that cancel
+_SHORTEST = 50  # The ends of runs with fewer iterations are not compared.
+_TINY = 1e-9  # Smaller magnitudes are treated as zero, because small scalars are often means of terms that cancel.
 
 
 @dataclass(frozen=True)
 class Excess:
-    """One number and its allowed deviation.
+    """One number of two runs, its deviation between the runs, and the largest allowed deviation.
 
-    Attributes:
-        name: the number.
-        iteration: its iteration; None for the mean over the last iterations.
-        a: its value in A.
-        b: its value in B.
-        off: the deviation: relative at the start, absolute at the end.
-        allowed: the largest allowed deviation.
+    ``iteration`` is None for a mean over the last iterations. The deviation ``off`` is relative in the first differing
+    iteration, and absolute at the end of the runs.
     """
 
     name: str
@@ -58,19 +54,22 @@ class Excess:
 
     @property
     def within(self) -> bool:
-        """Whether the deviation is allowed."""
+        """Whether the number's deviation between the two runs is allowed."""
         return self.off <= self.allowed
+
+    @property
+    def sign(self) -> str:
+        """Whether the deviation is below or above the largest allowed deviation, in words."""
+        return "within" if self.within else "more than"
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The measured deviations.
+    """The measured deviations of two runs.
 
-    Attributes:
-        start: the largest deviations in the first iteration that differs.
-        end: the deviation of each figure at the end.
-        note: what was not compared.
-        needs_end: whether the ends had to be compared.
+    ``start`` contains the largest deviations in the first iteration that differs, and ``end`` the deviation of each
+    figure at the end. ``note`` says which figures were not compared. ``needs_end`` is true if the last iterations of
+    both runs had to be compared.
     """
 
     start: list[Excess]
@@ -80,16 +79,16 @@ class Tolerance:
 
     @property
     def unknown(self) -> bool:
-        """Whether the start is allowed, but the ends could not be compared although they had to be."""
+        """Whether the first differing iteration is within tolerance, but the necessary end test was impossible."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """Whether every required comparison was made and is allowed."""
+        """Whether all deviations that had to be compared are allowed."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return where the runs first differ, and by how much at most."""
+        """Return the iteration in which the runs first differ, and the largest deviation there."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"
@@ -97,27 +96,31 @@ class Tolerance:
         return f"they first differ in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the deviations for JSON."""
+        """Return the deviations of two runs as a JSON document."""
         rows = {side: [asdict(e) | {"within": e.within} for e in getattr(self, side)] for side in ("start", "end")}
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return the printed lines."""
-        lines = [_start_line(excess) for excess in self.start] + [_end_line(excess) for excess in self.end]
+        """Return the deviations of two runs as printed lines."""
+        lines = []
+        for x in self.start:
+            values = "" if math.isnan(x.a) else f" (A {x.a:.9g}, B {x.b:.9g})"
+            lines.append(f"iteration {x.iteration}: {x.name} off by {x.off:.1e}{values}, {x.sign} {x.allowed:.0e}")
+        for x in self.end:
+            apart = f"apart {x.off:.3g}, {x.sign} {x.allowed:.3g}"
+            apart = "and too few values to compare" if math.isinf(x.off) else apart
+            lines.append(f"mean over the last tenth: {x.name} {x.a:.4g} and {x.b:.4g}, {apart}")
         return [*lines, self.note] if self.note else lines
 
 
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
-    """Measure the deviations of two runs.
+    """Measure the deviations of two runs in the iterations that both runs have.
 
-    Args:
-        a: the iterations of A.
-        b: the iterations of B, as many.
-        parameters: the first differing iteration and the relative distance of the networks there, if both were saved.
-        whole: whether both runs ended with the last of these iterations.
+    ``parameters`` is the first differing iteration and the relative distance of the networks there, if both runs saved
+    a checkpoint. ``whole`` is true if both runs ended with the last of these iterations.
     """
-    parting = next((i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x.scalars != y.scalars), None)
-    start = [] if parting is None else _start(a[parting], b[parting])
+    parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
+    start = [] if parting is None else [_start(*parting)]
     if parameters is not None:
         start.append(Excess("networks' parameters", parameters[0], math.nan, math.nan, parameters[1], START))
     if not whole or len(a) < _SHORTEST:
@@ -129,18 +132,17 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
     return Tolerance(start, [excess for excess in ends.values() if excess is not None], note, needs_end=True)
 
 
-def _start(a: Line, b: Line) -> list[Excess]:
+def _start(a: Line, b: Line) -> Excess:
     """Return the scalar of an iteration with the largest deviation."""
-    names = [name for name in dict.fromkeys([*a.scalars, *b.scalars]) if a.scalars.get(name) != b.scalars.get(name)]
-    excesses = [_relative(name, a.iteration, a.scalars.get(name), b.scalars.get(name)) for name in names]
-    return [max(excesses, key=lambda excess: excess.off)]
-
-
-def _relative(name: str, iteration: int, a: Any, b: Any) -> Excess:
-    if not (_is_number(a) and _is_number(b)):  # NaN is stored as text, and one side may lack the scalar
-        return Excess(name, iteration, _number(a), _number(b), math.inf, START)
-    scale = max(abs(a), abs(b), _TINY)
-    return Excess(name, iteration, float(a), float(b), abs(a - b) / scale, START)
+    excesses = []
+    for name in dict.fromkeys([*a.scalars, *b.scalars]):
+        one, other = a.scalars.get(name), b.scalars.get(name)
+        if one != other:
+            # NaN is stored as text, and one run can lack the scalar.
+            x, y = _number(one), _number(other)
+            off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
+            excesses.append(Excess(name, a.iteration, x, y, off, START))
+    return max(excesses, key=lambda excess: excess.off)
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
@@ -150,40 +152,18 @@ def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
     one, other = _finite(ones[-last:]), _finite(others[-last:])
     if not (one or other):
         return None
-    if min(len(one), len(other)) < 2:  # too few values for a fluctuation
-        return Excess(name, None, _mean(one), _mean(other), math.inf, 0.0)
+    mean_a, mean_b = (statistics.fmean(values) if values else math.nan for values in (one, other))
+    if min(len(one), len(other)) < 2:  # The fluctuation of a figure needs at least two values.
+        return Excess(name, None, mean_a, mean_b, math.inf, 0.0)
     values = _finite([*ones, *others])
-    spread = max(values) - min(values)
     fluctuation = math.sqrt(statistics.variance(one) + statistics.variance(other))
-    allowed = max(END * spread, SPREADS * fluctuation)
-    return Excess(name, None, _mean(one), _mean(other), abs(_mean(one) - _mean(other)), allowed)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return statistics.fmean(values) if values else math.nan
+    allowed = max(END * (max(values) - min(values)), SPREADS * fluctuation)
+    return Excess(name, None, mean_a, mean_b, abs(mean_a - mean_b), allowed)
 
 
 def _finite(values: Sequence[float]) -> list[float]:
     return [value for value in values if math.isfinite(value)]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
 def _number(value: Any) -> float:
-    return float(value) if _is_number(value) else math.nan
-
-
-def _start_line(excess: Excess) -> str:
-    values = "" if math.isnan(excess.a) else f" (A {excess.a:.9g}, B {excess.b:.9g})"
-    sign = "within" if excess.within else "more than"
-    return f"iteration {excess.iteration}: {excess.name} off by {excess.off:.1e}{values}, {sign} {excess.allowed:.0e}"
-
-
-def _end_line(excess: Excess) -> str:
-    sign = "within" if excess.within else "more than"
-    means = f"{excess.name} {excess.a:.4g} and {excess.b:.4g}"
-    if math.isinf(excess.off):
-        return f"mean over the last tenth: {means}, and too few values to compare"
-    return f"mean over the last tenth: {means}, apart {excess.off:.3g}, {sign} {excess.allowed:.3g}"
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan

@@ -1,4 +1,4 @@
-"""Gives tests a folder for hostile files."""
+"""Fixture for a temporary folder with hostile robot files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from .scratch import Scratch
 
 @pytest.fixture
 def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scratch:
-    """A folder for hostile files, in which the test stands."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "out" / "cache"))

@@ -1,4 +1,4 @@
-"""Gives hostile files to ``wheelleg``, and sees that nothing comes of them but an answer."""
+"""Run ``wheelleg`` on hostile robot files, and check that the command only prints an answer or writes its output."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ SECONDS = 120  # against hanging alone
 GROWTH = 2**30  # bytes
 
 Maker = Callable[[Path], Path]
-"""Writes files into a folder and returns the robot's."""
+"""A function that writes a robot into a folder and returns the path of the robot file."""
 
 
 class Scratch:
-    """A folder with a robot in ``robot/``, beside what no robot may touch."""
+    """A temporary folder with a robot file in ``robot/``, and with files that no conversion may read or change."""
 
     def __init__(self, root: Path) -> None:
         self.root, self.robot, self.out = root, root / "robot", root / "out"
@@ -34,11 +34,9 @@ class Scratch:
             (root / name).write_text(CANARY)
 
     def convert(self, make: Maker, *words: str) -> Words:
-        """Convert what ``make`` writes into ``out/``."""
         return self.run("convert", make(self.robot), "-o", self.out / "bot.xml", *words)
 
     def run(self, *words: str | Path) -> Words:
-        """Run a command: it ends with 0 or 2, in bounded time and memory, and writes below ``out`` alone."""
         before = _listing(self.root)
         with _bounded():
             said = wheelleg(*words)
@@ -59,7 +57,6 @@ def _text(path: Path) -> str:
 
 
 def _listing(root: Path) -> dict[str, tuple[int, int, str]]:
-    """What stands in a folder: kind, size and content of each file, but for the large ones' content."""
     found = {}
     for path in root.rglob("*"):
         info = path.lstat()
@@ -72,7 +69,7 @@ def _listing(root: Path) -> dict[str, tuple[int, int, str]]:
 @contextmanager
 def _bounded() -> Iterator[None]:
     def stop(_: int, __: FrameType | None) -> None:
-        raise AssertionError(f"no answer after {SECONDS} s")
+        raise AssertionError(f"the command gave no answer within {SECONDS} s")
 
     before, used = signal.signal(signal.SIGALRM, stop), _most_memory()
     signal.alarm(SECONDS)
@@ -89,7 +86,6 @@ def _most_memory() -> int:
 
 
 def sparse(path: Path, size: int, head: bytes = b"") -> Path:
-    """Write a file that claims ``size`` bytes and takes none."""
     with path.open("wb") as file:
         file.write(head)
         file.truncate(size)
@@ -97,7 +93,6 @@ def sparse(path: Path, size: int, head: bytes = b"") -> Path:
 
 
 def crate(text_layer: Path) -> Path:
-    """Write a text layer as a crate."""
     path = text_layer.with_suffix(".usdc")
     assert Sdf.Layer.FindOrOpen(str(text_layer)).Export(str(path))
     text_layer.unlink()

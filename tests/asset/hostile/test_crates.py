@@ -1,4 +1,4 @@
-"""Damaged crates: what they claim is not believed; whatever their bytes say, one sentence or a model comes of it."""
+"""A damaged USD crate file gives an MJCF or one error message, whatever sizes the crate file declares."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from .scratch import Maker, Scratch, crate
 
 
 def claiming(claim: int) -> Maker:
-    """A crate of a few hundred bytes whose mesh says that it has ``claim`` corners."""
-
     def make(folder: Path) -> Path:
         count = 999
         corners = ", ".join(str(i % 8) for i in range(count))
@@ -75,7 +73,6 @@ def test_too_little_memory_is_an_error_and_no_crash(tmp_path: Path, command: str
 
 
 def test_a_conversion_starts_only_with_enough_memory() -> None:
-    """In a process that has imported everything already."""
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = next(int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if "VmData" in line)
     resource.setrlimit(resource.RLIMIT_DATA, ((used << 10) + 2**26, hard))

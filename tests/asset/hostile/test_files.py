@@ -1,4 +1,4 @@
-"""What robots may name: no pipe is waited for, no device read, nobody else's file looked into, no network asked."""
+"""Robot files can name any path: a conversion reads no pipe, no device, no private file, and no network address."""
 
 from __future__ import annotations
 
@@ -20,18 +20,14 @@ GIGABYTES_64 = 64 * 2**30
 
 
 def usd(inside: str, header: str = SI) -> Maker:
-    """A robot of one body, and more in its default prim."""
     return lambda folder: small_usd.write(folder, small_usd.link("a") + inside, header=header)
 
 
 def urdf(inside: str, before: str = "") -> Maker:
-    """A robot of one link, with more in it."""
     return lambda folder: small_urdf.write(folder, before + small_urdf.link("a", inside))
 
 
 def with_files(make: Maker, **files: str | bytes) -> Maker:
-    """Files beside the robot; ``_`` stands for the point before the ending."""
-
     def both(folder: Path) -> Path:
         for name, content in files.items():
             data = content.encode() if isinstance(content, str) else content
@@ -42,8 +38,6 @@ def with_files(make: Maker, **files: str | bytes) -> Maker:
 
 
 def beside(make: Maker, name: str, kind: str) -> Maker:
-    """Something odd beside the robot."""
-
     def both(folder: Path) -> Path:
         odd(folder / name, kind)
         return make(folder)
@@ -52,7 +46,6 @@ def beside(make: Maker, name: str, kind: str) -> Maker:
 
 
 def odd(path: Path, kind: str) -> Path:
-    """Make what is no plain file, or one without end."""
     path.parent.mkdir(exist_ok=True)
     if kind == "pipe":
         os.mkfifo(path)
@@ -104,7 +97,6 @@ CLIPS = """def Xform "x" (
 {
 }
 """
-ENTITIES = "".join(f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefghi", "bcdefghij", strict=True))
 
 SOURCES = {
     "a pipe": ("pipe", "is a pipe or a device"),
@@ -117,56 +109,16 @@ SOURCES = {
 
 REFUSED: dict[str, tuple[Maker, str]] = {
     "reference to a pipe": (beside(usd(reference("./odd.usda")), "odd.usda", "pipe"), "/bot/x: '.*odd.usda' is a pipe"),
-    "payload that is a pipe": (beside(usd(reference("./odd.usda", "payload")), "odd.usda", "pipe"), "is a pipe"),
-    "sublayer that is a pipe": (beside(usd("", sublayer("odd.usda")), "odd.usda", "pipe"), "is a pipe"),
     "pipe in a variant not chosen": (beside(usd(VARIANT), "odd.usda", "pipe"), "odd.usda' is a pipe"),
-    "pipe that a layer elsewhere finds beside the robot": (
-        beside(
-            beside(
-                lambda folder: [
-                    (folder / "sub" / "b.usda").write_text(
-                        '#usda 1.0\n(\n defaultPrim = "x"\n)\ndef "x" (references = @odd.usda@</x>)\n{\n}\n'
-                    ),
-                    usd(reference("./sub/b.usda"))(folder),
-                ][1],
-                "odd.usda",
-                "pipe",
-            ),
-            "sub/odd",
-            "folder",
-        ),
-        "odd.usda' is a pipe",
-    ),
     "reference to a device": (beside(usd(reference("./odd.usda")), "odd.usda", "zero"), "odd.usda' is a pipe or a dev"),
     "reference to 64 GB": (beside(usd(reference("./odd.usda")), "odd.usda", "huge"), "odd.usda' is larger than"),
     "name that is computed": (usd("", sublayer("`'odd.usda'`")), "computes the name of a layer"),
-    "mesh of 64 GB": (beside(urdf(mesh("odd.stl")), "odd.stl", "huge"), "odd.stl' is larger than"),
     "mesh that is the process's memory": (beside(urdf(mesh("odd.stl")), "odd.stl", "memory"), "cannot be read"),
-    "document type": (
-        lambda folder: _text(folder, '<!DOCTYPE r SYSTEM "../canary"><robot name="b"><link name="a"/></robot>'),
-        "document type",
-    ),
-    "file as an entity": (
-        lambda folder: _text(
-            folder, '<!DOCTYPE r [<!ENTITY x SYSTEM "../canary">]><robot name="b"><link name="&x;"/></robot>'
-        ),
-        "document type",
-    ),
-    "entities of entities": (
-        lambda folder: _text(folder, f'<!DOCTYPE r [<!ENTITY a "aaa">{ENTITIES}]><robot name="&j;"/>'),
-        "document type",
-    ),
-    "encoding that needs another program": (
-        lambda folder: _text(folder, '<?xml version="1.0" encoding="zlib"?><robot name="b"/>'),
-        "not valid XML",
-    ),
-    "NUL in a URDF": (lambda folder: _text(folder, '<robot name="b\0"/>'), "not valid XML"),
     "bytes that are no text": (
         lambda folder: _usda(folder, b'#usda 1.0\ndef Xform "\xff\xfe" {\n}\n'),
         "expected UTF-8",
     ),
     "substitution of a package": (urdf(mesh("$(find pkg)/$(arg part).stl")), "xacro"),
-    "substitution of the environment": (urdf(mesh("${HOME}/canary.stl")), "xacro"),
 }
 
 
@@ -181,12 +133,10 @@ def _usda(folder: Path, data: bytes) -> Path:
 
 
 PASSED: dict[str, tuple[Maker, str]] = {
-    "reference to a folder": (beside(usd(reference("./odd.usda")), "odd.usda", "folder"), "odd.usda"),
     "reference to a link to itself": (beside(usd(reference("./odd.usda")), "odd.usda", "loop"), "odd.usda"),
     "reference to no layer": (usd(reference("../canary")), "canary"),
     "reference by URL": (usd(reference("file:///etc/passwd")), "passwd"),
     "reference to a variable": (usd(reference("$HOME/canary.usda")), "HOME"),
-    "reference on another system": (usd(reference("C:\\canary.usda")), "canary.usda"),
     "reference to a name without end": (usd(reference("a" * 5000 + ".usda")), "not found"),
     "reference to a script": (with_files(usd(reference("odd.py")), odd_py="raise SystemExit(7)"), "odd.py"),
     "arguments of a format": (
@@ -197,17 +147,10 @@ PASSED: dict[str, tuple[Maker, str]] = {
     "clips that are a pipe": (beside(usd(CLIPS), "odd.usda", "pipe"), ""),
     "mesh that is a pipe": (beside(urdf(mesh("odd.stl")), "odd.stl", "pipe"), "not found"),
     "mesh that is a device": (beside(urdf(mesh("odd.stl")), "odd.stl", "zero"), "not found"),
-    "mesh that is a folder": (beside(urdf(mesh("odd.stl")), "odd.stl", "folder"), "not found"),
     "mesh that is a link to itself": (beside(urdf(mesh("odd.stl")), "odd.stl", "loop"), "not found"),
     "mesh that is none": (urdf(mesh("../canary")), "not a supported mesh format"),
-    "mesh by URL": (urdf(mesh("file:///etc/passwd")), "not a supported mesh format"),
     "mesh out of its package": (urdf(mesh("package://../../canary")), "not a supported mesh format"),
-    "mesh in MuJoCo's folder": (
-        urdf(mesh("canary"), '<mujoco><compiler meshdir="../" strippath="false"/></mujoco>'),
-        "not a supported mesh format",
-    ),
     "mesh in a name without end": (urdf(mesh("a" * 5000 + ".stl")), "not found"),
-    "mesh in a network's folder": (urdf(mesh("\\\\server\\share\\part.stl")), "not found"),
     "MuJoCo's include and plugins": (
         urdf(
             "",
@@ -307,8 +250,6 @@ def package(names: list[str], compression: int = zipfile.ZIP_STORED, more: str =
 
 
 def claiming(make: Maker, signature: bytes, offset: int) -> Maker:
-    """A package whose headers claim four gigabytes."""
-
     def claim(folder: Path) -> Path:
         path = make(folder)
         data = bytearray(path.read_bytes())
@@ -328,10 +269,7 @@ PACKAGES: dict[str, tuple[Maker, int]] = {
     "pipe beside it": (beside(package(["bot.usda"], more=reference("./odd.usda")), "odd.usda", "pipe"), 0),
     "compressed": (package(["bot.usda"], zipfile.ZIP_DEFLATED), 2),
     "nothing in it": (package([]), 2),
-    "no layer in it": (package(["bot.txt"]), 2),
     "sizes of 4 GB": (claiming(PLAIN, b"PK\3\4", 18), 2),
-    "names of 4 GB": (claiming(PLAIN, b"PK\3\4", 26), 2),
-    "list elsewhere, which nobody reads": (claiming(PLAIN, b"PK\5\6", 12), 0),
 }
 
 

@@ -1,10 +1,9 @@
-"""Hostile and malformed files: a model that MuJoCo loads, or one sentence that says what is wrong and where."""
+"""A malformed robot file gives an MJCF that MuJoCo loads, or one error message that names the mistake and its place."""
 
 from __future__ import annotations
 
 import random
 import re
-import zipfile
 
 import mujoco
 import numpy as np
@@ -17,7 +16,6 @@ from wheelleg_exp.asset.robot_description import unique_names
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import SI, applied, converted, cube_inside, hinge, link, two_links, write
-from ..warned import warned
 
 COLLIDES = applied("PhysicsCollisionAPI")
 
@@ -50,7 +48,7 @@ def triangle(corner: str, indices: str) -> str:
     return shape("Mesh", f"{points}int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [{indices}]")
 
 
-REFUSED = [  # the robot, and words of the error: its prim, the attribute, or the expected value
+REFUSED = [  # a robot, and texts of its error
     (mass("float physics:mass = inf"), "/bot/a", "'physics:mass'"),
     (mass("float physics:mass = nan"), "/bot/a", "'physics:mass'"),
     (mass("float3 physics:diagonalInertia = (inf, 1, 1)"), "/bot/a", "'physics:diagonalInertia'"),
@@ -59,8 +57,6 @@ REFUSED = [  # the robot, and words of the error: its prim, the attribute, or th
     (mass("double[] newton:inertia = [1, 1, 1e300, 0, 0, 0]"), "/bot/a", "'newton:inertia'"),
     (mass('string physics:mass = "heavy"'), "/bot/a", "expected a number"),
     (mass("float[] physics:mass = [1, 2]"), "/bot/a", "expected a number"),
-    (mass("token[] physics:mass = []"), "/bot/a", "expected a number"),
-    (mass('string physics:centerOfMass = "there"'), "/bot/a", "expected 3 numbers"),
     (mass("float4 physics:diagonalInertia = (1, 1, 1, 1)"), "/bot/a", "expected 3 numbers"),
     (
         mass("float3 physics:diagonalInertia = (1, 1, 1)\nfloat3 physics:principalAxes = (1, 0, 0)"),
@@ -69,8 +65,6 @@ REFUSED = [  # the robot, and words of the error: its prim, the attribute, or th
     ),
     (mass('token physics:kinematicEnabled = "yes"'), "/bot/a", "expected true or false"),
     (joint("float drive:angular:physics:stiffness = nan"), "/bot/j", "'drive:angular:physics:stiffness'"),
-    (joint("float drive:angular:physics:damping = inf"), "/bot/j", "'drive:angular:physics:damping'"),
-    (joint("double drive:angular:physics:stiffness = 1e300"), "/bot/j", "'drive:angular:physics:stiffness'"),
     (joint("float drive:angular:physics:targetPosition = inf"), "/bot/j", "'drive:angular:physics:targetPosition'"),
     (joint("float physics:lowerLimit = nan"), "/bot/j", "'physics:lowerLimit'"),
     (joint("point3f physics:localPos1 = (inf, 0, 0)"), "/bot/j", "'physics:localPos1'"),
@@ -78,16 +72,12 @@ REFUSED = [  # the robot, and words of the error: its prim, the attribute, or th
     (joint("float physxJoint:armature = inf"), "/bot/j", "'physxJoint:armature'"),
     (joint("float state:angular:physics:position = inf"), "/bot/j", "'state:angular:physics:position'"),
     (shape("Sphere", "double radius = nan"), "/bot/a/shape", ""),
-    (shape("Sphere", "double radius = inf"), "/bot/a/shape", ""),
     (shape("Cube", "double size = 1e300"), "/bot/a/shape", ""),
     (shape("Capsule", "double height = nan"), "/bot/a/shape", ""),
     (triangle("(0,0,inf)", "0,1,2"), "/bot/a/shape", ""),
-    (triangle("(nan,0,0)", "0,1,2"), "/bot/a/shape", ""),
     (triangle("(0,0,1e30)", "0,1,3"), "/bot/a/shape", ""),
-    (link("a", "(inf, 0, 0)"), "/bot/a", ""),
     (link("a", "(nan, 0, 0)"), "/bot/a", ""),
     (link("a", "(0, 1e300, 0)"), "/bot/a", ""),
-    (link("a", "(1e15, 0, 0)"), "/bot/a", ""),
 ]
 
 
@@ -165,20 +155,6 @@ def test_a_joint_to_itself_joins_nothing(tmp_path):
     assert any(item.name == "PhysicsRevoluteJoint" and "/bot/j" in item.values for item in done.report.left_out)
 
 
-def test_a_joint_to_nowhere_is_left_out_with_a_warning(tmp_path):
-    _, done = converted(write(tmp_path, link("a") + hinge("j", "a", "gone")))
-    assert any("/bot/j" in text for text in done.report.warnings)
-
-
-def test_a_ring_of_joints_is_cut_once(tmp_path):
-    body = "".join(link(name) for name in "abc")
-    body += hinge("ab", "a", "b") + hinge("bc", "b", "c") + hinge("ca", "c", "a")
-    model, done = converted(write(tmp_path, body))
-    assert model.njnt == 3  # the free joint and two hinges
-    assert model.neq == 2  # two points on the third hinge's axis
-    assert len(warned(done)) == 1
-
-
 @pytest.mark.parametrize("axis", ['""', '"W"', '"x"'])
 def test_an_axis_that_is_none_is_x_and_noted(tmp_path, axis):
     model, done = two_links(tmp_path, f"uniform token physics:axis = {axis}")
@@ -210,8 +186,7 @@ def test_layers_below_themselves_are_cut_and_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "said"),
-    [('over "bot"', "over"), ('class "bot"', "class"), ('def Xform "bot" (active = false)', "active")],
+    ("kind", "said"), [('over "bot"', "over"), ('class "bot"', "class"), ('def Xform "bot" (active = false)', "active")]
 )
 def test_a_default_prim_that_stands_for_nothing_says_so(tmp_path, kind, said):
     path = write(tmp_path, link("a"))
@@ -291,17 +266,9 @@ def test_a_missing_texture_is_not_blamed_for_a_joint_to_nowhere(tmp_path):
 
 def test_a_missing_layer_that_a_collider_needs_is_an_error_that_names_it(tmp_path):
     body = link(
-        "a",
-        inside='def Xform "c" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\nreferences = @meshes.usd@)\n{\n}\n',
+        "a", inside='def Xform "c" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\nreferences = @meshes.usd@)\n{\n}\n'
     )
     assert "meshes.usd" in told(write(tmp_path, body)).message
-
-
-@pytest.mark.parametrize("asset", ["/etc/passwd", "../../../../../../etc/passwd", "/etc/hosts.usda"])
-def test_paths_that_climb_out_are_read_by_nobody_who_is_no_layer(tmp_path, asset):
-    model, done = converted(write(tmp_path, missing(tmp_path, asset)))
-    assert model.nbody == 2
-    assert any(asset.split("/")[-1] in name for name in done.report.unresolved)
 
 
 def test_a_layer_outside_the_files_folder_is_read_and_noted(tmp_path):
@@ -339,21 +306,6 @@ def test_a_file_that_ends_in_the_middle_is_told(tmp_path, suffix, part):
     data = whole.read_bytes()
     broken.write_bytes(data[: int(part * len(data))])
     assert "broken" in str(told(broken))
-
-
-def test_a_package_that_climbs_out_reads_nothing_there(tmp_path):
-    (tmp_path / "secret.usda").write_text('#usda 1.0\ndef Xform "bot"\n{\n' + link("secret") + "}\n")
-    inner = write(tmp_path, missing(tmp_path, "../secret.usda</bot>".replace("</bot>", "")))
-    package = tmp_path / "in" / "bot.usdz"
-    package.parent.mkdir()
-    with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as file:
-        file.writestr("bot.usda", inner.read_text())
-        file.write(tmp_path / "secret.usda", "../secret.usda")
-    try:
-        _, done = converted(package)
-    except AssetError:
-        return
-    assert [body.name for body in done.description.bodies] == ["a"]
 
 
 # ---------------------------------------------------------------- names
@@ -448,45 +400,11 @@ def test_tiny_and_flat_colliders_become_something_that_mujoco_builds(tmp_path):
     assert model.ngeom == 1
 
 
-INSTANCER = """def PointInstancer "many" {apis}
-{{
-    rel prototypes = </bot/a/many/proto>
-    int[] protoIndices = [0, 0, 0]
-    point3f[] positions = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
-    def Xform "proto"
-    {{
-        double3 xformOp:translate = (5, 0, 0)
-        uniform token[] xformOpOrder = ["xformOp:translate"]
-        def Sphere "ball" {inner}
-        {{
-            double radius = 0.25
-            double3 xformOp:translate = (0, 0.5, 0)
-            uniform token[] xformOpOrder = ["xformOp:translate"]
-        }}
-    }}
-}}
-"""
-
-
-def test_a_point_instancer_shows_its_prototype_where_it_says(tmp_path):
-    text = INSTANCER.format(apis="", inner=COLLIDES)
-    model, _ = converted(write(tmp_path, link("a", inside=text)))
-    assert model.geom_pos.tolist() == [[5, 0.5, 0], [5, 0.5, 1], [5, 0.5, 2]]
-    assert set(model.geom_contype.tolist()) == {1}
-
-
-@pytest.mark.parametrize("wrong", ["[0, 0, 7]", "[0]", "[0, -1, 0]", "[]"])
-def test_a_point_instancer_that_does_not_fit_is_left_out_with_a_warning(tmp_path, wrong):
-    text = INSTANCER.format(apis="", inner=COLLIDES).replace("[0, 0, 0]", wrong)
+def test_a_point_instancer_is_left_out_with_a_warning(tmp_path):
+    ball = gprim("Sphere")
+    text = f'def PointInstancer "many"\n{{\nrel prototypes = </bot/a/many/shape>\n{ball}\n}}\n'
     _, done = converted(write(tmp_path, link("a", inside=text)))
-    assert any("/bot/a/many" in warning for warning in done.report.warnings)
-
-
-@pytest.mark.parametrize("change", [("/many/proto>", "/gone>"), (COLLIDES, applied("PhysicsRigidBodyAPI"))])
-def test_a_point_instancer_of_nothing_or_of_bodies_is_left_out_with_a_warning(tmp_path, change):
-    text = INSTANCER.format(apis="", inner=COLLIDES).replace(*change)
-    _, done = converted(write(tmp_path, link("a", inside=text)))
-    assert any("/bot/a/many" in warning for warning in done.report.warnings)
+    assert any("/bot/a/many: a PointInstancer was left out" in warning for warning in done.report.warnings)
     assert done.description.colliders == ()
 
 
@@ -497,7 +415,7 @@ def test_names_take_time_in_proportion_to_their_number():
         assert len(set(unique_names(paths).values())) == count
         return bytecodes(lambda: unique_names(paths))
 
-    assert effort(4_000) < 9 * effort(500)  # 8 times the names; trying all numbers anew for each is a square
+    assert effort(4_000) < 9 * effort(500)  # Linear effort is 8 times larger, and quadratic effort is 64 times larger.
     deep = unique_names("/" + "/".join(["a"] * n) for n in range(1, 2_000))
     assert len(set(deep.values())) == 1_999
 
@@ -516,7 +434,7 @@ KINDS = ["Xform", "Sphere", "Mesh", "Plane", "PhysicsFixedJoint", "PhysicsJoint"
 
 
 def mutated(layer: Sdf.Layer, dice: random.Random) -> None:
-    """Change one thing of a layer: a number, a type, a prim's kind, a target; or drop a prim."""
+    """Change a number, a type, a prim's type, or a target of a USD layer, or remove a prim."""
     paths: list[Sdf.Path] = []
     layer.Traverse("/", paths.append)
     attributes = [p for p in paths if layer.GetAttributeAtPath(p)]

@@ -1,4 +1,4 @@
-"""Mesh files that are damaged, or lie about themselves: the shape is left out with the reason, and the robot comes."""
+"""For a damaged mesh file, the conversion omits the shape with the reason, and converts the remaining robot."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ NAN, INFINITE = float("nan"), float("inf")
 
 
 def stl(claim: int, *corners: float) -> bytes:
-    """A binary STL of triangles (0, 0, 0), ``corners``, that says it has ``claim`` of them."""
     faces = [struct.pack("<12fH", 0, 0, 1, 0, 0, 0, *corners, 0)] if corners else []
     return bytes(80) + struct.pack("<I", claim) + b"".join(faces)
 
@@ -32,7 +31,6 @@ SHOWN = '<visual_scene id="s"><node><instance_geometry url="#g"/></node></visual
 
 
 def dae(old: str = "", new: str = "", *, scene: str = SHOWN, before: str = "", nodes: str = "") -> str:
-    """A COLLADA of one mesh, with a part of it replaced."""
     assert old in MESH
     return (
         f"{before}<COLLADA><library_geometries><geometry id='g'><extra/><mesh>{MESH.replace(old, new) if old else MESH}"
@@ -47,7 +45,6 @@ def node(inside: str) -> str:
 
 
 def floors(last: str) -> str:
-    """Nodes that each stand ten times for the next one."""
     steps = [f'<instance_node url="#n{i + 1}"/>' for i in range(40)]
     nodes = "".join(f'<node id="n{i}">{step * 10}</node>' for i, step in enumerate(steps))
     return f'{nodes}<node id="n40">{last}</node>'
@@ -63,32 +60,21 @@ def polygons(counts: str) -> str:
 
 DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
     "STL of four thousand million faces": ("m.stl", stl(2**32 - 1, 1, 0, 0, 0, 1, 0), "as long as its number of tri"),
-    "STL without faces": ("m.stl", stl(0), "as long as its number of triangles"),
     "STL with NaN": ("m.stl", stl(1, NAN, 0, 0, 0, 1, 0), "not finite"),
-    "STL with infinity": ("m.stl", stl(1, INFINITE, 0, 0, 0, 1, 0), "not finite"),
     "STL cut short": ("m.stl", stl(1, 1, 0, 0, 0, 1, 0)[:-7], "as long as its number of triangles"),
     "STL of words": ("m.stl", "solid\nvertex a b c\nvertex 0 0 0\nvertex 1 1 1", "could not convert"),
-    "STL of half a point": ("m.stl", "solid\nvertex 1 2", "damaged"),
     "STL of two corners": ("m.stl", "solid\nvertex 1 2 3\nvertex 1 2 4", "does not have three corners"),
-    "STL of nothing": ("m.stl", b"", "as long as its number of triangles"),
     "OBJ with an index of 24 digits": ("m.obj", POINTS + "f 1 2 " + "9" * 24, "damaged"),
-    "OBJ with an index of 2^31": ("m.obj", POINTS + "f 1 2 2147483648", "no triangles"),
     "OBJ with an index before the first": ("m.obj", POINTS + "f -1 -2 -99", "no triangles"),
-    "OBJ with faces of slashes": ("m.obj", POINTS + "f / // ///", "damaged"),
     "OBJ with faces of two corners": ("m.obj", POINTS + "f\nf 1\nf 1 2", "no triangles"),
     "OBJ with points of two numbers": ("m.obj", "v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "damaged"),
     "OBJ with NaN": ("m.obj", POINTS.replace("1 0 0", "nan 1e999 0") + "f 1 2 3", "not finite"),
-    "OBJ with NUL": ("m.obj", POINTS.replace("v 1", "v 1\0") + "f 1 2 3", "damaged"),
     "COLLADA of a secret": (
         "m.dae",
         dae("0 0 0 1", "&x;", before='<!DOCTYPE c [<!ENTITY x SYSTEM "../canary">]>'),
         "document type",
     ),
     "COLLADA with a stride of zero": ("m.dae", dae('stride="3"', 'stride="0"'), "without positions"),
-    "COLLADA with a stride of 22 digits": ("m.dae", dae('stride="3"', f'stride="{"9" * 22}"'), "damaged"),
-    "COLLADA with an offset of 22 digits": ("m.dae", dae('offset="0"', f'offset="{"9" * 22}"'), "no triangles"),
-    "COLLADA with an offset before the first": ("m.dae", dae('offset="0"', 'offset="-1"'), "damaged"),
-    "COLLADA with an index of 24 digits": ("m.dae", dae("0 1 2 0 1 3", f"0 1 {'9' * 24}"), "damaged"),
     "COLLADA with an index before the first": ("m.dae", dae("0 1 2 0 1 3", "0 1 -1"), "no triangles"),
     "COLLADA without positions": ("m.dae", dae("POSITION", "NORMAL"), "without positions"),
     "COLLADA with positions elsewhere": (
@@ -97,8 +83,6 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
         "refers to 'http://127.0.0.1/x#p'",
     ),
     "COLLADA of polygons of 2e9 corners": ("m.dae", polygons("2000000000 2000000000"), "do not match"),
-    "COLLADA of polygons of -3 corners": ("m.dae", polygons("-3 9"), "do not match"),
-    "COLLADA of polygons that overflow": ("m.dae", polygons(" ".join([str(2**62)] * 4) + " 6"), "do not match"),
     "COLLADA of more polygons than corners": ("m.dae", polygons("3 4"), "do not match"),
     "COLLADA in a ring": (
         "m.dae",
@@ -108,11 +92,6 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
     "COLLADA that multiplies": (
         "m.dae",
         dae(scene=node('<instance_node url="#n0"/>'), nodes=floors('<instance_geometry url="#g"/>')),
-        "in a cycle, or multiply",
-    ),
-    "COLLADA that multiplies nothing": (
-        "m.dae",
-        dae(scene=node('<instance_node url="#n0"/>'), nodes=floors("")),
         "in a cycle, or multiply",
     ),
     "COLLADA with the same shape again and again": (
@@ -125,12 +104,6 @@ DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
         dae(scene=node(f"<matrix>{'nan ' * 16}</matrix><instance_geometry url='#g'/>")),
         "not finite",
     ),
-    "COLLADA with scales that overflow": (
-        "m.dae",
-        dae(scene=node(f"{'<scale>1e200 1e200 1e200</scale>' * 2}<instance_geometry url='#g'/>")),
-        "not finite",
-    ),
-    "COLLADA in a scene that is a shape": ("m.dae", dae(scene=SHOWN.replace("#g", "#s")), "no triangles"),
     "COLLADA that is deep": ("m.dae", "<COLLADA>" + "<node>" * 100_000, "levels deep"),
     "COLLADA that is something else": ("m.dae", CANARY, "not valid XML"),
 }
@@ -145,7 +118,6 @@ WHOLE: dict[str, tuple[str, str | bytes]] = {
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lower the limits so that small files exceed them."""
     monkeypatch.setattr(mesh_files, "MOST_POINTS", 1_000)
     monkeypatch.setattr(mesh_files, "MOST_PARTS", 10_000)
 
@@ -187,7 +159,6 @@ def test_the_largest_meshes_fit_the_memory_that_a_conversion_may_take() -> None:
 def test_meshes_that_take_much_memory_are_reported_and_too_large_ones_refused(
     scratch: Scratch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Six points and triangles, once as a visual and once as a collider."""
     monkeypatch.setattr(convert_robot, "POINT_BYTES", 10**9)
     monkeypatch.setattr(convert_robot, "machine_memory", lambda: 13 * 10**9)
     mesh = f"{POINTS}f 1 2 3\nf 1 2 4"

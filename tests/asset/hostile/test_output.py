@@ -1,8 +1,7 @@
-"""Where a conversion writes: over no robot, no mesh of anybody's, and through no link; and what a cache may hold."""
+"""A conversion overwrites no robot file, no foreign mesh, and no target of a link; and a cache entry can be damaged."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -24,7 +23,6 @@ TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
 
 
 def robot(folder: Path, mesh: str = "part.obj") -> Path:
-    """A URDF with one visual, whose mesh is beside it."""
     path = folder / mesh
     path.parent.mkdir(exist_ok=True)
     path.write_text(TETRAHEDRON)
@@ -123,11 +121,7 @@ STEERING = "\x1b[2J\x9b2J\u202e"
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        f'token physics:kinematicEnabled = "{STEERING}"',
-        f'string physics:unknown = "{STEERING}"',
-    ],
+    "text", [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:unknown = "{STEERING}"']
 )
 def test_what_a_file_says_does_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
     said = scratch.convert(lambda folder: write_usd(folder, body("a", mass=text)))
@@ -162,6 +156,7 @@ DAMAGE: dict[str, Callable[[Path], None]] = {
     "number": lambda path: path.write_text("7"),
     "no text": lambda path: path.write_bytes(b"\xff\xfe"),
     "empty": lambda path: path.write_text(""),
+    "gone": Path.unlink,
     "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name))[1],
 }
 
@@ -177,17 +172,6 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> 
     assert again.fresh
     assert again.output.read_bytes() == whole
     assert not convert_cached(source, cache_dir=tmp_path / "cache").fresh
-
-
-def test_an_entry_without_a_model_is_made_again(tmp_path: Path) -> None:
-    source = robot(tmp_path)
-    entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
-    (entry / conversion_cache.MODEL).unlink()
-    contents = json.loads((entry / conversion_cache.CONTENTS).read_text())
-    (entry / conversion_cache.CONTENTS).write_text(
-        json.dumps({k: v for k, v in contents.items() if k != conversion_cache.MODEL})
-    )
-    assert convert_cached(source, cache_dir=tmp_path / "cache").output.is_file()
 
 
 @pytest.mark.parametrize("kind", ["file", "pipe", "link to itself", "link elsewhere"])
@@ -222,7 +206,7 @@ def test_an_unwritable_home_is_no_error_of_the_robots_file(monkeypatch, capsys, 
 def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> None:
     for name in ("WHEELLEG_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for a number that is no user's
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for an unknown user ID
     with pytest.raises(WheellegError, match="WHEELLEG_CACHE: the user has no home folder"):
         cache_dir()
 

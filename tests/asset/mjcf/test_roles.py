@@ -1,4 +1,4 @@
-"""Wheels and legs are told by how a robot is built, and name the classes that their parts share."""
+"""Wheels and legs are found by the robot's structure, and give names to MJCF default classes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ def hinge(name: str, limits: tuple[float, float] | None = LIMITS, **more: object
 
 
 def robot(tip: Geom, limits: tuple[float, float] | None = None, meshes: tuple[Mesh, ...] = ()) -> RobotDescription:
-    """A trunk with a leg of two joints, at whose end something turns, and a head."""
     return RobotDescription(
         "r",
         (
@@ -46,7 +45,6 @@ def robot(tip: Geom, limits: tuple[float, float] | None = None, meshes: tuple[Me
 
 
 def disc(points: int, radius: float = 0.1, stretch: float = 1.0) -> Mesh:
-    """A prism about y."""
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     ring = np.stack([radius * np.cos(angle), np.zeros(points), stretch * radius * np.sin(angle)], axis=1)
     half = np.array([0.0, 0.02, 0.0])
@@ -63,7 +61,7 @@ def test_a_round_end_that_turns_without_limits_is_a_wheel_and_what_is_above_it_i
     ("tip", "limits"),
     [
         (geom("tip"), LIMITS),
-        (geom("tip", pose=Pose()), None),  # it lies on its side
+        (geom("tip", pose=Pose()), None),  # The cylinder lies on its side.
         (geom("tip", pose=replace(ACROSS, position=(0.05, 0.0, 0.0))), None),  # a crank
         (geom("tip", "box", (0.1, 0.1, 0.1)), None),
     ],

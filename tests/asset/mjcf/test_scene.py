@@ -1,4 +1,4 @@
-"""The scene beside a converted robot: what stands in it stays where it is, also with gains that a step cannot carry."""
+"""The preview scene of a converted robot: the robot stands still on the floor, even with very stiff gains."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ CUBE = 'def Cube "c" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n double 
 
 
 def settled(model: mujoco.MjModel, key: str | None = None, seconds: float = 2.0, push: float = 0.0) -> mujoco.MjData:
-    """Two seconds later; ``push`` is the speed that all joints begin with."""
     data = mujoco.MjData(model)
     data.qvel[6:] = push
     if key is not None:
@@ -56,7 +55,7 @@ def test_a_keyframe_puts_the_robot_on_the_floor(stock):
     mujoco.mj_resetDataKeyframe(stock, data, stock.key("stand").id)
     mujoco.mj_forward(stock, data)
     wheel = data.geom("l_wheel_link_cylinder").xpos[2] - stock.geom("l_wheel_link_cylinder").size[0]
-    assert 0 <= wheel - stock.geom("floor").pos[2] < 0.02  # boxes around shapes stand on it
+    assert 0 <= wheel - stock.geom("floor").pos[2] < 0.02  # bounding boxes are larger
 
 
 STIFF = """float drive:angular:physics:stiffness = 20000
@@ -73,7 +72,7 @@ def test_gains_that_the_time_step_cannot_carry_do_not_tear_the_robot_apart(tmp_p
     data.qvel[-1] = 1.0
     for _ in range(500):
         mujoco.mj_step(bare, data)
-    assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or np.abs(data.qvel).max() > 100  # it needs the scene
+    assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or np.abs(data.qvel).max() > 100  # unstable
     model = mujoco.MjModel.from_xml_path(str(write_scene(done.description, done.output)))
     assert model.opt.timestep == 0.002
     assert np.abs(settled(model, push=1.0).qvel).max() < 0.1

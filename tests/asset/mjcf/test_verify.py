@@ -1,4 +1,4 @@
-"""A written model that is not what was described is refused."""
+"""The converter raises an error if the MuJoCo model differs from the robot description."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import pytest
 
-from wheelleg_exp.asset.mjcf.compile_mjcf import ModelRefused, load, verify
+from wheelleg_exp.asset.mjcf.compile_mjcf import load, verify
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer
 from wheelleg_exp.asset.robot_description import (
     Actuator,
@@ -32,51 +32,21 @@ def pair(tmp_path):
     return two_links(tmp_path, text)
 
 
-def changed(robot, **changes):
-    first, second = robot.bodies
-    return replace(robot, bodies=(first, replace(second, **changes)))
-
-
 def test_the_model_that_was_written_passes(pair):
     model, done = pair
     verify(model, done.description, "bot.usda")
 
 
-@pytest.mark.parametrize("what", ["mass", "moments", "center_of_mass"])
-def test_other_mass_properties_are_refused(pair, what):
-    model, done = pair
-    body = done.description.bodies[1]
-    other = {"mass": 2.0, "moments": (0.1, 0.1, 0.11), "center_of_mass": (0.0, 0.0, 0.01)}[what]
-    wrong = changed(done.description, inertial=replace(body.inertial, **{what: other}))
-    with pytest.raises(AssetError, match="of b"):
-        verify(model, wrong, "bot.usda")
-
-
-def test_other_limits_are_refused(pair):
-    model, done = pair
-    dof = done.description.bodies[1].dofs[0]
-    wrong = changed(done.description, dofs=(replace(dof, range=(-1.0, 1.0)),))
-    with pytest.raises(AssetError, match="range of j"):
-        verify(model, wrong, "bot.usda")
-
-
 @pytest.mark.parametrize(
     ("changes", "what"),
     [
+        ({"mass": 2.0}, "mass of b"),
+        ({"moments": (0.1, 0.1, 0.11)}, "inertia of b"),
+        ({"center_of_mass": (0.0, 0.0, 0.01)}, "centre of mass of b"),
         ({"pose": Pose((1.0, 0.0, 0.0), (0.6, 0.8, 0.0, 0.0))}, "rotation of b"),
         ({"pose": Pose((1.0, 0.0, 0.1))}, "position of b"),
         ({"parent": None}, "parent of b"),
-    ],
-)
-def test_other_places_are_refused(pair, changes, what):
-    model, done = pair
-    with pytest.raises(AssetError, match=what):
-        verify(model, changed(done.description, **changes), "bot.usda")
-
-
-@pytest.mark.parametrize(
-    ("changes", "what"),
-    [
+        ({"range": (-1.0, 1.0)}, "range of j"),
         ({"axis": (0.0, 1.0, 0.0)}, "axis of j"),
         ({"anchor": (0.0, 0.0, 0.1)}, "anchor of j"),
         ({"kind": "slide"}, "kind of j"),
@@ -84,11 +54,16 @@ def test_other_places_are_refused(pair, changes, what):
         ({"frictionloss": 1.0}, "friction loss of j"),
     ],
 )
-def test_other_joints_are_refused(pair, changes, what):
+def test_a_different_body_or_joint_is_refused(pair, changes, what):
     model, done = pair
-    dof = done.description.bodies[1].dofs[0]
+    first, body = done.description.bodies
+    parts = {"inertial": body.inertial, "dofs": body.dofs[0]}
+    owner = next((name for name, part in parts.items() if hasattr(part, next(iter(changes)))), None)
+    if owner:
+        part = replace(parts[owner], **changes)
+        changes = {owner: (part,) if owner == "dofs" else part}
     with pytest.raises(AssetError, match=what):
-        verify(model, changed(done.description, dofs=(replace(dof, **changes),)), "bot.usda")
+        verify(model, replace(done.description, bodies=(first, replace(body, **changes))), "bot.usda")
 
 
 BALL = Geom("g", "/g", "sphere", (0.1,), Pose(), collides=True, drawn=False)
@@ -102,8 +77,8 @@ BALL = Geom("g", "/g", "sphere", (0.1,), Pose(), collides=True, drawn=False)
         ({"exclusions": ()}, "exclusions"),
         ({"closures": (Closure("c", "/c", "weld", ("a", "b"), ((Pose(), Pose()),)),)}, "sites|equalities"),
         ({"couplings": (Coupling("c", "/c", "j", "j", (0.0, 1.0, 0.0, 0.0, 0.0)),)}, "equalities"),
-        ({"tendons": (Tendon("t", "/t", joints=(("j", 1.0),)),)}, "no tendon 't'"),
-        ({"actuators": (Actuator("m", "/m", "joint", "j"),)}, "no actuator 'm'"),
+        ({"tendons": (Tendon("t", "/t", joints=(("j", 1.0),)),)}, "tendons"),
+        ({"actuators": (Actuator("m", "/m", "joint", "j"),)}, "actuators"),
     ],
 )
 def test_other_counts_are_refused(pair, changes, what):
@@ -124,7 +99,6 @@ def test_colliders_are_counted_without_self_collision_too(tmp_path):
 
 
 def test_a_frame_without_mass_passes():
-    """Bodies that are fixed to another may weigh nothing."""
     nothing = Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     whole = replace(nothing, mass=1.0, moments=(0.1, 0.1, 0.1))
     robot = RobotDescription("r", (Body("a", "/a", None, Pose(), whole), Body("b", "/b", "a", Pose(), nothing)))
@@ -142,7 +116,7 @@ def test_a_frame_without_mass_passes():
 def test_what_mujoco_refuses_is_told_by_name_and_not_by_lines_that_nobody_sees(tmp_path, inside, told):
     path = tmp_path / "draft.xml"
     path.write_text(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
-    with pytest.raises(ModelRefused) as caught:
+    with pytest.raises(AssetError) as caught:
         load(path, "bot.usda")
     assert "'bot.usda'" in caught.value.message
     assert told in caught.value.message
@@ -153,5 +127,5 @@ def test_what_mujoco_refuses_is_told_by_name_and_not_by_lines_that_nobody_sees(t
 def test_a_missing_body_is_refused(pair):
     _, done = pair
     empty = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(AssetError, match="has no body"):
+    with pytest.raises(AssetError, match="lacks an element"):
         verify(empty, done.description, "bot.usda")

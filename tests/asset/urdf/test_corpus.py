@@ -1,7 +1,7 @@
-"""Real robots that came from URDF: read from URDF and from USD they are the same robot.
+"""Real robots have equal robot descriptions if read from URDF and from USD.
 
-The corpus holds them as USD, which ``urdf-usd-converter`` made of their URDF, with numbers that MuJoCo itself read from
-that URDF. Here the URDF is written anew from the USD and read again.
+The corpus has USD files that ``urdf-usd-converter`` made from URDF files, and the numbers that MuJoCo read from these
+URDF files. The tests write a URDF from the USD's robot description and convert the URDF.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.corpus
 
 
 def rpy(rotation: Quat) -> str:
-    """Roll, pitch and yaw of a rotation; at a pitch of a quarter turn the roll is 0."""
+    """Return roll, pitch, and yaw of a rotation; the roll is 0 if the pitch is 90°."""
     m = rotation_matrix(rotation)
     pitch = math.atan2(-m[2, 0], math.hypot(m[0, 0], m[1, 0]))
     if math.hypot(m[0, 0], m[1, 0]) < 1e-9:
@@ -60,7 +60,6 @@ def link(body: Body) -> str:
 
 
 def joint(body: Body) -> str:
-    """The joint above a body: a weld, a hinge or a slide in the frame of the body below it."""
     dof: Dof | None = body.dofs[0] if body.dofs else None
     kind, name, inside = "fixed", f"{body.name}_mount", ""
     if dof is not None:
@@ -77,7 +76,6 @@ def joint(body: Body) -> str:
 
 
 def write_urdf(robot: RobotDescription, folder: Path) -> Path:
-    """Write a robot as URDF with its meshes beside it."""
     links = "".join(link(body) for body in robot.bodies)
     joints = "".join(joint(body) for body in robot.bodies if body.parent)
     for mesh in robot.meshes:
@@ -89,7 +87,6 @@ def write_urdf(robot: RobotDescription, folder: Path) -> Path:
 
 @pytest.fixture(scope="module", params=["upkie", "wf_tron2a_urdf"])
 def both(request, corpus, tmp_path_factory) -> tuple[dict[str, Any], Conversion, Conversion]:
-    """What the corpus expects, and the conversions of a robot's USD and of its URDF."""
     expected = next(item for item in expectations(corpus) if item["name"] == request.param)
     assert expected["truth"] == "urdf"
     folder = tmp_path_factory.mktemp(request.param)

@@ -1,4 +1,4 @@
-"""Two MuJoCo models side by side: parts matched by name, states carried over, differences relative to the norm."""
+"""Compare two MuJoCo models: match parts by name, copy the state, and compute relative differences."""
 
 from __future__ import annotations
 
@@ -11,18 +11,15 @@ WIDTHS = {FREE: (7, 6), BALL: (4, 3)}
 
 
 def name_of(model: mujoco.MjModel, kind: Obj, index: int) -> str:
-    """A part's name, empty when it has none."""
     return mujoco.mj_id2name(model, kind, index) or ""
 
 
 def difference(first: np.ndarray, second: np.ndarray, floor: float = 1e-9) -> float:
-    """The largest difference relative to the largest number of the first (or ``floor``, for what is nothing)."""
     first, second = np.asarray(first, float), np.asarray(second, float)
     return float(np.abs(first - second).max() / max(np.abs(first).max(), floor)) if first.size else 0.0
 
 
 def converged(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Let the solver run to the end and leave contacts away, so that two models differ by what they are alone."""
     option = model.opt
     option.solver, option.iterations, option.ls_iterations = int(mujoco.mjtSolver.mjSOL_NEWTON), 500, 200
     option.tolerance, option.ls_tolerance, option.timestep = 1e-14, 1e-8, 0.002
@@ -32,8 +29,6 @@ def converged(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 class Pair:
-    """An original and what came back of it."""
-
     def __init__(self, original: mujoco.MjModel, ours: mujoco.MjModel) -> None:
         self.original, self.ours = converged(original), converged(ours)
         self.bodies = self._matched(Obj.mjOBJ_BODY, original.nbody, first=1)
@@ -44,7 +39,6 @@ class Pair:
         self.data = mujoco.MjData(original), mujoco.MjData(ours)
 
     def _matched(self, kind: Obj, count: int, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Ids of named parts in both models."""
         pairs = []
         for index in range(first, count):
             if name := name_of(self.original, kind, index):
@@ -55,7 +49,6 @@ class Pair:
         return ids[:, 0], ids[:, 1]
 
     def _joint(self, index: int) -> int:
-        """A joint by name; one without a name by its place on its body."""
         original, ours = self.original, self.ours
         name = name_of(original, Obj.mjOBJ_JOINT, index)
         found = mujoco.mj_name2id(ours, Obj.mjOBJ_JOINT, name) if name else -1
@@ -67,7 +60,6 @@ class Pair:
         return int(found)
 
     def _coordinates(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where each entry of the original's qpos and qvel is in ours."""
         original, ours = self.original, self.ours
         positions, velocities = np.zeros(original.nq, int), np.zeros(original.nv, int)
         for index, other in enumerate(self.joints):
@@ -79,7 +71,6 @@ class Pair:
         return positions, velocities
 
     def draw(self, random: np.random.Generator) -> None:
-        """Put both into the same random state, within the limits, and compute everything."""
         model = self.original
         qpos = np.array(model.qpos0)
         for index in range(model.njnt):
@@ -95,7 +86,6 @@ class Pair:
         self.state(qpos, random.normal(size=model.nv), random.uniform(ranges[:, 0], ranges[:, 1]))
 
     def state(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> None:
-        """Put both into a state of the original and compute everything."""
         first, second = self.data
         mujoco.mj_resetData(self.original, first)
         mujoco.mj_resetData(self.ours, second)
@@ -106,7 +96,6 @@ class Pair:
         mujoco.mj_forward(self.ours, second)
 
     def masses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mass matrices, the second in the order of the original."""
         matrices = []
         for model, data in zip((self.original, self.ours), self.data, strict=True):
             full = np.zeros((model.nv, model.nv))
@@ -115,7 +104,6 @@ class Pair:
         return matrices[0], matrices[1][np.ix_(self.velocities, self.velocities)]
 
     def tensors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Inertia tensors (n, 6) of the named bodies about their centres, in body axes."""
         return _tensors(self.original, self.bodies[0]), _tensors(self.ours, self.bodies[1])
 
 

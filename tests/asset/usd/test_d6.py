@@ -1,4 +1,4 @@
-"""Generic joints: which axes are free, locked, or locked somewhere, and what is said of each."""
+"""The axes of a generic USD joint are free, locked at zero, or locked at a nonzero value."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ def names(model: mujoco.MjModel) -> list[str]:
 
 @pytest.mark.parametrize("free", list(product([False, True], repeat=6)))
 def test_every_combination_of_free_axes(tmp_path, free):
-    """Slides before hinges, in order; three rotations together are a ball; nothing free is a weld."""
     kept = [axis for axis, is_free in zip(AXES, free, strict=True) if is_free]
     model, _ = generic(tmp_path, locked(*(axis for axis in AXES if axis not in kept)))
     turns = [axis for axis in kept if axis.startswith("rot")]
@@ -63,7 +62,6 @@ def test_limits_of_each_axis(tmp_path):
 
 
 def test_a_rotation_may_be_limited_on_one_side(tmp_path):
-    """OpenUSD's parser takes such a limit of a generic joint for one, and that of a revolute joint for none."""
     text = locked("transX", "transY", "transZ", "rotX") + "\n" + limits(rotZ=("-inf", 30))
     model, _ = generic(tmp_path, text)
     assert model.joint("j_rotZ").range[0] < -1e3
@@ -132,7 +130,6 @@ def test_inside_an_articulation_a_generic_joint_does_not_slide(tmp_path):
 
 
 def test_a_reversed_generic_joint_turns_the_other_way_and_shows_its_drawing(tmp_path):
-    """body0 is the child: its own motion is the inverse of Rx(q1) Ry(q2), which body1 makes against it."""
     bent = link("b", "(1, 0, 0)").replace(
         'xformOpOrder = ["xformOp:translate"]',
         'xformOpOrder = ["xformOp:translate", "xformOp:rotateY", "xformOp:rotateX"]\n'

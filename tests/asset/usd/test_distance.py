@@ -1,4 +1,4 @@
-"""Distance joints as spatial tendons."""
+"""USD's distance joints become spatial tendons."""
 
 from __future__ import annotations
 

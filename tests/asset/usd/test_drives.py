@@ -1,4 +1,4 @@
-"""Drives, limits, saved states and passive forces of single joints, in any unit."""
+"""Drives, limits, saved states, and passive forces of single joints become SI values from any USD unit."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_acceleration_gains_are_times_the_inertia_that_the_drive_meets(tmp_path)
         'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
     )
     model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular", base="fixed")
-    assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # 0.1 kg m² about x
+    assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # kg m²
 
 
 def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
@@ -181,7 +181,7 @@ def test_a_target_velocity_is_the_control_of_a_velocity_drive(tmp_path):
 
 
 def test_an_acceleration_drive_meets_the_inertia_of_a_pendulum(tmp_path):
-    """A bob of 2 kg at 0.5 m, 0.1 kg m² about its centre, and 0.05 kg m² of armature: I = 0.1 + 2·0.5² + 0.05."""
+    """The pendulum's inertia is 0.1 + 2·0.5² + 0.05 (armature) kg m²."""
     mass = MASS.replace("mass = 1", "mass = 2").replace("centerOfMass = (0, 0, 0)", "centerOfMass = (0, 0.5, 0)")
     text = (
         "float drive:angular:physics:stiffness = 3\n float drive:angular:physics:damping = 0.2"
@@ -200,7 +200,7 @@ HINGED = "PhysicsDriveAPI:angular PhysxJointAPI"
 
 
 def test_a_hinge_in_centimetres_and_grams(tmp_path):
-    """Torque, and what is torque per angle, is kpu·mpu² = 1e-7 of the file's numbers."""
+    """Torques and angular gains of the USD file are multiplied by kpu·mpu² = 1e-7."""
     text = (
         "float drive:angular:physics:stiffness = 2e7\n float drive:angular:physics:damping = 1e7"
         "\nfloat drive:angular:physics:maxForce = 3e7\n float physxJoint:armature = 5e6\n float newton:friction = 4e6"
@@ -214,7 +214,7 @@ def test_a_hinge_in_centimetres_and_grams(tmp_path):
 
 
 def test_a_slide_in_centimetres_and_grams(tmp_path):
-    """Force is kpu·mpu = 1e-5, force per length kpu = 1e-3, mass 1e-3 of the file's numbers."""
+    """Forces of the USD file are multiplied by kpu·mpu = 1e-5, linear gains and masses by kpu = 1e-3."""
     text = (
         "float drive:linear:physics:stiffness = 2000\n float drive:linear:physics:maxForce = 3e5\n"
         "float drive:linear:physics:targetPosition = 5\n float physics:lowerLimit = -20\n"
@@ -265,7 +265,6 @@ def test_the_velocity_limit_follows_the_same_precedence_as_the_armature(tmp_path
 
 
 def test_a_joint_wide_velocity_limit_does_not_count_where_the_axis_schema_is_applied(tmp_path):
-    """Measured in PhysX: the axis has no limit (3.4e38)."""
     text = "float physxJoint:maxJointVelocity = 180"
     _, done = two_links(tmp_path, text, apis="PhysxJointAPI PhysxJointAxisAPI:angular")
     assert "j" not in done.report.velocity_limits

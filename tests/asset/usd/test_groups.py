@@ -1,4 +1,4 @@
-"""What never touches: filtered pairs and collision groups, held against the contacts that MuJoCo finds."""
+"""Shapes of filtered pairs and filtered collision groups have no contacts in MuJoCo."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ def PhysicsCollisionGroup "{name}" (prepend apiSchemas = ["CollectionAPI:collide
 
 
 def touching(model: mujoco.MjModel) -> set[frozenset[str]]:
-    """Pairs of geoms in contact; everything of these files overlaps at the origin, half in the ground."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return {frozenset(model.geom(g).name for g in contact.geom) for contact in data.contact}
@@ -171,14 +170,12 @@ ROOT = "PhysicsArticulationRootAPI PhysxArticulationAPI"
 
 
 def articulation(*names: str, quiet: bool) -> str:
-    """A chain of three bodies, the middle one without a shape, so that the joints filter none of the others."""
     first, middle, last = names
     text = link(first, mass=QUIET if quiet else MASS, apis=ROOT, inside=cube()) + link(middle)
     return text + link(last, inside=cube()) + hinge(first + middle, first, middle) + hinge(middle + last, middle, last)
 
 
 def test_self_collision_that_is_off_goes_for_its_own_articulation_alone(tmp_path):
-    """One quiet chain a-c, one that may touch itself x-z, and a loose box: all stand in the same place."""
     body = articulation("a", "b", "c", quiet=True) + articulation("x", "y", "z", quiet=False) + link("l", inside=cube())
     model, _ = converted(write(tmp_path, body + GROUND))
     cubes = [f"{name}_cube" for name in "aczxl"]

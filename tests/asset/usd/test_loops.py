@@ -1,4 +1,4 @@
-"""Joints that close loops: equalities, where a loop opens, and what cannot be kept."""
+"""A joint that closes a loop becomes an equality; the converter reports a loop that it cannot close."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ SQUARE = (
 
 
 def at(name: str, first: str, second: str, pos0: str, pos1: str = "(0, 0, 0)", text: str = "", **options: str) -> str:
-    """A joint with its anchors, about z."""
     place = (
         f'uniform token physics:axis = "Z"\n point3f physics:localPos0 = {pos0}\n point3f physics:localPos1 = {pos1}'
     )
@@ -24,7 +23,6 @@ def at(name: str, first: str, second: str, pos0: str, pos1: str = "(0, 0, 0)", t
 
 
 def square(closing: str) -> str:
-    """A four-bar linkage a-b-d-c-a, of which ``closing`` is the joint between c and d."""
     joints = at("ab", "a", "b", "(1, 0, 0)") + at("ac", "a", "c", "(0, 1, 0)") + at("bd", "b", "d", "(0, 1, 0)")
     return SQUARE + joints + closing
 
@@ -48,7 +46,6 @@ def test_a_loop_opens_at_the_joint_furthest_from_the_root_with_a_warning(tmp_pat
 
 
 def test_in_a_long_loop_the_far_side_opens_whatever_the_order_of_joints(tmp_path):
-    """A ring of six: from the root, three steps either way; one of the two joints at the far body opens."""
     ring = "abcdef"
     bodies = link("a", apis="PhysicsArticulationRootAPI") + "".join(link(name) for name in ring[1:])
     pairs = [("d", "e"), ("c", "d"), ("b", "c"), ("a", "b"), ("f", "a"), ("e", "f")]
@@ -89,7 +86,6 @@ def test_a_loop_to_the_world_is_held_there(tmp_path):
 
 
 def test_a_slide_that_closes_a_loop_stays_a_joint_and_a_hinge_of_the_loop_opens(tmp_path):
-    """MuJoCo has no sliding equality, but a hinge can be one: the mechanism keeps its freedom."""
     closing = at("cd", "c", "d", "(1, 0, 0)", kind="Prismatic")
     model, done = converted(write(tmp_path, square(closing)))
     joints = {model.joint(i).name: int(model.jnt_type[i]) for i in range(1, model.njnt)}
@@ -143,7 +139,6 @@ def test_two_joints_between_the_same_bodies_close_a_loop(tmp_path):
 
 
 def test_a_robot_with_loops_is_not_torn_apart_to_get_zero_into_its_limits(tmp_path):
-    """The hinge ab may not be at 0; alone it is moved to 30 degrees, in a closed linkage the drawing stays."""
     limits = "float physics:lowerLimit = 30\n float physics:upperLimit = 60"
     bounded = at("ab", "a", "b", "(1, 0, 0)", text=limits)
     open_chain, done = converted(write(tmp_path, SQUARE[: SQUARE.index('def Xform "c"')] + bounded))

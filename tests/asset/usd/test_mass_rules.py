@@ -1,4 +1,4 @@
-"""What bodies weigh, held against OpenUSD's own computation of mass properties, which PhysX's numbers come from."""
+"""Mass properties of bodies equal those that OpenUSD computes, which PhysX uses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TILT = "(0.98480775, 0, 0, 0.17364818)"  # 20° about z
 
 # ------------------------------------------------------------------ the oracle
 def shape_information(prim: Usd.Prim, cache: UsdGeom.XformCache) -> UsdPhysics.RigidBodyAPI.MassInformation:
-    """Volume, centre and inertia of density 1 of a box, ball or cylinder, by its textbook form."""
+    """Return volume, centre, and inertia (density 1) of a box, sphere, or cylinder by textbook formulas."""
     body = prim.GetParent()
     to_body = Gf.Transform(cache.ComputeRelativeTransform(prim, body)[0])
     scale = np.array(Gf.Transform(cache.GetLocalToWorldTransform(prim)).GetScale())
@@ -52,7 +52,7 @@ def _forms(prim: Usd.Prim, scale: np.ndarray) -> tuple[float, list[float]]:
 
 
 def expected(path: Path, mpu: float, kpu: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """OpenUSD's mass, centre, and tensor about it in the body's axes, in SI units."""
+    """Return OpenUSD's mass, centre of mass, and inertia tensor about the centre in the body's axes, in SI units."""
     stage = Usd.Stage.Open(str(path))
     cache = UsdGeom.XformCache()
     body = UsdPhysics.RigidBodyAPI(stage.GetPrimAtPath("/bot/a"))
@@ -64,7 +64,7 @@ def expected(path: Path, mpu: float, kpu: float) -> tuple[float, np.ndarray, np.
 
 # ------------------------------------------------------------------ random bodies
 class Dice:
-    """Random numbers as USD text."""
+    """A generator of random numbers as USD text."""
 
     def __init__(self, seed: int) -> None:
         self.random = np.random.default_rng(seed)
@@ -88,10 +88,6 @@ class Dice:
 
 
 def mass_text(dice: Dice, body: bool) -> str:
-    """A MassAPI's attributes, sentinels among them.
-
-    A body's moments come with axes: without them OpenUSD takes the colliders' axes, which are noise for round shapes.
-    """
     center, nowhere = f"point3f physics:centerOfMass = {dice.vector(-0.3, 0.3)}", "(-inf, -inf, -inf)"
     moments = dice.chosen(
         "", "float3 physics:diagonalInertia = (0, 0, 0)", f"float3 physics:diagonalInertia = {dice.moments()}"
@@ -123,7 +119,7 @@ def collider(dice: Dice, name: str) -> str:
         "Sphere": f"({across}, {across}, {across})",
         "Cylinder": f"({across}, {across}, {dice.one(0.5, 2)})",
     }[kind]
-    turn = "(1, 0, 0, 0)" if kind == "Sphere" else dice.quaternion()  # a turned ball has axes of noise
+    turn = "(1, 0, 0, 0)" if kind == "Sphere" else dice.quaternion()  # a sphere's axes are arbitrary
     material = dice.chosen("", "rel material:binding:physics = </bot/heavy>")
     return f"""
         def {kind} "{name}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
@@ -171,7 +167,6 @@ def test_mass_properties_are_those_of_openusd(tmp_path, seed):
 
 # ------------------------------------------------------------------ one rule each
 def cube(name: str, mass: str = "", *, at: str = "(0, 0, 0)", more: str = "") -> str:
-    """A solid cube of 0.2 m with a MassAPI."""
     return f"""
         def Cube "{name}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
         {{
@@ -363,7 +358,6 @@ def test_a_body_of_nothing_is_physx_ball_of_one_kilogram(tmp_path):
 
 
 def shape(kind: str, text: str, scale: str = "(1, 1, 1)") -> str:
-    """A gprim that collides, in SI."""
     return f"""def {kind} "shape" (prepend apiSchemas = ["PhysicsCollisionAPI"])
         {{
             {text}
@@ -374,7 +368,7 @@ def shape(kind: str, text: str, scale: str = "(1, 1, 1)") -> str:
 
 @pytest.mark.parametrize(
     ("inside", "volume"),
-    [  # the volumes of the masses that PhysX gives these files
+    [  # PhysX's volumes
         (shape("Sphere", "double radius = 0.2", "(1.5, 1, 0.7)"), 4 / 3 * math.pi * 0.3**3),
         (
             shape("Cylinder", 'double radius = 0.1\n double height = 0.5\n token axis = "X"', "(2, 1, 0.7)"),
@@ -394,7 +388,7 @@ def test_what_is_scaled_unevenly_weighs_as_its_largest_scale_across(tmp_path, in
     ("axis", "flip", "center"), [("Z", 1, [0, 0, -0.15]), ("Y", 1, [0, -0.15, 0]), ("Z", -1, [0, 0, 0.15])]
 )
 def test_a_cone_weighs_as_a_cone_and_not_as_its_hull(tmp_path, axis, flip, center):
-    """Centre a quarter of the height above the base; moments 3/10 m r² and m(3/20 r² + 3/80 h²)."""
+    """A cone's centre is h/4 above its base, and its moments are 3/10 m r² and m(3/20 r² + 3/80 h²)."""
     inside = shape("Cone", f'double radius = 0.2\n double height = 0.6\n token axis = "{axis}"', f"(1, 1, {flip})")
     model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 2", inside=inside)))
     np.testing.assert_allclose(model.body("a").ipos, center, atol=1e-9)
@@ -409,7 +403,6 @@ def test_a_negative_mass_means_not_given_and_is_warned_about(tmp_path):
 
 
 def test_a_shape_below_a_shape_collides_where_a_prim_above_both_says_so(tmp_path):
-    """Xform with CollisionAPI / Cube / Sphere: both weigh; a schema of the cube's own goes for the cube alone."""
     inner = 'def Cube "c" {own}\n{{\n double size = 0.2\n def Sphere "s"\n {{\n double radius = 0.3\n }}\n}}\n'
     api = '(prepend apiSchemas = ["PhysicsCollisionAPI"])'
     group = f'def Xform "g" {api}\n{{\n{inner.format(own="")}}}\n'

@@ -1,4 +1,4 @@
-"""Joints that follow others, as PhysX says it: q = -gearing · reference - offset, in degrees and stage lengths."""
+"""PhysX's mimic joints obey q = -gearing · reference - offset, in degrees and stage lengths."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ def three(folder, text: str, *, lead: str = "Revolute", follow: str = "Revolute"
 
 
 def settled(model: mujoco.MjModel, value: float) -> float:
-    """What the equality makes of the follower when the leader is at a value: its violation is linear in it."""
     data = mujoco.MjData(model)
     data.joint("ab").qpos = value
     mujoco.mj_forward(model, data)
@@ -81,7 +80,6 @@ def test_an_axis_of_a_generic_joint_follows_and_is_followed(tmp_path):
 
 
 def test_the_rule_holds_for_coordinates_of_reversed_joints(tmp_path):
-    """Both coordinates are body1's against body0, whichever of them is the child."""
     body = link("a", apis="PhysicsArticulationRootAPI") + link("b") + link("c") + hinge("ab", "b", "a")
     body += hinge("bc", "b", "c", apis="PhysxMimicJointAPI:rotX", text=mimic(gearing=2))
     model, _ = converted(write(tmp_path, body))

@@ -1,4 +1,4 @@
-"""What people are told when a file is wrong, and that nothing is left behind."""
+"""A wrong USD file gives an error message that names the mistake, and no output file."""
 
 from __future__ import annotations
 
@@ -114,14 +114,6 @@ def test_a_failed_conversion_keeps_the_older_output(tmp_path):
     before = output.read_bytes()
     told(write(tmp_path, 'def Xform "thing"\n{\n}\n'), output)
     assert output.read_bytes() == before
-
-
-def test_a_folder_of_other_files_is_not_replaced_by_meshes(tmp_path):
-    foreign = tmp_path / "bot_meshes" / "notes.txt"
-    foreign.parent.mkdir()
-    foreign.write_text("mine")
-    assert "notes.txt" in str(told(write(tmp_path, link("a")), tmp_path / "bot.xml"))
-    assert foreign.read_text() == "mine"
 
 
 def mesh(points: str, counts: str, indices: str) -> str:

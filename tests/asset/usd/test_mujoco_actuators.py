@@ -1,4 +1,4 @@
-"""MjcActuator prims come back as MuJoCo's general actuators, whatever they act on."""
+"""MjcActuator prims become MuJoCo's general actuators for all transmission types."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from wheelleg_exp.errors import AssetError
+
 from ..small_usd import converted, hinge, link, two_links, write
-from ..warned import warned
 
 SITE = """
         def Sphere "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
@@ -19,7 +20,6 @@ SITE = """
 
 
 def actuator(target: str, text: str = "", name: str = "motor") -> str:
-    """An actuator on a prim below the default prim."""
     return f"""
     def MjcActuator "{name}"
     {{
@@ -30,30 +30,15 @@ def actuator(target: str, text: str = "", name: str = "motor") -> str:
 
 
 def pair(folder, text: str = "", *, target: str = "j", inside: str = "", joint: str = "", kind: str = "Revolute"):
-    """Two joined links with an actuator."""
     body = link("a", inside=SITE.format(name="here", at="(0, 0, 0.1)"))
     body += link("b", "(1, 0, 0)", inside=SITE.format(name="tip", at="(0.1, 0, 0)") + inside)
     body += hinge("j", "a", "b", kind=kind, text=f"point3f physics:localPos0 = (1, 0, 0)\n {joint}")
     return converted(write(folder, body + actuator(target, text)))
 
 
-def test_an_attribute_that_mujoco_refuses_is_left_out_by_name_and_nothing_else(tmp_path):
-    refused = "uniform int mjc:actDim = 3\n uniform double[] mjc:gear = [3]"
-    model, done = pair(tmp_path, refused)
-    np.testing.assert_array_equal(model.actuator("motor").gear, [3, 0, 0, 0, 0, 0])
-    (warning,) = warned(done)
-    assert warning.startswith("/bot/motor: mjc:actDim was left out: MuJoCo refuses it: ")
-    (left,) = [item for item in done.report.left_out if item.name == "mjc:actDim"]
-    assert left.values == {"/bot/motor": "3"}
-    assert ("/bot/motor", "mjc:actDim") not in {(item.path, item.name) for item in done.report.mapped}
-
-
-def test_two_refused_attributes_are_both_left_out(tmp_path):
-    body = link("a") + link("b", "(1, 0, 0)") + hinge("j", "a", "b", text="point3f physics:localPos0 = (1, 0, 0)")
-    body += actuator("j", "uniform int mjc:actDim = 3") + actuator("j", "uniform int mjc:actDim = 2", "other")
-    model, done = converted(write(tmp_path, body))
-    assert model.nu == 2
-    assert [text.split(":")[0] for text in warned(done)] == ["/bot/motor", "/bot/other"]
+def test_an_attribute_that_mujoco_refuses_is_an_error_that_names_the_actuator(tmp_path):
+    with pytest.raises(AssetError, match=r"MuJoCo cannot build a model of 'bot.usda': .*\(at 'motor'\)"):
+        pair(tmp_path, "uniform int mjc:actDim = 3")
 
 
 BOTH = "float physics:lowerLimit = -30\n        float physics:upperLimit = 40"
@@ -84,7 +69,6 @@ def test_parameters_and_ranges_are_kept_as_they_were_written(tmp_path):
 
 
 def test_an_end_of_a_range_that_is_not_authored_is_zero(tmp_path):
-    """USD leaves away what is the schema's default."""
     model, _ = pair(tmp_path, "uniform double mjc:ctrlRange:max = 255")
     np.testing.assert_allclose(model.actuator("motor").ctrlrange, [0, 255])
     assert model.actuator_ctrllimited[0]

@@ -1,4 +1,4 @@
-"""Nothing that MuJoCo's USD schemas say is passed over: it becomes something or is named with a reason."""
+"""Each attribute of MuJoCo's USD schemas becomes an MJCF attribute, or the report names it with a reason."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from wheelleg_exp.errors import AssetError
 
 from ..small_usd import applied, converted, hinge, link, write
 
-# All attributes of mujoco-usd 4.0.0's schemas (generatedSchema.usda), by schema and type, without "mjc:".
+# The table lists all attributes of mujoco-usd 4.0.0 (generatedSchema.usda) by schema and type, without "mjc:".
 SCHEMAS = {
     "MjcSceneAPI": {
         "bool": (
@@ -36,22 +36,15 @@ SCHEMAS = {
         "double3": "option:magnetic option:wind",
         "double[]": "option:o_friction option:o_solimp option:o_solref",
     },
-    "MjcSiteAPI": {
-        "int": "group",
-    },
-    "MjcImageableAPI": {
-        "int": "group",
-    },
+    "MjcSiteAPI": {"int": "group"},
+    "MjcImageableAPI": {"int": "group"},
     "MjcCollisionAPI": {
         "int": "condim group priority",
         "double": "gap margin solmix",
         "bool": "shellinertia",
         "double[]": "solimp solref",
     },
-    "MjcMeshCollisionAPI": {
-        "token": "inertia",
-        "int": "maxhullvert",
-    },
+    "MjcMeshCollisionAPI": {"token": "inertia", "int": "maxhullvert"},
     "MjcActuator": {
         "int": "actDim group",
         "bool": "actEarly jointInParent",
@@ -62,9 +55,7 @@ SCHEMAS = {
         ),
         "double[]": "biasPrm dynPrm gainPrm gear",
     },
-    "MjcKeyframe": {
-        "double[]": "act ctrl mpos mquat qpos qvel",
-    },
+    "MjcKeyframe": {"double[]": "act ctrl mpos mquat qpos qvel"},
     "MjcJointAPI": {
         "token": "actuatorfrclimited",
         "double": (
@@ -74,19 +65,10 @@ SCHEMAS = {
         "int": "group",
         "double[]": "solimpfriction solimplimit solreffriction solreflimit springdamper",
     },
-    "MjcMaterialAPI": {
-        "double": "rollingfriction torsionalfriction",
-    },
-    "MjcEqualityAPI": {
-        "double[]": "solimp solref",
-    },
-    "MjcEqualityWeldAPI": {
-        "float": "torqueScale",
-    },
-    "MjcEqualityJointAPI": {
-        "double": "coef0 coef1 coef2 coef3 coef4",
-        "double[]": "solimp solref",
-    },
+    "MjcMaterialAPI": {"double": "rollingfriction torsionalfriction"},
+    "MjcEqualityAPI": {"double[]": "solimp solref"},
+    "MjcEqualityWeldAPI": {"float": "torqueScale"},
+    "MjcEqualityJointAPI": {"double": "coef0 coef1 coef2 coef3 coef4", "double[]": "solimp solref"},
     "MjcTendon": {
         "token": "actuatorfrclimited limited type",
         "double": (
@@ -137,7 +119,7 @@ SPECIAL = {
     "act": "[0]",
     "ctrl": "[0]",
 }
-# What a robot's file should not say, or has said already by explicit masses, ranges and radians.
+# A robot file should omit these attributes, or they repeat explicit masses, ranges, and radians.
 NAMED = {
     *("option:timestep", "option:iterations", "option:ls_iterations", "option:tolerance", "option:ls_tolerance"),
     *("option:ccd_iterations", "option:ccd_tolerance", "option:sdf_iterations", "option:sdf_initpoints"),
@@ -151,7 +133,6 @@ NAMED = {
 
 
 def everything(schema: str, *, but: tuple[str, ...] = ()) -> str:
-    """Every attribute of a schema, with a value that is not its default."""
     lines = []
     for kind, names in SCHEMAS[schema].items():
         for name in names.split():
@@ -205,7 +186,7 @@ EXCLUDED = "uniform bool physics:excludeFromArticulation = 1"
 
 def all_names() -> list[str]:
     names = {n for kinds in SCHEMAS.values() for text in kinds.values() for n in text.split()}
-    return sorted(names - {"crankLength"})  # of slider and crank alone, which has a test of its own
+    return sorted(names - {"crankLength"})  # only for slider-cranks
 
 
 @pytest.mark.parametrize("name", all_names())

@@ -1,4 +1,4 @@
-"""What MuJoCo's and Newton's own USD schemas say, on small files."""
+"""Attributes of MuJoCo's and Newton's USD schemas become MuJoCo attributes, shown on small files."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_a_slides_spring_rests_where_it_says_in_metres(tmp_path):
 
 
 def test_springdamper_is_made_of_the_inertia_that_the_joint_meets(tmp_path):
-    """Stiffness 1/(t² d²)·I and damping 2/t·I: MuJoCo, XMLreference, joint springdamper."""
+    """MuJoCo's springdamper (t, d) gives the stiffness 1/(t² d²)·I and the damping 2/t·I."""
     model, _ = two_links(tmp_path, "uniform double[] mjc:springdamper = [0.5, 0.8]")
     assert model.dof_damping[6] > 0
     ratio = model.jnt_stiffness[1] / model.dof_damping[6]

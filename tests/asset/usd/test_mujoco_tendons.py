@@ -1,4 +1,4 @@
-"""MjcTendon prims come back: sums of coordinates, and paths through sites, around shapes and over pulleys."""
+"""MjcTendon prims become MuJoCo tendons: coordinate sums, and paths through sites, around geoms, and over pulleys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from .test_mujoco_actuators import SITE, actuator
 
 
 def tendon(text: str, kind: str = "spatial") -> str:
-    """A tendon below the default prim."""
     return f"""
     def MjcTendon "cord"
     {{
@@ -24,7 +23,6 @@ def tendon(text: str, kind: str = "spatial") -> str:
 
 
 def round_shape(schemas: str = "") -> str:
-    """A cylinder along z that nothing draws and nothing touches."""
     return f"""
         def Cylinder "drum" {schemas}
         {{
@@ -35,7 +33,6 @@ def round_shape(schemas: str = "") -> str:
 
 
 def chain(folder, extra: str, inside: str = ""):
-    """Three links on a line, a metre apart, with a site each; hinges about x."""
     body = "".join(
         link(name, f"({i}, 0, 0)", inside=SITE.format(name=f"s{i}", at="(0, 0.5, 0)") + (inside if i == 1 else ""))
         for i, name in enumerate("abc")
@@ -46,7 +43,6 @@ def chain(folder, extra: str, inside: str = ""):
 
 
 def lengths(model: mujoco.MjModel) -> np.ndarray:
-    """Lengths of the tendons where everything is as drawn."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return data.ten_length
@@ -95,7 +91,6 @@ def test_a_first_divisor_is_a_pulley_too(tmp_path):
 
 @pytest.mark.parametrize("side", [False, True])
 def test_a_tendon_goes_around_a_shape_that_nothing_draws(tmp_path, side):
-    """Sites half a metre above the axis do not touch the drum, unless a site below says on which side."""
     below = SITE.format(name="below", at="(0, -0.3, 0)")
     text = "rel mjc:path = [</bot/a/s0>, </bot/b/drum>, </bot/c/s2>]\n"
     if side:
@@ -103,7 +98,7 @@ def test_a_tendon_goes_around_a_shape_that_nothing_draws(tmp_path, side):
     model, _ = chain(tmp_path, tendon(text), inside=round_shape() + below)
     assert model.ngeom == 1
     assert not (model.geom_contype | model.geom_conaffinity).any()
-    # over the top it is straight; around the bottom: two tangents and the arc between them
+    # The path over the top is straight. The path below consists of two tangents and an arc.
     away = math.hypot(1, 0.5)
     tangent = math.sqrt(away**2 - 0.1**2)
     arc = 0.1 * (2 * math.pi - 2 * math.acos(0.1 / away) - 2 * math.atan2(1, 0.5))

@@ -1,4 +1,4 @@
-"""Numbers that a file holds in single precision are written as short as they are there; double ones lose nothing."""
+"""The MJCF has shortest decimals for single-precision numbers of a USD file, and exact double-precision numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stock robot, held against closed forms and against the model that MuJoCo compiles from it."""
+"""The stock robot's MuJoCo model agrees with closed forms and with the robot description."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def home(model: mujoco.MjModel) -> mujoco.MjData:
 
 @pytest.mark.parametrize("schema", ["physxJoint", "physxJointAxis:angular"])
 def test_old_and_new_versions_of_physx_read_armature_and_velocity_limit(source: Path, schema: str):
-    """PhysX ignores PhysxJointAPI from ovphysx 0.6 on; Isaac Sim 4.5 does not know the schema of an axis."""
+    """PhysX (ovphysx 0.6 or newer) ignores PhysxJointAPI; Isaac Sim 4.5 does not know PhysxJointAxisAPI."""
     stage = Usd.Stage.Open(str(source))
     for prim in stage.Traverse():
         if prim.IsA(UsdPhysics.RevoluteJoint):
@@ -70,7 +70,6 @@ def cylinder_moments_about_y(mass: float, radius: float, width: float) -> np.nda
 
 
 def capsule_moments_about_z(mass: float, radius: float, length: float) -> np.ndarray:
-    """A cylinder with two half balls, by integrating discs along the axis."""
     z = np.linspace(-length / 2 - radius, length / 2 + radius, 200_001)
     beyond = np.clip(np.abs(z) - length / 2, 0, None)
     squared = np.clip(radius**2 - beyond**2, 0, None)
@@ -146,7 +145,7 @@ def test_positive_wheel_speed_drives_forward(model, home, side):
     jacobian = np.zeros((3, model.nv))
     ground = home.body(f"{side}_wheel_link").xpos - [0, 0, WHEEL]
     mujoco.mj_jac(model, home, jacobian, None, ground, model.body(f"{side}_wheel_link").id)
-    slip = jacobian @ home.qvel  # where the tyre touches, it pushes the ground to the back
+    slip = jacobian @ home.qvel  # tyre at the contact point
     np.testing.assert_allclose(slip, [-10.0 * WHEEL, 0, 0], atol=1e-9)
 
 
@@ -172,10 +171,7 @@ def test_drives_are_per_radian(model):
 def test_armature_and_speed_limits_are_kept(model, conversion):
     np.testing.assert_allclose(model.dof_armature[6:], 0.05)
     limits = conversion.report.velocity_limits
-    assert limits == {
-        **dict.fromkeys(("l01", "l02", "r01", "r02"), 30.0),
-        **dict.fromkeys(("l03", "r03"), 45.0),
-    }
+    assert limits == {**dict.fromkeys(("l01", "l02", "r01", "r02"), 30.0), **dict.fromkeys(("l03", "r03"), 45.0)}
 
 
 def test_the_saved_state_and_the_targets_are_the_default_pose(model):
@@ -282,7 +278,7 @@ def test_every_layer_refers_to_others_by_relative_paths(source):
     for path in layers:
         layer = Sdf.Layer.FindOrOpen(str(path))
         for dependency in layer.GetCompositionAssetDependencies():
-            if dependency:  # an empty one is a reference within the layer
+            if dependency:  # not an internal reference
                 assert not Path(dependency).is_absolute()
                 assert (path.parent / dependency).is_file()
 

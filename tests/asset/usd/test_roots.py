@@ -1,4 +1,4 @@
-"""Where trees start: what holds the base, and the middle of what floats, as OpenUSD's parser chooses it."""
+"""Roots of body trees: a base fixed to the world, or the centre of a floating articulation as in OpenUSD's parser."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ def roots(model: mujoco.MjModel) -> set[str]:
 
 
 def openusd_root(path) -> set[str]:
-    """The root prims of the first articulation, by OpenUSD's own parser."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = UsdPhysics.LoadUsdPhysicsFromRange(Usd.Stage.Open(str(path)), ["/"])
@@ -77,7 +76,6 @@ def pin(body0: str, body1: str, more: str = "", kind: str = "Fixed", apis: str =
 )
 @pytest.mark.parametrize("mark", ["above", "joint", "none"])
 def test_a_fixed_joint_to_the_world_in_every_spelling(tmp_path, body0, body1, mark):
-    """Body c stands at (2, 0, 0) and is held there, with the stand's frame at (0, 0, 3) where that is named."""
     lifted = 'double3 xformOp:translate = (0, 0, 3)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
     stand = f'def Xform "stand"\n{{\n {lifted}\n}}\n'
     place = "(2, 0, -3)" if "stand" in body0 + body1 else "(2, 0, 0)"
@@ -100,11 +98,7 @@ def test_other_joints_to_the_world_stay_joints(tmp_path, kind, nv):
 
 
 def test_a_generic_joint_without_limits_holds_the_base_of_an_articulation(tmp_path):
-    path = write(
-        tmp_path,
-        CHAIN + JOINTS + pin("", "rel physics:body1 = </bot/a>", kind=""),
-        root_apis=MARK,
-    )
+    path = write(tmp_path, CHAIN + JOINTS + pin("", "rel physics:body1 = </bot/a>", kind=""), root_apis=MARK)
     model, done = converted(path)
     assert model.nv == 4
     assert any("generic joint without limits" in item.rule for item in done.report.assumptions)
@@ -148,12 +142,7 @@ def test_a_chain_of_a_thousand_links_is_read(tmp_path):
 # ------------------------------------------------------------------ kinds of bodies
 def test_a_kinematic_body_moves_by_mocap_and_carries_what_hangs_on_it(tmp_path):
     base = link("base", "(0, 0, 1)", mass=MASS + "\n bool physics:kinematicEnabled = 1")
-    model, _ = converted(
-        write(
-            tmp_path,
-            link("arm", "(1, 0, 1)") + base + hinge("j", "base", "arm", text=AHEAD),
-        )
-    )
+    model, _ = converted(write(tmp_path, link("arm", "(1, 0, 1)") + base + hinge("j", "base", "arm", text=AHEAD)))
     assert model.nmocap == 1
     assert roots(model) == {"base"}
     assert model.nv == 1
@@ -194,7 +183,7 @@ def test_a_target_below_a_body_is_that_body_and_its_frame_is_composed(tmp_path):
         }"""
     joint = hinge("j", "a", "b", text="point3f physics:localPos0 = (1, 1, 1)").replace("</bot/a>", "</bot/a/flange>")
     model, _ = converted(write(tmp_path, link("a", inside=frame) + link("b", "(9, 9, 9)") + joint))
-    np.testing.assert_allclose(model.body("b").pos, [1 - 3, 2, 4], atol=1e-9)  # (1,1,1) stretched to (2,3,4), then 90°
+    np.testing.assert_allclose(model.body("b").pos, [1 - 3, 2, 4], atol=1e-9)  # scaled, then rotated
     np.testing.assert_allclose(model.body("b").quat, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
 
 
@@ -207,7 +196,6 @@ def test_a_switched_off_joint_is_no_joint(tmp_path):
 
 # ------------------------------------------------------------------ saved velocity
 def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
-    """USD: in the parent's space, stage lengths and degrees; MuJoCo: in the world, and in the body's own axes."""
     moving = MASS + "\n vector3f physics:velocity = (100, 200, 300)\n vector3f physics:angularVelocity = (0, 90, 0)"
     body = link("a", mass=moving).replace(
         'xformOpOrder = ["xformOp:translate"]',
@@ -215,10 +203,8 @@ def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
     )
     model, _ = converted(write(tmp_path, body, header=CM))
     speed = model.key("home").qvel
-    np.testing.assert_allclose(speed[:3], [1, -3, 2], atol=1e-6)  # y up to z up
-    np.testing.assert_allclose(
-        speed[3:], [0, 0, -np.pi / 2], atol=1e-6
-    )  # stage y is -z of a body turned by 90° about x
+    np.testing.assert_allclose(speed[:3], [1, -3, 2], atol=1e-6)  # y up
+    np.testing.assert_allclose(speed[3:], [0, 0, -np.pi / 2], atol=1e-6)  # rotated by 90° about x
 
 
 def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path):
@@ -232,7 +218,6 @@ def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path
 
 
 def test_a_base_set_free_is_still_the_root(tmp_path):
-    """A chain a-b-c whose end is pinned by the joint that marks the articulation: free, its middle is not the root."""
     pin = 'def PhysicsFixedJoint "pin" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n'
     pin += "{\n rel physics:body1 = </bot/a>\n}\n"
     chain = link("a") + link("b") + link("c") + hinge("ab", "a", "b") + hinge("bc", "b", "c")

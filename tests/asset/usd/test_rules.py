@@ -1,4 +1,4 @@
-"""The rules of reading USD physics, one small file each, held against what MuJoCo compiles."""
+"""Each rule of reading USD physics gives the expected MuJoCo model for a small USD file."""
 
 from __future__ import annotations
 
@@ -71,13 +71,12 @@ def test_axis_tokens(tmp_path, token, axis):
 
 
 def test_the_axis_is_turned_by_the_joint_frame_of_the_child(tmp_path):
-    turned = "(0.70710678, 0, 0, 0.70710678)"  # 90° about z carries x to y
+    turned = "(0.70710678, 0, 0, 0.70710678)"  # 90° about z
     model, _ = two_links(tmp_path, f"quatf physics:localRot0 = {turned}\n quatf physics:localRot1 = {turned}")
     np.testing.assert_allclose(model.jnt_axis[1], [0, 1, 0], atol=1e-6)
 
 
 def test_a_joint_that_names_the_child_first_turns_the_other_way(tmp_path):
-    """Coordinate = rotation of body1 against body0: the child, body0, turns by -q about the joint's axis."""
     text = (
         'uniform token physics:axis = "Z"\n point3f physics:localPos1 = (1, 0, 0)\n'
         "float physics:lowerLimit = -10\n float physics:upperLimit = 40"
@@ -157,12 +156,7 @@ PIN = '\n    def PhysicsFixedJoint "root_joint"\n    {\n        rel physics:body
 
 @pytest.mark.parametrize(
     ("pinned", "base", "floats"),
-    [
-        (False, "auto", True),
-        (True, "auto", False),
-        (True, "floating", True),
-        (False, "fixed", False),
-    ],
+    [(False, "auto", True), (True, "auto", False), (True, "floating", True), (False, "fixed", False)],
 )
 def test_base(tmp_path, pinned, base, floats):
     model, done = converted(write(tmp_path, link("a") + (PIN if pinned else "")), base=base)
@@ -193,7 +187,7 @@ def test_collision_api_on_an_instanced_xform_reaches_the_shapes_below(tmp_path):
     }
 }"""
     model, _ = converted(write(tmp_path, link("a", inside=inside), outside=prototype))
-    (geom,) = solid_geoms(model)  # and none for the prototype at the stage's root
+    (geom,) = solid_geoms(model)  # without the prototype
     np.testing.assert_allclose(model.geom_size[geom], [0.05, 0.1, 0.15])
     assert model.ngeom == 1
 
@@ -277,6 +271,6 @@ def test_without_self_collision_the_robot_still_touches_the_ground(tmp_path):
     ground = 'def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n token axis = "Z"\n}\n'
     model, _ = converted(write(tmp_path, body + ground))
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)  # both cubes are at the origin, half in the ground
+    mujoco.mj_forward(model, data)  # both intersect the ground
     pairs = {frozenset(model.geom(g).name for g in contact.geom) for contact in data.contact}
     assert pairs == {frozenset({"a_cube", "world_ground"}), frozenset({"b_cube", "world_ground"})}

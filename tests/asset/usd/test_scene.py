@@ -1,4 +1,4 @@
-"""Gravity in every spelling, several scenes, and friction of physics materials however they are bound."""
+"""Gravity in all USD forms, files with several physics scenes, and friction of bound physics materials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cart on four wheels whose speed follows from the wheels' by their radius, and its driver."""
+"""A cart on four wheels that roll without slip, and the driver of the cart."""
 
 from __future__ import annotations
 
@@ -50,9 +50,7 @@ def cart_env(folder: Path, **changes: Any) -> ManagerBasedRLEnv:
         "robot": {"asset": "cart.xml", "init_state": state, "actuators": {"axles": axles}},
         "scene": {"sensors": {}},
         "commands": {"base_velocity": _VELOCITY},
-        "actions": {
-            "axles": {"_target_": "wheelleg_exp.mdp.actions.JointVelocityAction", "joint_names": [".*_axle"]},
-        },
+        "actions": {"axles": {"_target_": "wheelleg_exp.mdp.actions.JointVelocityAction", "joint_names": [".*_axle"]}},
         "observations": {
             "policy": {
                 "terms": {
@@ -80,6 +78,5 @@ def driver(env: ManagerBasedRLEnv) -> Callable[[Any], torch.Tensor]:
 
 
 def cart(folder: Path, **changes: Any) -> DriveSession:
-    """Return a cart that can be driven."""
     env = cart_env(folder, **changes)
     return DriveSession(RslRlVecEnv(env), driver(env))

@@ -1,4 +1,4 @@
-"""The one training that tests share, in a folder of each test's own."""
+"""Fixtures of the drive tests, which share one small training."""
 
 from jobs.conftest import _own_folders, _threads, run, trained
 

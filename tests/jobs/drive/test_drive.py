@@ -51,7 +51,7 @@ def test_a_script_is_driven_recorded_and_kept_and_drives_the_same_again(run, scr
 
     commands = np.stack([_command(folder, name) for name in ("v_x", "w_z")], axis=1)
     assert len(commands) == 18
-    # A frame shows the command under which its step began.
+    # A recorded frame shows the command at the start of its control step.
     expected = [(0.0, 0.0)] + [(0.2, 0.0)] * 6 + [(0.2, -0.1)] * 5 + [(0.0, 0.0)] * 6
     np.testing.assert_allclose(commands, expected, atol=1e-6)
 
@@ -86,7 +86,7 @@ def test_another_ground_takes_the_place_of_the_runs_own(run, script):
 
 @pytest.mark.train
 def test_what_cannot_be_driven_is_told(run, script):
-    said = wheelleg("play", "latest", "--script", script)  # whoever only stands has nothing to be told
+    said = wheelleg("play", "latest", "--script", script)
     assert said.status == 2
     assert "lin_vel_x: unknown key in a script" in said.err
     assert f"{script}:1" in said.err
@@ -121,8 +121,8 @@ def test_whoever_drives_is_not_disturbed(run):
     assert changed["scene"] == env["scene"]
     rough = drivable(tree, "rough")["env"]["scene"]
     assert rough["terrain"]["_target_"].endswith("TerrainGenerator")
-    assert rough["sensors"]["contact_forces"]["max_contacts"] == 8  # what a wheel on rough ground needs
-    assert env["num_envs"] != 1  # the tree itself stays as it was
+    assert rough["sensors"]["contact_forces"]["max_contacts"] == 8
+    assert env["num_envs"] != 1
 
 
 def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
@@ -139,7 +139,7 @@ def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
     now[0] += 5.0  # something took five seconds
     for _ in range(10):
         pace.wait(1.0)
-    assert sum(slept[2:]) == pytest.approx(0.1, abs=0.03)  # half of them make up for a tenth of a second, no more
+    assert sum(slept[2:]) == pytest.approx(0.1, abs=0.03)
     assert [pace.is_frame_due(), pace.is_frame_due()] == [True, False]
     now[0] += 0.05
     assert pace.is_frame_due()

@@ -13,7 +13,6 @@ from wheelleg_exp.jobs.drive.drive_page import require_free
 
 @pytest.fixture
 def busy():
-    """A port that this process listens on."""
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         listening.listen()

@@ -39,7 +39,6 @@ def test_entries_begin_at_their_moment_or_where_the_one_before_ends(script):
 
 
 def test_each_step_is_done_under_what_is_due_before_it(script):
-    """At 10 Hz: entries at 0.5, 1.0 and 2.0 s act on steps 5, 10 and 20, and 2.25 s are 23 steps."""
     controls = Controls(AXES)
     hand = ScriptPlayer(read_script(script(SCRIPT), AXES), controls, 0.1)
     seen, requests = [], {}
@@ -60,7 +59,7 @@ def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for
     for step in range(9):
         hand.before(step)
         values.append(controls.values["lin_vel_x"])
-    assert values == [0.0] * 6 + [0.1] + [0.2] * 2  # 0.1 s is step 6, 0.11 s is after it
+    assert values == [0.0] * 6 + [0.1] + [0.2] * 2  # 0.1 s is step 6, and 0.11 s is after step 6.
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def test_only_axes_with_a_range_can_be_driven(tmp_path):
     [
         (-0.4, 0.4, {-1.0: -0.4, 0.0: 0.0, 0.5: 0.2, 1.0: 0.4, 7.0: 0.4}),
         (-0.5, 1.0, {-1.0: -0.5, -0.5: -0.25, 0.5: 0.5}),
-        (0.06, 0.08, {-1.0: 0.06, 0.0: 0.07, 1.0: 0.08}),  # a height has no zero
+        (0.06, 0.08, {-1.0: 0.06, 0.0: 0.07, 1.0: 0.08}),  # The height range does not contain 0.
     ],
 )
 def test_a_stick_takes_an_axis_from_rest_to_its_ends(low, high, shares):
@@ -44,7 +44,6 @@ def test_a_stick_takes_an_axis_from_rest_to_its_ends(low, high, shares):
 
 
 def test_the_cart_drives_straight_as_far_as_it_is_told(tmp_path):
-    """On wheels that roll, way = speed times time; getting under way costs a little."""
     session = cart(tmp_path)
     session.controls.set("lin_vel_x", 0.3)
     drive(session, 2.0)
@@ -63,7 +62,7 @@ def test_the_cart_turns_the_way_it_is_told(tmp_path):
     session.controls.steer("ang_vel_z", 1.0)
     drive(session, 1.0)
     assert session.status().commands["ang_vel_z"] == 1.0
-    assert session.status().measured["ang_vel_z"] > 0.3  # four wheels that do not steer slide while they turn
+    assert session.status().measured["ang_vel_z"] > 0.3  # Wheels that do not steer slide in a turn.
 
 
 def test_a_command_stands_through_redraws_and_resets_and_beyond_its_range_it_is_its_end(tmp_path):
@@ -72,7 +71,7 @@ def test_a_command_stands_through_redraws_and_resets_and_beyond_its_range_it_is_
     session.controls.set("nothing", 1.0)
     session.controls.set("ang_vel_z", math.nan)
     term = session.env.command_manager.get_term("base_velocity")
-    for _ in range(40):  # redraws are due every 0.1 s
+    for _ in range(40):  # Commands are redrawn every 0.1 s.
         session.step()
         assert term.command[0].tolist() == pytest.approx([0.4, 0.0, 0.0])
     session.obey(Reset())
@@ -87,7 +86,7 @@ def test_the_first_observation_shows_rest_and_not_what_was_drawn(tmp_path):
 def test_a_push_adds_velocity_in_the_yaw_axes(tmp_path):
     session = cart(tmp_path)
     data, ids = session.env.scene.robot.data, torch.zeros(1, dtype=torch.long)
-    quarter = torch.tensor([[math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]])  # looks along the world's y
+    quarter = torch.tensor([[math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]])  # The robot faces the y axis of the world.
     session.env.scene.robot.write_root_pose_to_sim(torch.cat((data.root_pos_w, quarter), dim=1), ids)
     session.env.scene.refresh()
     session.obey(Push(0.2, 0.1))
@@ -101,7 +100,7 @@ def test_a_fall_waits_until_somebody_resets(tmp_path):
     assert session.fallen == "low"
     length = int(session.env.episode_length_buf[0])
     assert length == 1  # not reset by itself
-    session.obey(Push(0.3))  # who lies is not pushed
+    session.obey(Push(0.3))  # A fallen robot is not pushed.
     assert session.meter.figures()["pushes"] == 0
     session.reset()
     assert session.fallen is None

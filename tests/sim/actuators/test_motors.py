@@ -1,13 +1,10 @@
-"""Motors, late commands and linkages against their formulas and tables."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 import torch
 
+from sim.small_envs import env_config, env_of, physics_step
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.robot_model import JointTargets
 
@@ -16,7 +13,6 @@ GAINS = {"stiffness": 0.0, "damping": 0.0}
 
 
 def with_hips(make_env, model, remove=(), base="rover", **numbers):
-    """Return a rover, whose hips have another model."""
     groups = make_env(base).cfg["robot"]["actuators"]
     node = {k: v for k, v in groups["hips"].items() if k not in remove}
     groups["hips"] = {**node, **numbers, "_target_": HERE + model}
@@ -26,33 +22,20 @@ def with_hips(make_env, model, remove=(), base="rover", **numbers):
 
 
 def asked_at_speed(env, speed, torque):
-    """Return the torques that act on hips which turn at a speed and are asked for a torque."""
     robot, data = env.scene.robot, env.scene.robot.data
     robot.write_joint_state_to_sim(data.joint_pos, torch.full((4, 4), float(speed)), env_ids=torch.arange(4))
     data.invalidate()
     robot.set_joint_effort_target(torch.full((4, 4), float(torque)), slice(None))
-    env.scene.write_data_to_sim()
-    env.scene.sim.step()
-    env.scene.update()
+    physics_step(env)
     return data.applied_torque[0, 0].item(), data.computed_torque[0, 0].item()
 
 
-# Stall 6 N·m, limit 4 N·m, no-load speed 30 rad/s: the line meets the limit at 10 rad/s, and again, braking, at 50.
+# The torque-speed line reaches the effort limit of 4 N·m at 10 rad/s, and that of -4 N·m at 50 rad/s.
 @pytest.mark.parametrize(
     ("speed", "low", "high"),
     [
-        (0, -4, 4),
-        (10, -4, 4),
-        (15, -4, 3),
-        (20, -4, 2),
-        (30, -4, 0),
-        (40, -4, -2),
-        (50, -4, -4),
-        (80, -4, -4),
-        (-10, -4, 4),
-        (-20, -2, 4),
-        (-30, 0, 4),
-        (-60, 4, 4),
+        *((0, -4, 4), (10, -4, 4), (15, -4, 3), (20, -4, 2), (30, -4, 0), (40, -4, -2), (50, -4, -4), (80, -4, -4)),
+        *((-10, -4, 4), (-20, -2, 4), (-30, 0, 4), (-60, 4, 4)),
     ],
 )
 def test_a_motors_torque_keeps_to_its_torque_speed_line(make_env, speed, low, high):
@@ -67,10 +50,6 @@ def test_a_motors_torque_keeps_to_its_torque_speed_line(make_env, speed, low, hi
 
 @pytest.fixture
 def wheel(make_env, tmp_path):
-    """Return a maker of a wheel of 0.01 kg·m² on a fixed axle without gravity, behind a drive."""
-    from sim.small_envs import env_config
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
     def make(model, **numbers):
         (tmp_path / "wheel.xml").write_text(
             "<mujoco><worldbody><body name='mount'><body name='wheel'><joint name='axle' axis='0 1 0'/>"
@@ -79,38 +58,25 @@ def wheel(make_env, tmp_path):
         config = env_config("arm", actions={}, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]})
         config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
         config["robot"]["actuators"] = {"a": {"_target_": HERE + model, "joint_names_expr": ["axle"], **numbers}}
-        return ManagerBasedRLEnv(config, tmp_path / "wheel.xml", 0)
+        return env_of(tmp_path / "wheel.xml", config)
 
     return make
 
 
 def turned(env, steps):
-    """Return the wheel's speed after physics steps, rad/s."""
     for _ in range(steps):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
     return env.scene.robot.data.joint_vel[0, 0].item()
 
 
-@pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
-def test_a_speed_servo_reaches_its_target_with_the_time_constant_of_inertia_over_damping(wheel, model):
-    env = wheel(model, stiffness=0.0, damping=0.1, effort_limit=10.0, velocity_limit=100.0)
-    env.scene.robot.set_joint_velocity_target(torch.full((4, 1), 5.0), slice(None))
-    for steps, time in ((50, 0.05), (50, 0.1), (200, 0.3)):  # the time constant is 0.1 s
-        assert turned(env, steps) == pytest.approx(5.0 * (1 - math.exp(-time / 0.1)), rel=0.01)
-
-
 def test_a_motor_runs_up_to_its_no_load_speed_along_its_line(wheel):
-    """I dw/dt = stall (1 - w / w0), so that w = w0 (1 - exp(-t stall / (I w0)))."""
     env = wheel("DCMotor", **GAINS, effort_limit=100.0, velocity_limit=8.0, saturation_effort=0.4)
     env.scene.robot.set_joint_effort_target(torch.full((4, 1), 50.0), slice(None))
-    for steps, time in ((100, 0.1), (200, 0.3)):  # the time constant is 0.2 s
+    for steps, time in ((100, 0.1), (200, 0.3)):
         assert turned(env, steps) == pytest.approx(8.0 * (1 - math.exp(-time / 0.2)), rel=0.01)
 
 
 def spread(values):
-    """Return targets of one value in all joints of 4 environments."""
     return JointTargets(*(torch.full((4, 4), float(v)) for v in values))
 
 
@@ -122,7 +88,7 @@ def test_a_delayed_drive_acts_on_the_targets_of_some_physics_steps_ago(make_env,
     pos, vel = data.joint_pos[:, hips.joint_ids], data.joint_vel[:, hips.joint_ids]
     signal = [(0.1 * k, 0.2 * k, math.sin(k)) for k in range(8)]
     for k, values in enumerate(signal):
-        q, qd, tau = signal[max(0, k - lag)]  # the first fills all that came before it
+        q, qd, tau = signal[max(0, k - lag)]  # The first target replaces all earlier targets.
         expected = 7.0 * (q - pos) + 0.5 * (qd - vel) + tau
         torch.testing.assert_close(hips.act(spread(values), data), expected, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(hips.torque_asked(spread((9, 9, 9)), data), expected, atol=1e-5, rtol=1e-5)
@@ -137,9 +103,7 @@ def test_every_model_may_have_a_delay(make_env, model):
     for step, target in enumerate(targets):
         robot.set_joint_position_target(target, slice(None))
         q, qd = data.joint_pos[:, ids].clone(), data.joint_vel[:, ids].clone()
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
         expected = 20.0 * (targets[max(0, step - 2)][:, ids] - q) - 1.0 * qd
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-4, rtol=1e-4)
         torch.testing.assert_close(data.applied_torque[:, ids], expected, atol=1e-4, rtol=1e-4)
@@ -150,14 +114,14 @@ def test_lags_are_drawn_at_each_reset_for_each_environment_from_the_groups_strea
     groups["hips"] |= {"delay": [1, 4]}
     env = make_env(robot={"actuators": groups}, num_envs=400)
     delay = env.scene.robot.actuators["hips"].delay
-    assert (delay.lag == 0).all()  # before the first reset
+    assert (delay._past.lag == 0).all()
     env.reset()
-    first = delay.lag.clone()
+    first = delay._past.lag.clone()
     assert first.unique().tolist() == [1, 2, 3, 4]
     assert all(70 < int((first == lag).sum()) < 130 for lag in (1, 2, 3, 4))
     env.reset(env_ids=torch.arange(100))
-    assert torch.equal(delay.lag[100:], first[100:])
-    assert not torch.equal(delay.lag[:100], first[:100])
+    assert torch.equal(delay._past.lag[100:], first[100:])
+    assert not torch.equal(delay._past.lag[:100], first[:100])
     assert "env.robot.actuators.hips" in env.streams.state_dict()["generators"]
 
 

@@ -1,7 +1,3 @@
-"""Learned drives against the same networks by hand, and what their files may not do."""
-
-from __future__ import annotations
-
 import io
 import shutil
 
@@ -11,40 +7,24 @@ import torch
 from env.crawler import Crawl, differing
 
 from sim.actuators import torques
-from sim.small_envs import ACTUATORS, ASSETS, env_config
-from wheelleg_exp.env import ManagerBasedRLEnv
+from sim.small_envs import ACTUATORS, ASSETS, env_config, env_of, physics_step
 from wheelleg_exp.errors import ConfigError
 
 MOTOR = {"effort_limit": 1e6, "velocity_limit": 1e6, "saturation_effort": 1e6}
-MLP = {
-    "_target_": ACTUATORS + "ActuatorNetMLP",
-    "joint_names_expr": [".*_hip"],
-    "network_file": "nets/hip.pt",
-    **MOTOR,
-    "pos_scale": 2.0,
-    "vel_scale": 0.1,
-    "torque_scale": 3.0,
-    "input_order": "pos_vel",
-    "input_idx": [0, 1, 3],
-}
-LSTM = {
-    "_target_": ACTUATORS + "ActuatorNetLSTM",
-    "joint_names_expr": [".*_hip"],
-    "network_file": "nets/hip.pt",
-    **MOTOR,
-}
+LSTM = {"_target_": ACTUATORS + "ActuatorNetLSTM", "joint_names_expr": [".*_hip"], "network_file": "nets/hip.pt"}
+LSTM |= MOTOR
+MLP = {**LSTM, "_target_": ACTUATORS + "ActuatorNetMLP", "pos_scale": 2.0, "vel_scale": 0.1, "torque_scale": 3.0}
+MLP |= {"input_order": "pos_vel", "input_idx": [0, 1, 3]}
 
 
 @pytest.fixture
 def made(tmp_path):
-    """Return a maker of a rover whose hips a network drives, and that network."""
-
     def make(node, module, **changes):
         shutil.copyfile(ASSETS / "rover.xml", tmp_path / "rover.xml")
         torques.written(module, tmp_path / "networks" / "nets" / "hip.pt")
         config = env_config(**changes)
         config["robot"]["actuators"]["hips"] = node
-        env = ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+        env = env_of(tmp_path / "rover.xml", config)
         env.reset()
         return env
 
@@ -52,15 +32,12 @@ def made(tmp_path):
 
 
 def stepped(env, count):
-    """Yield the errors and speeds of the hips before each physics step, and the torques that acted in it."""
     robot, data, generator = env.scene.robot, env.scene.robot.data, torch.Generator().manual_seed(1)
     ids = robot.actuators["hips"].joint_ids
     for _ in range(count):
         robot.set_joint_position_target(torch.randn(4, 4, generator=generator), slice(None))
         error, speed = robot.targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids].clone()
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
         yield error.numpy(), speed.numpy(), data.computed_torque[:, ids].numpy(), data.applied_torque[:, ids].numpy()
 
 
@@ -188,7 +165,7 @@ def test_a_file_that_is_no_torchscript_is_refused(made, tmp_path, content):
     config = env_config()
     config["robot"]["actuators"]["hips"] = MLP
     with pytest.raises(ConfigError, match="not a TorchScript network") as caught:
-        ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+        env_of(tmp_path / "rover.xml", config)
     assert "\n" not in caught.value.message
 
 

@@ -1,10 +1,7 @@
-"""Actuator models against PD by hand."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 
+from sim.small_envs import env_config, env_of, physics_step, variant
 from wheelleg_exp.errors import ConfigError
 
 ALL = torch.arange(4)
@@ -33,9 +30,7 @@ def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_s
         robot.set_joint_velocity_target(torch.randn(4, 4, generator=gen) * 4, slice(None))
         robot.set_joint_effort_target(torch.randn(4, 4, generator=gen) * 0.2, slice(None))
         q, qd = data.joint_pos.clone(), data.joint_vel.clone()
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
         expected = KP * (data.joint_pos_target - q) + KD * (data.joint_vel_target - qd) + data.joint_effort_target
         torch.testing.assert_close(data.computed_torque, expected, atol=1e-4, rtol=1e-4)
         torch.testing.assert_close(data.applied_torque, torch.clamp(expected, -LIMIT, LIMIT), atol=1e-4, rtol=1e-4)
@@ -61,22 +56,6 @@ def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(make_e
     assert torch.equal(robot.data.applied_torque, seen[1])
 
 
-def test_the_effort_limit_limits_what_the_engine_applies(make_env):
-    env = _env(make_env, "ImplicitActuator")
-    env.scene.robot.set_joint_velocity_target(torch.full((4, 2), 20.0), torch.tensor([2, 3]))
-    env.scene.write_data_to_sim()
-    env.scene.sim.step()
-    force = env.scene.sim.view("actuator_force")
-    assert force.abs().max() == pytest.approx(2.0)
-
-
-def test_a_drive_without_stiffness_ignores_the_position_target(make_env):
-    env = _env(make_env, "ImplicitActuator")
-    env.scene.robot.set_joint_position_target(torch.full((4, 2), 100.0), torch.tensor([2, 3]))
-    env.scene.write_data_to_sim()
-    assert (env.scene.sim.view("ctrl")[:, 2:] == 0).all()
-
-
 def test_armatures_and_gains_reach_the_model(make_env):
     model = _env(make_env, "ImplicitActuator").scene.model
     assert model.joint("left_hip").damping[0] == 0
@@ -87,15 +66,10 @@ def test_armatures_and_gains_reach_the_model(make_env):
     assert drive.forcerange.tolist() == [-4, 4]
 
 
-def test_without_an_armature_the_assets_own_is_kept(make_env, tmp_path):
-    from sim.small_envs import ASSETS, env_config
-    from wheelleg_exp.env import ManagerBasedRLEnv
-
-    text = (ASSETS / "rover.xml").read_text().replace('name="left_hip"', 'name="left_hip" armature=".07"')
-    (tmp_path / "rover.xml").write_text(text)
+def test_without_an_armature_the_assets_own_is_kept(tmp_path):
     config = env_config()
     config["robot"]["actuators"]["hips"]["armature"] = None
-    env = ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+    env = env_of(variant(tmp_path, 'name="left_hip"', 'name="left_hip" armature=".07"'), config)
     assert env.scene.model.joint("left_hip").armature[0] == 0.07
 
 
@@ -144,13 +118,11 @@ def test_an_actuator_with_a_memory_has_a_stream_and_acts_on_what_it_remembers(ma
     for step, target in enumerate(targets):
         robot.set_joint_position_target(target, slice(None))
         q, qd = data.joint_pos[:, ids].clone(), data.joint_vel[:, ids].clone()
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
         then = (targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset
         expected = KP[ids] * (then - q) - KD[ids] * qd
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
-        robot.set_joint_position_target(torch.zeros(4, 4), slice(None))  # nor do later targets change the report
+        robot.set_joint_position_target(torch.zeros(4, 4), slice(None))
         data.invalidate()
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
 

@@ -1,14 +1,10 @@
-"""Networks of learned drives, for tests."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch
 
 
 class Recurrent(torch.nn.Module):
-    """An LSTM of two layers and a linear one, as drives are learned."""
+    """A learned drive that consists of a two-layer LSTM and a linear layer."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -23,34 +19,31 @@ class Recurrent(torch.nn.Module):
 
 
 def perceptron(inputs: int = 6, outputs: int = 1) -> torch.nn.Sequential:
-    """Return a perceptron of two hidden layers."""
     torch.manual_seed(0)
     layers = torch.nn.Linear(inputs, 16), torch.nn.Softsign(), torch.nn.Linear(16, outputs)
     return torch.nn.Sequential(*layers)
 
 
 def recurrent() -> Recurrent:
-    """Return an LSTM of known numbers."""
     torch.manual_seed(0)
     return Recurrent()
 
 
 def written(module: torch.nn.Module, file: Path) -> Path:
-    """Write a network as TorchScript."""
     file.parent.mkdir(parents=True, exist_ok=True)
     torch.jit.save(torch.jit.script(module), str(file))
     return file
 
 
 class WritesAFile(torch.nn.Module):
-    """Writes a file when it is asked."""
+    """A TorchScript module that writes a file."""
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x[:, :1] + torch.from_file("written_by_a_network", True, 4).sum()
 
 
 class RunsAtLoading(torch.nn.Module):
-    """Stops whoever loads it."""
+    """A TorchScript module that fails while it is loaded."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,7 +1,3 @@
-"""Which geoms rays may meet: never one too few, against rays onto each geom alone."""
-
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 
@@ -27,14 +23,14 @@ def model(geoms):
 
 
 def reached(geoms, origin, *directions):
-    """Return the numbers of the geoms that a bundle of rays from one point may meet."""
     ways = np.array(directions, dtype=float)
     return np.flatnonzero(GeomBoxes(model(geoms)).reached(np.broadcast_to(origin, ways.shape)[None], ways[None])[0])
 
 
 def test_a_ray_reaches_the_boxes_on_its_way_alone():
     assert reached(ROW, [4.0, 0.0, 3.0], [0, 0, -1]).tolist() == [2]
-    assert reached(ROW, [4.0, 0.0, 1.5], [1, 0, -1]).tolist() == [3]  # through z = 0.5 to -0.5 from x = 5 to 6
+    # The ray falls from z = 0.5 to -0.5 between x = 5 and x = 6.
+    assert reached(ROW, [4.0, 0.0, 1.5], [1, 0, -1]).tolist() == [3]
     assert reached(ROW, [4.0, 0.0, 0.0], [1, 0, 0]).tolist() == [2, 3, 4, 5, 6, 7, 8, 9]
     assert reached(ROW, [4.0, 0.0, 3.0], [0, 0, 1]).tolist() == []
     assert reached(ROW, [4.0, 3.0, 0.0], [1, 0, 0]).tolist() == []

@@ -1,7 +1,3 @@
-"""Rays onto a ground that never moves: in a model of it alone they go as far as in the whole one."""
-
-from __future__ import annotations
-
 import mujoco
 import pytest
 import torch
@@ -23,7 +19,6 @@ def model(*parts):
 
 @pytest.fixture
 def engines():
-    """The same simulations twice, of which the second casts rays onto the ground apart."""
     whole, apart = (BatchEngine(model(GROUND, ROBOT), 5, 2) for _ in range(2))
     made = []
     apart.cast_alone(0, lambda: made.append(model(GROUND)) or made[-1])
@@ -83,7 +78,7 @@ def test_of_a_ground_of_many_geoms_each_ray_is_shown_the_near_ones_and_goes_as_f
     far = whole.ray(origins, ways, (0,))
     assert torch.equal(apart.ray(origins, ways, (0,)), far)
     assert 0.2 < float((far < 0).float().mean()) < 0.8
-    shown = (apart._still[(0,)]._groups == 0).mean()  # of the last rows that were cast
+    shown = (apart._still[(0,)]._groups == 0).mean()
     assert 0.0 < shown < 1.0
     ids = torch.tensor([3])
     assert torch.equal(apart.ray(origins[ids, :1], ways[ids, :1], (0,), ids), far[ids, :1])

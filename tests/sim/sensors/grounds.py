@@ -1,28 +1,11 @@
-"""Grounds for the tests of sensors."""
-
-from __future__ import annotations
-
-import math
-
 import mujoco
 import torch
 
 from wheelleg_exp.sim.terrain import TerrainBase
 
 
-class Slope(TerrainBase):
-    """A plane that rises along x."""
-
-    def __init__(self, angle: float) -> None:
-        super().__init__(0.5, 0.5, 0.0)
-        self._quat = [math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0]
-
-    def add_to(self, spec: mujoco.MjSpec) -> None:
-        spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], quat=self._quat)
-
-
 class Roof(TerrainBase):
-    """A roof with its ridge at y = 0, whose slope grows with x. Only its formula describes it."""
+    """A roof-shaped ground, given by a formula, with its ridge at y = 0 and a slope that increases with x."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], pos=[0, 0, -9])
@@ -31,10 +14,6 @@ class Roof(TerrainBase):
         return -0.3 * xy[..., 1].abs() * (1.0 + 0.5 * xy[..., 0].sin())
 
 
-STEP = {
-    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
-    "height": 0.25,
-    "static_friction": 0.5,
-    "dynamic_friction": 0.5,
-    "restitution": 0.0,
-}
+# The box extends from x = 4 m to 6 m and from y = -1 m to 1 m.
+STEP = {"_target_": "managers.spies.Step", "height": 0.25, "static_friction": 0.5, "dynamic_friction": 0.5}
+STEP["restitution"] = 0.0

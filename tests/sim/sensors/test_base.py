@@ -1,7 +1,3 @@
-"""A sensor of a user's own, through the base class alone."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -35,10 +31,9 @@ def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(make
 
 
 def test_its_rhythm_runs_in_each_environment_by_itself(make_env):
-    """0.03 s at a physics step of 0.01 s: the first step of an episode is measured, then every third."""
     env, sensor = _env(make_env, update_period=0.03)
     counts = []
-    for _ in range(4):  # two physics steps each
+    for _ in range(4):
         env.step(torch.zeros(4, 4))
         counts.append(sensor.measured.tolist())
     assert [row[0] for row in counts] == [1, 2, 2, 3]

@@ -1,25 +1,25 @@
-"""The contact sensor on a cube of known weight."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
 import torch
 
-from sim.small_envs import ASSETS, env_config
-from wheelleg_exp.env import ManagerBasedRLEnv
+from sim.small_envs import CONTACT, env_config, env_of, init_state, physics_step, variant
 from wheelleg_exp.errors import WheellegError
 
 WEIGHT = 2.001 * 9.81
 STILL = torch.zeros(4, 1)
+TRACKED = {"track_contact_points": True, "track_friction_forces": True}
+
+
+def _sensing(make_env, base="block", **changes):
+    env = make_env(base, scene={"sensors": {"contact": CONTACT | changes}})
+    env.reset()
+    return env
 
 
 @pytest.fixture
 def env(make_env):
-    env = make_env("block")
-    env.reset()
-    return env
+    return _sensing(make_env)
 
 
 def _settle(env, steps=60):
@@ -27,33 +27,27 @@ def _settle(env, steps=60):
         env.step(STILL)
 
 
-def test_the_force_on_a_resting_body_is_its_weight_upwards(env):
-    _settle(env)
-    force = env.scene["contact"].data.net_forces_w
-    expected = torch.tensor([0.0, 0.0, WEIGHT]).expand(4, 3)
-    torch.testing.assert_close(force[:, 0], expected, atol=0.02, rtol=0)
-    assert (force[:, 1] == 0).all()
+def _lift(env):
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4))
+    env.scene.refresh()
 
 
 def test_the_force_keeps_its_direction_when_the_body_is_upside_down(env):
     robot = env.scene.robot
     robot.write_root_pose_to_sim(
-        torch.cat((robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)), dim=1),
-        torch.arange(4),
+        torch.cat((robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)), dim=1)
     )
     env.scene.refresh()
     _settle(env)
     assert float(robot.data.projected_gravity_b[0, 2]) == pytest.approx(1.0, abs=1e-3)
-    torch.testing.assert_close(
-        env.scene["contact"].data.net_forces_w[:, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0
-    )
+    weight = torch.tensor([0.0, 0.0, WEIGHT]).expand(4, 3)
+    torch.testing.assert_close(env.scene["contact"].data.net_forces_w[:, 0], weight, atol=0.02, rtol=0)
 
 
 def test_friction_is_left_out(env):
-    """A body pushed below its friction limit stays; the sensor still shows only the normal force."""
     _settle(env)
     wrench = torch.zeros(4, 1, 6)
-    wrench[:, 0, 0] = 5.0  # friction takes up 5 N of at most .65 * 19.6 N
+    wrench[:, 0, 0] = 5.0  # Static friction balances 5 N, because its maximum is 0.65 * 19.6 N.
     env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
     _settle(env)
     force = env.scene["contact"].data.net_forces_w[:, 0]
@@ -67,9 +61,7 @@ def test_history_is_newest_first_and_rolls_each_physics_step(env):
     seen = []
     for _ in range(12):
         env.action_manager.apply_action()
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+        physics_step(env)
         seen.append(sensor.data.net_forces_w.clone())
     for age in range(3):
         assert torch.equal(sensor.data.net_forces_w_history[:, age], seen[-1 - age])
@@ -87,23 +79,11 @@ def test_history_and_times_are_clean_after_a_reset(env):
     assert (sensor.max_force_norm()[[1, 3]] == 0).all()
 
 
-def test_the_largest_norm_looks_over_the_history(env):
-    sensor = env.scene["contact"]
-    sensor.data.net_forces_w_history[:] = 0.0
-    sensor._clear_norms()
-    sensor.data.net_forces_w_history[0, 2, 0] = torch.tensor([3.0, 0.0, 4.0])
-    sensor.data.net_forces_w_history[0, 1, 0] = torch.tensor([0.0, 0.0, 2.0])
-    assert sensor.max_force_norm()[:, 0].tolist() == [5.0, 0.0, 0.0, 0.0]
-
-
 def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_steps(env):
-    """A contact in the last physics step of a control step counts in the next one too, and not in the one after."""
     _settle(env)
-    sensor, robot = env.scene["contact"], env.scene.robot
+    sensor = env.scene["contact"]
     env.step(STILL)
-    pose = torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4)
-    robot.write_root_pose_to_sim(pose, torch.arange(4))
-    env.scene.refresh()
+    _lift(env)
     seen = []
     for _ in range(2):
         env.step(STILL)
@@ -113,26 +93,22 @@ def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_st
 
 
 def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(make_env):
-    node = env_config("block")["scene"]["sensors"]["contact"] | {"history_length": 0}
-    env = make_env("block", scene={"sensors": {"contact": node}})
-    env.reset()
+    env = _sensing(make_env, history_length=0)
     _settle(env)
     sensor = env.scene["contact"]
     assert float(sensor.max_force_norm()[0, 0]) == pytest.approx(WEIGHT, abs=0.02)
     assert torch.equal(sensor.data.net_forces_w_history[:, 0], sensor.data.net_forces_w)
-    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4), torch.arange(4))
-    env.scene.refresh()
+    _lift(env)
     env.step(STILL)
     assert (sensor.max_force_norm() == 0).all()
 
 
 def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
-    init = {"pos": [0.0, 0.0, 0.3], "rot": [1.0, 0, 0, 0], "joint_pos": {"spin": 0.0}, "joint_vel": {"spin": 0.0}}
-    env = make_env("block", decimation=1, robot={"init_state": init})
+    env = make_env("block", decimation=1, robot={"init_state": init_state(0.3, {"spin": 0.0})})
     env.reset()
     sensor = env.scene["contact"]
     dt = env.physics_dt
-    fall = math.sqrt(2 * 0.2 / 9.81)  # 0.2 s from .2 m of clearance
+    fall = math.sqrt(2 * 0.2 / 9.81)  # The cube falls 0.2 m in 0.2 s.
     landed = None
     for k in range(1, 41):
         env.step(STILL)
@@ -156,7 +132,7 @@ def test_a_body_that_leaves_the_ground_is_timed(env):
     _settle(env, 30)
     robot, sensor = env.scene.robot, env.scene["contact"]
     spent = float(sensor.data.current_contact_time[0, 0])
-    robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 3.0, 0, 0, 0]] * 4), torch.arange(4))
+    robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 3.0, 0, 0, 0]] * 4))
     env.scene.refresh()
     for _ in range(2):
         env.step(STILL)
@@ -167,7 +143,6 @@ def test_a_body_that_leaves_the_ground_is_timed(env):
 
 @pytest.mark.parametrize("mode", ["contact", "air"])
 def test_what_has_begun_within_some_time_is_first(env, mode):
-    """Not what is in the other mode, and to the end of that time."""
     sensor = env.scene["contact"]
     sensor.data.times[f"current_{mode}_time"].copy_(torch.tensor([[0.0, 0.01], [0.02, 0.03], [0.0, 0.0], [9.0, 0.02]]))
     found = getattr(sensor, f"compute_first_{mode}")(0.02)
@@ -175,8 +150,7 @@ def test_what_has_begun_within_some_time_is_first(env, mode):
 
 
 def test_with_a_period_it_holds_what_it_measured(make_env):
-    """Of the first, the fourth, ... physics step, what another has that measures in each; the body flies and lands."""
-    node = env_config("block")["scene"]["sensors"]["contact"] | {"history_length": 2}
+    node = CONTACT | {"history_length": 2}
     sensors = {"contact": node, "slow": node | {"update_period": 0.03}}
     env = make_env("block", decimation=1, scene={"sensors": sensors})
     env.reset()
@@ -197,9 +171,7 @@ def test_with_a_period_it_holds_what_it_measured(make_env):
 
 
 def test_times_without_tracking_are_an_error(make_env):
-    sensor = make_env().cfg["scene"]["sensors"]["contact"] | {"track_air_time": False}
-    env = make_env("block", scene={"sensors": {"contact": sensor}})
-    env.reset()
+    env = _sensing(make_env, track_air_time=False)
     with pytest.raises(WheellegError, match="track_air_time"):
         env.scene["contact"].compute_first_contact(0.02)
     with pytest.raises(WheellegError, match="track_air_time"):
@@ -207,22 +179,14 @@ def test_times_without_tracking_are_an_error(make_env):
 
 
 def test_more_contacts_than_are_summed_are_logged_when_the_episode_ends(make_env):
-    sensor = make_env().cfg["scene"]["sensors"]["contact"]
-    few = make_env("block", scene={"sensors": {"contact": sensor | {"max_contacts": 2}}})
-    enough = make_env("block")
-    for env, share in ((few, 1.0), (enough, 0.0)):
-        env.reset()
+    for env, share in ((_sensing(make_env, max_contacts=2), 1.0), (_sensing(make_env), 0.0)):
         _settle(env, 50)
-        assert env.scene["contact"].overflowed(torch.arange(4)).all() == bool(share)
-        _, extras = env.reset()
-        assert float(extras["log"]["Diagnostics/contact_overflow"]) == share
-        _, extras = env.reset()
-        assert float(extras["log"]["Diagnostics/contact_overflow"]) == 0.0  # forgotten with the episode
+        assert float(env.reset()[1]["log"]["Diagnostics/contact_overflow"]) == share
+        assert float(env.reset()[1]["log"]["Diagnostics/contact_overflow"]) == 0.0
 
 
 def test_bodies_of_the_sensor_are_found_by_name(make_env):
-    sensor = make_env().cfg["scene"]["sensors"]["contact"] | {"body_names": [".*_wheel", "base"]}
-    env = make_env(scene={"sensors": {"contact": sensor}})
+    env = _sensing(make_env, "rover", body_names=[".*_wheel", "base"])
     assert env.scene["contact"].body_names == ["base", "left_wheel", "right_wheel"]
     assert env.scene["contact"].find_bodies(["right_.*"], key="k")[0] == [2]
 
@@ -240,10 +204,7 @@ def test_a_state_restored_gives_the_same_forces_and_times(env):
 
 
 def test_forces_are_told_apart_by_what_they_come_from(make_env):
-    """A cube on the ground: all of its force comes from there, and none from its flywheel."""
-    contact = make_env().cfg["scene"]["sensors"]["contact"]
-    env = make_env("block", scene={"sensors": {"contact": contact | {"filter_body_names": ["ground", "flywheel"]}}})
-    env.reset()
+    env = _sensing(make_env, filter_body_names=["ground", "flywheel"])
     _settle(env)
     data = env.scene["contact"].data
     assert data.force_matrix_w.shape == (4, 2, 2, 3)
@@ -262,11 +223,7 @@ def test_forces_are_told_apart_by_what_they_come_from(make_env):
 
 
 def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(make_env):
-    """A resting cube that is pushed below its friction limit: friction is the push turned round."""
-    contact = make_env().cfg["scene"]["sensors"]["contact"]
-    tracked = {"filter_body_names": ["ground", "flywheel"], "track_contact_points": True, "track_friction_forces": True}
-    env = make_env("block", scene={"sensors": {"contact": contact | tracked}})
-    env.reset()
+    env = _sensing(make_env, filter_body_names=["ground", "flywheel"], **TRACKED)
     wrench = torch.zeros(4, 1, 6)
     wrench[:, 0, 0], wrench[:, 0, 1] = torch.tensor([0.0, 5.0, -2.0, 4.0]), torch.tensor([0.0, 0.0, 3.0, 4.0])
     env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
@@ -291,22 +248,16 @@ def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(make_env):
     assert not data.contact_pos_w[1, 0, 0].isnan().any()
 
 
-@pytest.mark.parametrize("name", ["track_contact_points", "track_friction_forces"])
+@pytest.mark.parametrize("name", TRACKED)
 def test_contacts_of_nothing_in_particular_are_refused(make_env, name):
-    contact = make_env().cfg["scene"]["sensors"]["contact"] | {name: True}
     with pytest.raises(WheellegError, match="filter_body_names"):
-        make_env("block", scene={"sensors": {"contact": contact}})
+        _sensing(make_env, **{name: True})
 
 
-def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
-    """One of the rover's arms is so fat that it reaches the other."""
+def test_two_bodies_push_each_other_with_opposite_forces(tmp_path):
     thin, fat = '"left_arm" type="capsule" size=".01"', '"left_arm" type="capsule" size=".195"'
-    (tmp_path / "fat.xml").write_text((ASSETS / "rover.xml").read_text().replace(thin, fat))
-    contact = make_env().cfg["scene"]["sensors"]["contact"] | {
-        **{"filter_body_names": [".*"], "track_pose": True},
-        **{"track_contact_points": True, "track_friction_forces": True},
-    }
-    env = ManagerBasedRLEnv(env_config(scene={"sensors": {"contact": contact}}), tmp_path / "fat.xml", 0)
+    contact = CONTACT | TRACKED | {"filter_body_names": [".*"], "track_pose": True}
+    env = env_of(variant(tmp_path, thin, fat), env_config(scene={"sensors": {"contact": contact}}))
     env.reset()
     sensor, data = env.scene["contact"], env.scene["contact"].data
     order = [sensor.filter_names.index(body) for body in sensor.body_names]
@@ -328,10 +279,8 @@ def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
 
 
 def test_what_is_not_tracked_says_what_to_write(env):
-    words = {
-        **{"force_matrix_w": "filter_body_names", "pos_w": "track_pose", "quat_w": "track_pose"},
-        **{"contact_pos_w": "track_contact_points", "friction_forces_w": "track_friction_forces"},
-    }
+    words = {"force_matrix_w": "filter_body_names", "pos_w": "track_pose", "quat_w": "track_pose"}
+    words |= {"contact_pos_w": "track_contact_points", "friction_forces_w": "track_friction_forces"}
     for name, word in words.items():
         with pytest.raises(WheellegError, match=word):
             getattr(env.scene["contact"].data, name)

@@ -1,7 +1,3 @@
-"""Patterns of rays against lists and angles worked out by hand."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -22,7 +18,7 @@ def test_a_grid_runs_through_x_or_through_y_first():
 
 
 def test_a_grid_holds_both_ends_although_the_step_has_no_binary_fraction():
-    starts, _ = GridPattern(0.1, [1.6, 1.0]).rays(CPU)  # the height scanner of Isaac Lab's rough terrain
+    starts, _ = GridPattern(0.1, [1.6, 1.0]).rays(CPU)  # Isaac Lab's height scanner for rough terrain has this grid.
     assert len(starts) == 17 * 11
     assert starts[:, :2].amax(dim=0).tolist() == pytest.approx([0.8, 0.5])
 
@@ -42,7 +38,7 @@ def test_a_lidar_has_its_beams_from_below_and_leaves_out_the_last_angle_of_a_tur
 
 def test_a_lidar_has_no_neighbours_further_apart_than_its_resolution():
     _, directions = LidarPattern(1, [0.0, 0.0], [0.0, 1.0], 0.3).rays(CPU)
-    assert len(directions) == 5  # four gaps of .25
+    assert len(directions) == 5  # Five rays have four gaps of 0.25.
     assert float(torch.atan2(directions[1, 1], directions[1, 0])) == pytest.approx(0.25)
 
 
@@ -52,13 +48,11 @@ def test_the_bpearl_has_the_32_beams_of_the_device():
     angles = torch.rad2deg(torch.asin(directions[:32, 2]))
     assert angles[[0, 1, 24, 31]].tolist() == pytest.approx([89.5, 86.6875, 22.0, 2.3125])
     torch.testing.assert_close(directions.norm(dim=1), torch.ones(36 * 32))
-    torch.testing.assert_close(
-        torch.atan2(directions[::32, 1], directions[::32, 0])[:3], torch.deg2rad(10.0 * torch.arange(3))
-    )
+    azimuths = torch.atan2(directions[::32, 1], directions[::32, 0])[:3]
+    torch.testing.assert_close(azimuths, torch.deg2rad(10.0 * torch.arange(3)))
 
 
 def test_a_part_of_a_bpearl_looks_backwards():
-    """A quarter about -x in steps of an eighth, from its right; the last angle is left out."""
     _, directions = BpearlPattern(math.pi / 2, math.pi / 4, [0.0, math.pi / 6]).rays(CPU)
     half, level = math.sqrt(0.5), math.cos(math.pi / 6)
     level_ones = torch.tensor([[-half, half, 0.0], [-1.0, 0.0, 0.0]])
@@ -67,7 +61,6 @@ def test_a_part_of_a_bpearl_looks_backwards():
 
 
 def test_a_pinhole_looks_along_x_row_by_row_from_the_upper_left():
-    """The image plane at distance 1 is 2 wide; square pixels make it 1 high."""
     pattern = PinholePattern(width=4, height=2, focal_length=3.0, horizontal_aperture=6.0)
     _, directions = pattern.rays(CPU)
     through = directions / directions[:, :1]
@@ -77,7 +70,6 @@ def test_a_pinhole_looks_along_x_row_by_row_from_the_upper_left():
 
 
 def test_a_pinholes_centre_may_lie_beside_the_images():
-    """An offset is in lengths of the image plane's unit distance: the centre moves by offset times focal length."""
     pattern = PinholePattern(4, 2, 1.0, 2.0, horizontal_aperture_offset=0.25, vertical_aperture_offset=-0.25)
     assert [row[2] for row in pattern.intrinsics] == [2.5, 0.5, 1.0]
     _, directions = pattern.rays(CPU)

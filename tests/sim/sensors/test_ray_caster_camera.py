@@ -1,7 +1,3 @@
-"""Depth by rays: held against the formula of a plane, the corners of a step, and what MuJoCo draws."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -15,7 +11,7 @@ PREFIX = "wheelleg_exp.sim.sensors."
 HALF = math.sqrt(0.5)
 OPTICS = {"width": 20, "height": 16, "focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 28.0}
 OPTICS |= {"horizontal_aperture_offset": 0.1, "vertical_aperture_offset": -0.05}
-# It looks down the body's -z, and its right is the body's -y.
+# The camera looks along the body's -z axis, and its axis to the right is the body's -y axis.
 OFFSET = {"pos": [0.05, 0.0, -0.2], "rot": [0.0, HALF, -HALF, 0.0], "convention": "ros"}
 KINDS = ["distance_to_image_plane", "distance_to_camera"]
 
@@ -45,14 +41,14 @@ def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0):
 
 
 def test_distances_to_a_plane_are_those_of_its_formula(make):
-    """The ray p + s d meets z = 0 at s = -p_z / d_z; directions by hand from the optics, in the body's axes."""
     data = place(make(), [[0.0, 0.0, 1.0], [5.0, 2.0, 0.6]], roll=0.2, pitch=-0.3, yaw=1.0)
     f_x, f_y = 20 * 20.0 / 30.0, 16 * 20.0 / 28.0
     v, u = torch.meshgrid(torch.arange(16) + 0.5, torch.arange(20) + 0.5, indexing="ij")
     right, down = (u - 10 - 0.1 * f_x) / f_x, (v - 8 + 0.05 * f_y) / f_y
     ahead = torch.stack((-down, -right, -torch.ones_like(u)), dim=-1)
     c, s = math.cos, math.sin
-    lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.2), c(-0.3) * c(0.2)])  # last row of Rz Ry Rx
+    # This is the last row of the matrix Rz Ry Rx.
+    lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.2), c(-0.3) * c(0.2)])
     for env, height in enumerate((1.0, 0.6)):
         along = (-(height + lowest @ torch.tensor([0.05, 0.0, -0.2])) / (ahead @ lowest)).unsqueeze(-1)
         torch.testing.assert_close(data.output["distance_to_image_plane"][env], along, atol=1e-5, rtol=1e-5)
@@ -65,7 +61,6 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
 @pytest.mark.pictures
 @pytest.mark.usefixtures("graphics")
 def test_it_measures_what_mujoco_draws(make):
-    """On a step; pixels whose neighbours see another surface are cut by the step's edges at slightly other places."""
     env = make(STEP, drawn=True, max_distance=20.0)
     by_rays = place(env, [[3.9, 0.4, 1.5], [5.8, -0.8, 0.9]], roll=0.15, pitch=-0.1, yaw=0.7)
     drawn = env.scene["drawn"].data
@@ -104,7 +99,7 @@ def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make
     place(env, [[0.0, 0.0, 1.0]] * 2)
     env.scene.robot.write_root_com_velocity_to_sim(torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]] * 2))
     seen = []
-    for _ in range(3):  # two physics steps of 0.01 s each
+    for _ in range(3):
         env.step(torch.zeros(2, 1))
         seen.append(env.scene["eye"].data.output["distance_to_image_plane"].clone())
     assert not torch.equal(seen[0], seen[1])

@@ -1,7 +1,3 @@
-"""Sensors that cannot be built: each row is a sensor, changes of its node, the key of the error, and its words."""
-
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.errors import ConfigError
@@ -11,13 +7,8 @@ PLANE = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
 OPTICS = {"width": 20, "height": 16}
 GRID = {"_target_": PREFIX + "GridPattern", "resolution": 0.5, "size": [1.0, 0.5]}
 NOT_A_PATTERN = {"_target_": "wheelleg_exp.mdp.noise.ConstantNoise", "bias": 1.0}
-DEGREES = {
-    "_target_": PREFIX + "LidarPattern",
-    "channels": 2,
-    "vertical_fov_range": [-0.3, 0.3],
-    "horizontal_fov_range": [0.0, 360.0],
-    "horizontal_res": 0.1,
-}
+DEGREES = {"_target_": PREFIX + "LidarPattern", "channels": 2, "vertical_fov_range": [-0.3, 0.3]}
+DEGREES |= {"horizontal_fov_range": [0.0, 360.0], "horizontal_res": 0.1}
 NODES = {
     "RayCaster": {"pattern": GRID},
     "RayCasterCamera": {"pattern": {"_target_": PREFIX + "PinholePattern", **OPTICS}},

@@ -1,7 +1,3 @@
-"""Every stock sensor on the stock robot: it is built, it measures, and it is saved."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 

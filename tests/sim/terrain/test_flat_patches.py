@@ -1,13 +1,9 @@
-"""Flat places on a tile with one step, whose bounds follow from its geometry."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
 
-EDGE, RISE = 0.5, 0.3  # m: where the tile steps up, and by how much
+EDGE, RISE = 0.5, 0.3  # the position and the height of the step, m
 ORIGIN = np.array([0.4, -0.2, 0.1])
 
 

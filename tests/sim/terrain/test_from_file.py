@@ -1,7 +1,3 @@
-"""Grounds out of a user's own file."""
-
-from __future__ import annotations
-
 import shutil
 
 import numpy as np
@@ -9,9 +5,8 @@ import pytest
 import torch
 from matplotlib.image import imsave
 
-from sim.small_envs import ASSETS, env_config
+from sim.small_envs import ASSETS, env_config, env_of
 from sim.terrain.tiles import TERRAIN
-from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 
 MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
@@ -19,14 +14,12 @@ MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
 
 @pytest.fixture
 def ground(tmp_path):
-    """Build the scene's ground from a file beside the robot."""
     shutil.copy(ASSETS / "block.xml", tmp_path)
     (tmp_path / "ground").mkdir()
 
     def make(kind: str, **options):
         node = {"_target_": TERRAIN + kind, **MATERIAL, **options}
-        env = ManagerBasedRLEnv(env_config("block", scene={"terrain": node}), tmp_path / "block.xml", 0)
-        return env.scene.terrain
+        return env_of(tmp_path / "block.xml", env_config("block", scene={"terrain": node})).scene.terrain
 
     make.folder = tmp_path / "ground"
     return make
@@ -43,7 +36,7 @@ def test_an_array_gives_heights_along_x_and_y(ground):
 
 def test_a_picture_is_a_map(ground):
     picture = np.zeros((3, 5, 3))
-    picture[0, 4] = 1.0  # up and to the right
+    picture[0, 4] = 1.0
     imsave(ground.folder / "map.png", picture)
     made = ground("HeightField", file="map.png", size=[4.0, 2.0], height_range=[-0.1, 0.9])
     corners = torch.tensor([[2.0, 1.0], [-2.0, 1.0], [2.0, -1.0], [-2.0, -1.0]])
@@ -60,9 +53,8 @@ def test_a_mesh_is_seen_from_above_at_its_own_place(ground):
     x, y = (torch.rand(400) * 2 + 0.5).clamp(0.51, 2.49), torch.rand(400) * 0.98 + 0.51
     expected = 0.5 * (1 - (2 * x - 3).abs() / 2)
     torch.testing.assert_close(made.height_at(torch.stack((x, y), dim=1)), expected, atol=1e-5, rtol=0)
-    torch.testing.assert_close(
-        made.env_origins[:2], torch.tensor([[1.5, 1.0, 0.5], [1.0, 1.0, 0.25]]), atol=1e-5, rtol=0
-    )
+    origins = torch.tensor([[1.5, 1.0, 0.5], [1.0, 1.0, 0.25]])
+    torch.testing.assert_close(made.env_origins[:2], origins, atol=1e-5, rtol=0)
     assert torch.equal(made.env_origins[2:], made.env_origins[:2])
     assert made.terrain_origins is None
 

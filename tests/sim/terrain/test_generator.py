@@ -1,7 +1,5 @@
-"""The ground as a whole: layout, chance, the cache, its surface."""
-
-from __future__ import annotations
-
+import hashlib
+import os
 import subprocess
 import sys
 
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.terrain.tiles import TERRAIN, Ramp, generator, placed
+from sim.terrain.tiles import OPTIONS, TERRAIN, Ramp, placed
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.progress import progress_to
 from wheelleg_exp.sim.terrain import (
@@ -25,26 +23,18 @@ from wheelleg_exp.sim.terrain import (
     UniformNoise,
     Waves,
 )
-from wheelleg_exp.sim.terrain import (
-    relief as cache,
-)
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+BLOCKS = {"proportion": 1, "obstacle_width_range": [0.1, 0.5], "obstacle_height_range": [0, 0.1]}
+BLOCKS |= {"num_obstacles": 9, "platform_width": 0.2, "boxes": True}
 
 
-@pytest.fixture
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+def stairs(proportion=1, **options):
+    steps = {"step_height_range": [0.0, 0.1], "step_width": 0.1, "platform_width": 0.4}
+    return PyramidStairs(proportion=proportion, **steps, **options)
 
 
-def stairs(**options):
-    return PyramidStairs(
-        step_height_range=[0.0, 0.1], step_width=0.1, platform_width=0.4, **({"proportion": 1} | options)
-    )
-
-
-def noise(**options):
-    return UniformNoise(amplitude_range=[0.0, 0.1], **({"proportion": 1} | options))
+def noise(proportion=1, **options):
+    return UniformNoise(proportion=proportion, amplitude_range=[0.0, 0.1], **options)
 
 
 def everything():
@@ -55,14 +45,7 @@ def everything():
         "waves": Waves(proportion=1, amplitude_range=[0.0, 0.1], horizontal_scale=0.07),
         "grid": RandomGrid(proportion=1, grid_width=0.2, grid_height_range=[0.0, 0.1], platform_width=0.3),
         "gap": Gap(proportion=1, gap_width_range=[0.1, 0.2], gap_depth=0.2, platform_width=0.4),
-        "blocks": DiscreteObstacles(
-            proportion=1,
-            obstacle_width_range=[0.1, 0.5],
-            obstacle_height_range=[0, 0.1],
-            num_obstacles=9,
-            platform_width=0.2,
-            boxes=True,
-        ),
+        "blocks": DiscreteObstacles(**BLOCKS),
     }
 
 
@@ -115,8 +98,8 @@ def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
     points = torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]
     heights = ground.height_at(points).numpy()
     top = heights[:, 0].max(axis=(1, 2))
-    assert top == pytest.approx(3 * 0.1 * hard[:, 0], abs=3e-4)  # (1 - 0.4) / 0.2 steps
-    # Between corners the surface is a mean of three heights, whose square is half of a height's square.
+    assert top == pytest.approx(3 * 0.1 * hard[:, 0], abs=3e-4)  # The stairs have (1 - 0.4) / 0.2 = 3 steps.
+    # The mean square of interpolated heights is half of the mean square of the corners' heights.
     assert heights[:, 1].std(axis=(1, 2)) == pytest.approx(0.1 * hard[:, 1] / np.sqrt(6), rel=0.08)
 
 
@@ -129,66 +112,30 @@ def test_the_height_at_a_point_is_where_a_ray_meets_mujocos_ground():
     assert not ground.height_at(torch.tensor([[3.5, 0.0], [0.0, -4.4], [99.0, 99.0]])).any()
 
 
-def test_a_ball_touches_the_ground_where_its_height_says():
-    ground = placed(everything(), num_rows=3, num_cols=7)
-    spec = mujoco.MjSpec()
-    ground.add_to(spec)
-    ball = spec.worldbody.add_body(name="ball")
-    ball.add_freejoint()
-    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-4, 0, 0], mass=1)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    points = torch.rand(300, 2, dtype=torch.float64) * torch.tensor([6.0, 7.0]) - torch.tensor([3.0, 3.5])
-    touches = {}
-    for lift in (-2e-4, 1e-3):
-        for (x, y), height in zip(points.tolist(), ground.height_at(points).tolist(), strict=True):
-            data.qpos[:3] = x, y, height + lift
-            mujoco.mj_forward(model, data)
-            touches.setdefault(lift, []).append(data.ncon > 0)
-    assert np.mean(touches[-2e-4]) > 0.99  # beside an upright edge it may touch that one alone
-    assert np.mean(touches[1e-3]) < 0.03
-
-
 def test_steps_are_boxes_as_few_as_can_be():
     spec = mujoco.MjSpec()
     placed({"stairs": stairs()}, num_rows=1, num_cols=1, difficulty_range=[1, 1], border_width=0.0).add_to(spec)
-    assert [geom.type for geom in spec.geoms] == [mujoco.mjtGeom.mjGEOM_BOX] * 4  # the ground and three steps
+    # The stairs are one box for the ground and three for the steps.
+    assert [geom.type for geom in spec.geoms] == [mujoco.mjtGeom.mjGEOM_BOX] * 4
 
 
 def test_the_border_goes_all_around_at_height_zero():
-    spec = mujoco.MjSpec()
-    placed().add_to(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    hit = np.zeros(1, dtype=np.int32)
-
-    def height(x: float, y: float) -> float:
-        return 1 - mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
-
-    assert [height(*p) for p in [(4.9, 2.4), (-4.9, 0), (0, -2.4), (4.5, 0.3)]] == pytest.approx([0.0] * 4)
-    assert height(5.1, 0) == height(0, 2.6) == 2.0  # the ray meets nothing
+    points = torch.tensor([[4.9, 2.4], [-4.9, 0.0], [0.0, -2.4], [4.5, 0.3], [5.1, 0.0], [0.0, 2.6]])
+    found = placed()._probe.height_at(points, outside=-1.0)
+    assert found.tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
 
 
-def digest(seed: int) -> str:
-    return str(
-        cache.hashlib.sha256(cache._packed(cache.make_relief(generator(everything()).layout))).hexdigest() + str(seed)
-    )
+def digest() -> str:
+    return hashlib.sha256(b"".join(tile.heights.tobytes() for tile in placed(everything()).relief.tiles)).hexdigest()
 
 
 def test_one_seed_gives_one_ground_in_any_process():
-    code = "from sim.terrain.test_generator import digest; print(digest(0))"
+    code = "from sim.terrain.test_generator import digest; print(digest())"
     found = {
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env).stdout.strip()
-        for env in ({**cache_env(), "OMP_NUM_THREADS": threads} for threads in ("1", "4"))
+        for env in ({**os.environ, "PYTHONPATH": ":".join(sys.path), "OMP_NUM_THREADS": n} for n in ("1", "4"))
     }
-    assert found == {digest(0)}
-
-
-def cache_env() -> dict[str, str]:
-    import os
-
-    return {**os.environ, "PYTHONPATH": ":".join(path for path in sys.path if path)}
+    assert found == {digest()}
 
 
 def test_the_runs_seed_makes_the_ground_unless_it_has_its_own():
@@ -198,36 +145,6 @@ def test_the_runs_seed_makes_the_ground_unless_it_has_its_own():
     fixed = [placed({"n": noise()}, run_seed=s, seed=7).relief for s in (1, 2)]
     assert np.array_equal(fixed[0].tiles[5].heights, fixed[1].tiles[5].heights)
     assert np.array_equal(fixed[0].difficulties, fixed[1].difficulties)
-
-
-def test_a_ground_is_made_once(monkeypatch):
-    made = []
-    monkeypatch.setattr(cache, "make_relief", lambda layout: made.append(layout) or real(layout))
-    wanted = {
-        "stairs": stairs(flat_patches={"goal": FlatPatches(num_patches=3, patch_radius=0.05, max_height_diff=0.0)})
-    }
-    first, second = placed(wanted), placed(wanted)
-    assert len(made) == 1
-    assert torch.equal(first.flat_patches["goal"], second.flat_patches["goal"])
-    assert all(
-        np.array_equal(a.heights, b.heights) for a, b in zip(first.relief.tiles, second.relief.tiles, strict=True)
-    )
-    for change in ({"seed": 3}, {"vertical_scale": 2e-4}, {"difficulty_range": [0, 0.5]}):
-        placed(wanted, **change)
-    placed({"stairs": stairs(border_width=0.1)})
-    placed({"stairs": wanted["stairs"], "none": Flat(proportion=0)})
-    assert len(made) == 6
-
-
-real = cache.make_relief
-
-
-def test_a_damaged_entry_is_made_again(tmp_path):
-    first = placed({"n": noise()})
-    (entry,) = (tmp_path / "cache" / "terrains").iterdir()
-    entry.write_bytes(entry.read_bytes()[:-100])
-    again = placed({"n": noise()})
-    assert np.array_equal(first.relief.tiles[3].heights, again.relief.tiles[3].heights)
 
 
 def test_flat_places_are_flat_and_where_they_may_be():
@@ -247,36 +164,15 @@ def test_flat_places_are_flat_and_where_they_may_be():
 
 def test_a_tile_that_is_nowhere_flat_is_told():
     rough = noise(flat_patches={"goal": FlatPatches(num_patches=1, patch_radius=0.2, max_height_diff=0.001)})
-    with pytest.raises(
-        ConfigError, match=r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat patches .*smaller patch_radius"
-    ):
+    message = r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat patches .*smaller patch_radius"
+    with pytest.raises(ConfigError, match=message):
         placed({"n": rough}, difficulty_range=[1, 1])
 
 
-NODE = {
-    "_target_": TERRAIN + "TerrainGenerator",
-    "size": [2.0, 2.0],
-    "num_rows": 3,
-    "num_cols": 2,
-    "border_width": 1.0,
-    "horizontal_scale": 0.1,
-    "vertical_scale": 0.001,
-    "curriculum": True,
-    "difficulty_range": [1.0, 1.0],
-    "static_friction": 0.5,
-    "dynamic_friction": 0.4,
-    "restitution": 0.0,
-    "sub_terrains": {
-        "stairs": {
-            "_target_": TERRAIN + "PyramidStairs",
-            "proportion": 1.0,
-            "step_height_range": [0.0, 0.1],
-            "step_width": 0.2,
-            "platform_width": 1.0,
-        },
-        "gone": None,
-    },
-}
+STAIRS = {"_target_": TERRAIN + "PyramidStairs", "proportion": 1.0, "step_height_range": [0.0, 0.1]}
+STAIRS |= {"step_width": 0.2, "platform_width": 1.0}
+NODE = {**OPTIONS, "_target_": TERRAIN + "TerrainGenerator", "size": [2.0, 2.0], "num_rows": 3, "num_cols": 2}
+NODE |= {"vertical_scale": 0.001, "difficulty_range": [1.0, 1.0], "sub_terrains": {"stairs": STAIRS, "gone": None}}
 
 
 def test_a_robot_stands_on_its_tile(make_env):
@@ -288,9 +184,8 @@ def test_a_robot_stands_on_its_tile(make_env):
     data = high.scene.robot.data
     ground = high.scene.terrain.height_at(data.root_pos_w[:, :2])
     torch.testing.assert_close(ground, torch.full((4,), 0.3), atol=1e-6, rtol=0)
-    torch.testing.assert_close(
-        data.root_pos_w[:, 2] - ground, level.scene.robot.data.root_pos_w[:, 2], atol=2e-3, rtol=0
-    )
+    height = level.scene.robot.data.root_pos_w[:, 2]
+    torch.testing.assert_close(data.root_pos_w[:, 2] - ground, height, atol=2e-3, rtol=0)
 
 
 def test_levels_and_places_are_saved_with_the_environment(make_env):

@@ -1,7 +1,3 @@
-"""The stock grounds are of the robot's scale, and every kind gets harder."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -20,7 +16,6 @@ def made(scene: str) -> TerrainGenerator:
 
 
 def tiles(ground: TerrainGenerator, pixels: int = 241) -> np.ndarray:
-    """Return the heights of all tiles, (rows, cols, pixels, pixels)."""
     line = torch.linspace(-0.599, 0.599, pixels, dtype=torch.float64)
     points = torch.stack(torch.meshgrid(line, line, indexing="ij"), dim=-1)
     return ground.height_at(points + ground.terrain_origins[:, :, None, None, :2]).numpy()
@@ -44,20 +39,11 @@ def test_the_hardest_row_of_rough_ground_is_what_a_wheel_can_just_roll_over():
     assert np.arctan(rise) == pytest.approx(0.26 * ground.relief.difficulties[9, columns["slope"][0]], abs=3e-3)
 
 
-def test_rough_tiles_are_as_rough_as_they_declare():
-    ground = made("rough")
-    rough = np.flatnonzero(ground.relief.kinds[9] == list(ground.layout.sub_terrains).index("rough"))
-    for col in rough:
-        inner = ground.relief.tiles[9 * 10 + col].heights[3:-3, 3:-3]
-        assert inner.std() == pytest.approx(0.004 * ground.relief.difficulties[9, col] / np.sqrt(3), rel=0.05)
-
-
 def test_stairs_have_four_steps_of_the_rows_difficulty():
     ground = made("stairs")
     heights, hard = tiles(ground), ground.relief.difficulties
     step = 0.001 + 0.007 * hard
     assert heights[:, 0].max(axis=(1, 2)) == pytest.approx(4 * step[:, 0], abs=3e-4)
     assert heights[:, 1].min(axis=(1, 2)) == pytest.approx(-4 * step[:, 1], abs=3e-4)
-    assert ground.env_origins[:, 2].abs() == pytest.approx(
-        4 * step[ground.terrain_levels, ground.terrain_types], abs=3e-4
-    )
+    top = 4 * step[ground.terrain_levels, ground.terrain_types]
+    assert ground.env_origins[:, 2].abs() == pytest.approx(top, abs=3e-4)

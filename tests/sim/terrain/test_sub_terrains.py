@@ -1,7 +1,3 @@
-"""Each kind of tile against its formula, worked out by hand."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -30,7 +26,6 @@ def rng() -> np.random.Generator:
 
 
 def profile(heights: np.ndarray) -> list[float]:
-    """Return the heights along x through the middle."""
     return np.round(heights[:, heights.shape[1] // 2], 9).tolist()
 
 
@@ -40,7 +35,8 @@ def test_level_ground_is_level():
 
 def test_stairs_rise_a_step_every_width_up_to_the_platform():
     stairs = PyramidStairs(proportion=1, step_height_range=[0.1, 0.3], step_width=0.2, platform_width=0.7)
-    half = [0, 0, 0.2, 0.2, 0.4, 0.4, 0.6, 0.6, 0.8, 0.8]  # 4 steps: 2 - 8 * 0.2 = 0.4 is the first edge below 0.7
+    # After 4 steps the edge of the top is 2 - 8 * 0.2 = 0.4 m, below the platform width of 0.7 m.
+    half = [0, 0, 0.2, 0.2, 0.4, 0.4, 0.6, 0.6, 0.8, 0.8]
     assert profile(stairs.heights(0.5, CELLS, rng())) == pytest.approx(half + half[::-1])
     stairs.inverted = True
     assert profile(stairs.heights(0.0, CELLS, rng())) == pytest.approx([-h / 2 for h in half + half[::-1]])
@@ -62,7 +58,7 @@ def test_a_slope_has_its_angle_on_every_face():
 
 def test_waves_follow_their_formula():
     found = Waves(proportion=1, amplitude_range=[0.0, 0.2], num_waves=2).heights(0.5, CORNERS, rng())
-    # A = 0.1 and k = 2 pi 2 / 2 m: a quarter of a wave is 0.25 m
+    # The amplitude A is 0.1 m. The wave number k is 2 pi 2 / 2 m, so a quarter of a wave is 0.25 m long.
     for i, j, expected in [(0, 0, 0.05), (5, 0, 0.05), (10, 5, -0.05), (0, 10, 0.05)]:
         assert found[i, j] == pytest.approx(expected, abs=1e-9)
     assert found[2, 3] == pytest.approx(0.05 * (np.cos(0.6 * np.pi) + np.sin(0.4 * np.pi)))
@@ -84,49 +80,22 @@ def test_noise_by_difficulty_is_uniform_and_grows():
         assert np.abs(found).max() <= a
 
 
-A, RIMS = 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)  # height, m; rim of the tile, in cells
-PARTS = {  # each kind, and the standard deviation of its heights where a formula gives it, m
-    "uniform": (lambda **o: UniformNoise(amplitude_range=[A, A], **o), A / np.sqrt(3)),
-    "uniform, every second": (
-        lambda **o: UniformNoise(amplitude_range=[A, A], downsampled_scale=0.2, **o),
-        A / np.sqrt(3) * 0.75,  # along x and along y, half of the points have the mean of two draws: (1 + 1/2) / 2
-    ),
-    "steps": (lambda **o: RandomUniform(noise_range=[-A, A], noise_step=A, **o), A * np.sqrt(2 / 3)),
-    "grid": (
-        lambda **o: RandomGrid(grid_width=0.3, grid_height_range=[A, A], platform_width=0.0, **o),
-        A / np.sqrt(3),
-    ),
-    "slope": (lambda **o: PyramidSlope(slope_range=[0.1, 0.1], platform_width=0.5, **o), None),
-    "waves": (lambda **o: Waves(amplitude_range=[A, A], num_waves=2, **o), A / 2),
-    "stairs": (lambda **o: PyramidStairs(step_height_range=[A, A], step_width=0.5, platform_width=1.0, **o), None),
-    "obstacles": (
-        lambda **o: DiscreteObstacles(
-            obstacle_width_range=[1.0, 2.0], obstacle_height_range=[A, A], num_obstacles=40, platform_width=0.0, **o
-        ),
-        None,
-    ),
-    "stones": (
-        lambda **o: SteppingStones(
-            stone_height_max=A,
-            stone_width_range=[0.5, 0.5],
-            stone_distance_range=[0.0, 0.0],
-            platform_width=0.0,
-            holes_depth=-1.0,
-            **o,
-        ),
-        A / np.sqrt(3),
-    ),
-    "gap": (lambda **o: Gap(gap_width_range=[0.5, 0.5], gap_depth=A, platform_width=2.0, **o), None),
-    "rails": (
-        lambda **o: Rails(rail_height_range=[A, A], rail_thickness_range=[0.5, 0.5], platform_width=2.0, **o),
-        None,
-    ),
-    "box": (lambda **o: Box(box_height_range=[A, A], platform_width=2.0, **o), None),
+A, RIMS = 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)  # the amplitude, m, and the rims of tiles, in cells
+STONES = {"stone_height_max": A, "stone_width_range": [0.5, 0.5], "stone_distance_range": [0.0, 0.0]}
+STONES |= {"platform_width": 0.0, "holes_depth": -1.0}
+GRID = {"grid_width": 0.3, "grid_height_range": [A, A], "platform_width": 0.0}
+PARTS = {  # The values are a sub-terrain's class, its options, and the standard deviation of its heights, m.
+    "uniform": (UniformNoise, {"amplitude_range": [A, A]}, A / np.sqrt(3)),
+    # Along x and along y, half of the points have the mean of two draws: (1 + 1/2) / 2.
+    "every second": (UniformNoise, {"amplitude_range": [A, A], "downsampled_scale": 0.2}, A / np.sqrt(3) * 0.75),
+    "steps": (RandomUniform, {"noise_range": [-A, A], "noise_step": A}, A * np.sqrt(2 / 3)),
+    "grid": (RandomGrid, GRID, A / np.sqrt(3)),
+    "waves": (Waves, {"amplitude_range": [A, A], "num_waves": 2}, A / 2),
+    "stones": (SteppingStones, STONES, A / np.sqrt(3)),
 }
 
 
 def inner_heights(part: SubTerrain, scale: float, rim: float, seed: int) -> np.ndarray:
-    """Return the heights inside the rim of one tile of 12 m, as the generator lays it."""
     part.horizontal_scale, part.border_width = scale, rim
     ground = placed({"part": part}, size=[12.0, 12.0], num_rows=1, num_cols=1, difficulty_range=[1.0, 1.0], seed=seed)
     heights = ground.relief.tiles[0].heights.astype(float)
@@ -139,14 +108,12 @@ def inner_heights(part: SubTerrain, scale: float, rim: float, seed: int) -> np.n
 @pytest.mark.parametrize("boxes", [False, True])
 @pytest.mark.parametrize("name", PARTS)
 def test_the_width_of_the_rim_changes_no_moment(name: str, boxes: bool):
-    make, deviation = PARTS[name]
+    kind, options, deviation = PARTS[name]
     for rim in RIMS:
-        found, fine = (
-            [inner_heights(make(proportion=1, boxes=boxes), cell, rim * 0.1, seed) for seed in range(3)]
-            for cell in (0.1, 0.1 if deviation else 0.02)  # without a formula: the same shape on a finer grid
-        )
-        assert np.std(found) == pytest.approx(deviation or np.std(fine), rel=0.06)
-        assert np.mean(found) == pytest.approx(0.0 if deviation else np.mean(fine), abs=0.1 * A)
+        tiles = [kind(proportion=1, boxes=boxes, **options) for _ in range(3)]
+        found = [inner_heights(tile, 0.1, rim * 0.1, seed) for seed, tile in enumerate(tiles)]
+        assert np.std(found) == pytest.approx(deviation, rel=0.06)
+        assert np.mean(found) == pytest.approx(0.0, abs=0.1 * A)
 
 
 def test_between_drawn_points_noise_is_linear():
@@ -168,13 +135,8 @@ def test_squares_of_a_grid_are_level_and_grow():
 
 
 def test_obstacles_have_their_heights_and_leave_the_middle_free():
-    obstacles = DiscreteObstacles(
-        proportion=1,
-        obstacle_width_range=[0.3, 0.6],
-        obstacle_height_range=[0, 0.2],
-        num_obstacles=30,
-        platform_width=0.6,
-    )
+    sizes = {"obstacle_width_range": [0.3, 0.6], "obstacle_height_range": [0, 0.2], "platform_width": 0.6}
+    obstacles = DiscreteObstacles(proportion=1, num_obstacles=30, **sizes)
     found = obstacles.heights(1.0, CELLS, rng())
     assert set(np.unique(found)) == {-0.2, -0.1, 0.0, 0.1, 0.2}
     assert not found[7:13, 7:13].any()
@@ -183,18 +145,12 @@ def test_obstacles_have_their_heights_and_leave_the_middle_free():
 
 
 def test_stones_have_their_width_and_distance():
-    stones = SteppingStones(
-        proportion=1,
-        stone_height_max=0.05,
-        stone_width_range=[0.2, 0.4],
-        stone_distance_range=[0.0, 0.1],
-        platform_width=0.4,
-        holes_depth=-1.0,
-    )
+    sizes = {"stone_width_range": [0.2, 0.4], "stone_distance_range": [0.0, 0.1], "platform_width": 0.4}
+    stones = SteppingStones(proportion=1, stone_height_max=0.05, holes_depth=-1.0, **sizes)
     fine = grid((2.0, 2.0), 0.01, boxes=True)
     easy, hard = stones.heights(0.0, fine, rng()), stones.heights(1.0, fine, rng())
-    assert easy.min() >= -0.05  # no distance, no holes
-    # Rows of 0.2 m with 0.1 m between them, and the same along a row.
+    assert easy.min() >= -0.05  # Stones without a distance have no holes between them.
+    # Stones of 0.2 m are 0.1 m apart, along rows and between rows.
     between = [k for start in range(20, 200, 30) for k in range(start, start + 10)]
     assert np.flatnonzero((hard[:80] == -1).all(axis=0)).tolist() == between
     holes = np.flatnonzero(np.diff((hard[:, 5] == -1).astype(int)))
@@ -210,7 +166,7 @@ def test_a_gap_lies_around_the_platform():
 
 def test_rails_stand_where_isaac_labs_do():
     rails = Rails(proportion=1, rail_thickness_range=[0.1, 0.2], rail_height_range=[0.1, 0.3], platform_width=0.8)
-    # The outer rail's inner edge is at 0.8 + 0.6 * (2 - 0.8) = 1.52, so cells 0 to 2 of ten half ones: 0.8 to 0.96.
+    # The inner edge of the outer rail is at 0.8 + 0.6 * (2 - 0.8) = 1.52 m.
     half = [0, 0.2, 0.2, 0, 0, 0.2, 0, 0, 0, 0]
     found = profile(rails.heights(0.5, CELLS, rng()))
     assert found[3:17] == pytest.approx((half + half[::-1])[3:17])
@@ -220,7 +176,7 @@ def test_rails_stand_where_isaac_labs_do():
 def test_boxes_and_pits_have_one_step_or_two():
     box = Box(proportion=1, box_height_range=[0.1, 0.3], platform_width=0.4)
     assert profile(box.heights(0.0, CELLS, rng())) == [0] * 8 + [0.1] * 4 + [0] * 8
-    box.double_box = True  # the lower one's edge is 0.4 + 0.6 * 1.6 = 1.36
+    box.double_box = True  # The edge of the lower step is 0.4 + 0.6 * 1.6 = 1.36 m.
     assert profile(box.heights(0.5, CELLS, rng())) == [0] * 3 + [0.2] * 5 + [0.4] * 4 + [0.2] * 5 + [0] * 3
     pit = Box(proportion=1, box_height_range=[0.1, 0.3], platform_width=0.4, double_box=True, inverted=True)
     assert np.array_equal(pit.heights(0.5, CELLS, rng()), -box.heights(0.5, CELLS, rng()))

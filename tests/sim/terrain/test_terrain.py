@@ -1,7 +1,3 @@
-"""A ground of a user's own, through the base class alone."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -9,13 +5,8 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.terrain import Plane, TerrainBase
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
-STEP = {
-    "_target_": "managers.spies.Step",
-    "height": 0.4,
-    "static_friction": 0.7,
-    "dynamic_friction": 0.5,
-    "restitution": 0.0,
-}
+STEP = {"_target_": "managers.spies.Step", "height": 0.4, "static_friction": 0.7, "dynamic_friction": 0.5}
+STEP["restitution"] = 0.0
 
 
 def test_environments_begin_where_the_ground_says_and_the_robot_stands_on_it(make_env):
@@ -35,14 +26,14 @@ def test_the_robot_gets_the_mean_friction_and_no_part_of_the_ground_does(make_en
 
 
 def test_what_is_no_ground_is_refused(make_env):
-    with pytest.raises(ConfigError, match=r"env\.scene\.terrain: is not a TerrainBase"):
+    with pytest.raises(ConfigError, match=r"env\.scene\.terrain: 'Altimeter' is not a TerrainBase"):
         make_env(scene={"terrain": {"_target_": "managers.spies.Altimeter"}})
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*static_friction"):
         make_env(scene={"terrain": {**STEP, "static_friction": -1.0}})
 
 
 class Tiles(TerrainBase):
-    """Four rows of three tiles, whose origins say where they are: x is the row, y the column."""
+    """A ground of four rows and three columns of tiles, with each origin at x = row, y = column."""
 
     def __init__(self, highest: int | None = None) -> None:
         super().__init__(0.5, 0.5, 0.0)
@@ -101,21 +92,9 @@ def test_levels_go_up_and_down_and_from_the_last_anywhere():
     assert torch.equal(ground.env_origins, expected.float())
 
 
-def test_levels_are_state():
-    ground, other = placed(Tiles(), 50, seed=1), placed(Tiles(), 50, seed=2)
-    assert not torch.equal(ground.terrain_levels, other.terrain_levels)
-    other.load_state_dict(ground.state_dict())
-    assert torch.equal(ground.terrain_levels, other.terrain_levels)
-    assert torch.equal(ground.env_origins, other.env_origins)
-
-
-def test_the_scene_holds_the_ground_and_its_places(make_env):
+def test_a_user_defined_ground_is_in_the_scene_and_knows_its_height(make_env):
     scene = make_env("block", scene={"terrain": STEP}).scene
-    assert scene["terrain"] is scene.terrain
-    assert scene.env_origins is scene.terrain.env_origins
-
-
-def test_a_ground_of_a_users_own_knows_its_height(make_env):
-    ground = make_env("block", scene={"terrain": STEP}).scene.terrain
+    ground = scene["terrain"]
+    assert scene.env_origins is ground.env_origins
     heights = ground.height_at(torch.tensor([[[5.0, 0.0], [5.9, -0.9]], [[3.9, 0.0], [-2.0, 0.0]]]))
     torch.testing.assert_close(heights, torch.tensor([[0.4, 0.4], [0.0, 0.0]]))

@@ -1,7 +1,3 @@
-"""A robot of spheres and capsules, whose kernels compile quickly, on both engines."""
-
-from __future__ import annotations
-
 import mujoco
 
 from sim.small_envs import env_config
@@ -29,11 +25,9 @@ XML = """
 
 
 def model(xml: str = XML) -> mujoco.MjModel:
-    """Return the compiled robot."""
     return mujoco.MjModel.from_xml_string(xml)
 
 
 def options(device: str = "cpu", **changes) -> SimOptions:
-    """Return an ``env.sim`` section of the engine on mujoco-warp."""
     section = env_config(sim={"engine": "warp", "device": device, "dt": 0.005, **changes})["sim"]
     return SimOptions(**{**section, "gravity": tuple(section["gravity"])})

@@ -1,7 +1,3 @@
-"""Masks are copied to the host, and NaN and inf are detected, on a GPU and on a CPU."""
-
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -15,7 +11,7 @@ def test_indices_of_masks_come_at_once_or_late(device, at_once):
     gen = torch.Generator().manual_seed(1)
     query = AsyncMaskQuery(50, torch.device(device))
     answers = []
-    for _ in range(3):  # the query reuses its memory
+    for _ in range(3):
         masks = torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])
         masks[1] &= masks[0]
         query.start(masks[0].to(device), masks[1].to(device))

@@ -1,7 +1,3 @@
-"""A whole environment on the engine: the same steps as on MuJoCo's, and its state."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -10,12 +6,12 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 
 STEPS = 12
-DRAWN = ("physics_material", "add_base_mass", "base_external_force_torque")  # what makes one robot another
+# These terms give each robot its own parameters.
+DRAWN = ("physics_material", "add_base_mass", "base_external_force_torque")
 SCANNER = "+sensor@env.scene.sensors=[height_scanner,imu]"
 
 
 def stand(*overrides: str) -> ManagerBasedRLEnv:
-    """Return the stock task on a small robot that has the stock names; all that it draws is in its streams."""
     config = compose(["task=stand", "env.num_envs=8", "env.sim.nthread=1", SCANNER, *overrides]).config["env"]
     return ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
 
@@ -33,14 +29,12 @@ def env(overrides) -> ManagerBasedRLEnv:
 
 
 def actions(env: ManagerBasedRLEnv, seed: int = 1) -> torch.Tensor:
-    """Return small actions (STEPS, N, A)."""
     gen = torch.Generator().manual_seed(seed)
     drawn = 0.3 * torch.randn(STEPS, env.num_envs, env.action_manager.total_action_dim, generator=gen)
     return drawn.to(env.device)
 
 
 def test_a_rollout_of_the_stock_task_is_that_of_mujocos_engine(env, overrides):
-    """Streams draw on their own device: where others are drawn nothing is, and both start from one state."""
     drawn = [] if env.device.type == "cpu" else [f"env.events.{name}=null" for name in DRAWN]
     env = stand(*overrides, *drawn) if drawn else env
     env.reset(seed=0)
@@ -66,7 +60,7 @@ def test_a_rollout_of_the_stock_task_is_that_of_mujocos_engine(env, overrides):
     torch.testing.assert_close(scan, reference, atol=2e-3, rtol=0)
     forces, others = (e.scene["contact_forces"].data.net_forces_w.cpu() for e in (env, other))
     torch.testing.assert_close(forces, others, atol=0.02, rtol=0.02)
-    assert others.abs().max() > 1.0  # the small robot weighs little
+    assert others.abs().max() > 1.0
 
 
 def test_every_tensor_of_a_step_is_on_the_engines_device(env):

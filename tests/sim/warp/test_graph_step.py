@@ -1,7 +1,3 @@
-"""A step of CUDA graphs is the step itself: from one state, with one action, on a GPU."""
-
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -21,7 +17,6 @@ def stand(device: str, graph_step: bool) -> ManagerBasedRLEnv:
 
 
 def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(device):
-    """Each step begins from the other environment's state, since a GPU's contacts come in any order."""
     if not device.startswith("cuda"):
         pytest.skip("CUDA graphs need a GPU")
     plain, captured = stand(device, False), stand(device, True)
@@ -47,7 +42,6 @@ def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(
 
 
 def waits(env) -> torch.Tensor:
-    """Ask for a number in the middle of the step."""
     alive = (~env.termination_manager.terminated).float()
     return alive if bool(alive.sum() > 0) else 2.0 * alive
 

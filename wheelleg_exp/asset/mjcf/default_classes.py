@@ -1,10 +1,10 @@
-"""Collect common attributes into default classes, so that each number appears once in the file.
+"""Collect shared attributes of MJCF elements into default classes, so that each number appears once in the MJCF.
 
-One class has the robot's name and holds what all elements of a kind share. Its child classes hold what several
-elements share. A child class is called ``wheel`` or ``leg`` if the robot's structure shows that role, else by the
-words that the names have in common: ``FL_hip`` and ``FR_hip`` make the class ``hip``. Roles come from the structure
-alone: a wheel is the last hinge of a limb, has no limits, and its shapes are round about its axis; the joints above
-are its leg. A robot without wheels has no roles.
+The default class with the robot's name has the attributes that all elements with one tag share. Each child class has
+the attributes that several elements share. A child class is called ``wheel`` or ``leg`` if the robot's structure shows
+that role, else by the words that the element names have in common: joints ``FL_hip`` and ``FR_hip`` get the class
+``hip``. Roles come from the structure alone: a wheel is the last hinge of a limb, has no limits, and its shapes are
+round about its axis; the joints between trunk and wheel are its leg. In a robot without wheels, no joint has a role.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
-from wheelleg_exp.asset.mjcf.mjcf_elements import GROUP_COLLIDER, GROUP_VISUAL, Attributes, Element, Value, value_text
+from wheelleg_exp.asset.mjcf.mjcf_elements import GROUP_COLLIDER, GROUP_VISUAL, Attributes, Element, value_text
 from wheelleg_exp.asset.rigid_geometry import Array, Frame
 from wheelleg_exp.asset.robot_description import Body, Closure, Coupling, Dof, Geom, Mesh, RobotDescription
 
 WHEEL, LEG = "wheel", "leg"
-ROUND = 0.1  # allowed deviation from a circle, as share of a wheel's radius
+ROUND = 0.1  # of the wheel's radius
 
 
 def roles_of(robot: RobotDescription) -> dict[str, str]:
-    """Return ``wheel`` or ``leg`` by the name of a joint, an actuator, or a shape; other names are omitted."""
+    """Return the role ``wheel`` or ``leg`` of each joint, actuator, and shape that has a role, by name."""
     meshes = {mesh.name: mesh for mesh in robot.meshes}
     bodies = {body.name: body for body in robot.bodies}
     movers = {body.name: _mover(body, bodies) for body in robot.bodies}
@@ -50,7 +50,6 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
 
 
 def _mover(body: Body, bodies: dict[str, Body]) -> str:
-    """Return the name of the moving body that a body is welded to, directly or through other bodies."""
     while body.parent is not None and not body.dofs:
         body = bodies[body.parent]
     return body.name
@@ -76,14 +75,13 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
     """Return whether a shape is round about the joint's axis: equally wide across the axis, and centred on it."""
     frame = inside @ Frame.of(geom.pose)
     axis = np.asarray(dof.axis) / np.linalg.norm(dof.axis)
-    along = frame.rotation.T @ axis  # in the shape's own frame
+    along = frame.rotation.T @ axis
     middle, radius = _section(geom, along, meshes)
     offset = frame.rotation @ middle + frame.translation - np.asarray(dof.anchor)
     return radius > 0 and float(np.linalg.norm(offset - (offset @ axis) * axis)) <= ROUND * radius
 
 
 def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, float]:
-    """Return a shape's centre and its radius about an axis through that centre, in m; radius 0 if it is not round."""
     if geom.kind == "sphere":
         return np.zeros(3), geom.size[0]
     if geom.kind in ("cylinder", "capsule"):
@@ -93,8 +91,8 @@ def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, 
     points = meshes[geom.mesh].vertices
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     across = points - middle - np.outer((points - middle) @ along, along)
-    first = np.linalg.svd(along[None])[2][1:]  # two directions across the axis
-    # The extents in eight directions across the axis are equal if the section is a circle.
+    first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
+    # A circular section has equal extents in all eight directions across the axis.
     reach = [
         float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
         for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -120,9 +118,9 @@ class Family:
 
 
 class Classes:
-    """The default classes of a document, and the attributes that remain on each element.
+    """The default classes of an MJCF, and the attributes that each MJCF element states itself.
 
-    ``roles`` maps joints, actuators, and shapes to their role, by name.
+    ``roles`` maps names of joints, actuators, and shapes to ``wheel`` or ``leg``.
     """
 
     def __init__(self, root: str, roles: Mapping[str, str]) -> None:
@@ -133,24 +131,23 @@ class Classes:
         self._rest: dict[tuple[str, str], Attributes] = {}
 
     def child(self, name: str) -> None:
-        """Add an empty class to the robot's class."""
         self._content.setdefault(name, {})
         self._parents[name] = self.root
 
     def add(self, family: Family) -> None:
-        """Find the classes of a family's members."""
         shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
-        # Members with equal remaining attributes become a child class, so the numbers appear once.
+        # Elements with equal remaining attributes share a child class, so each number appears once in the MJCF.
         for names in _alike(rests, family.grouping):
-            self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
+            first, keys = rests[names[0]], family.grouping
+            self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
 
     def of(self, tag: str, name: str) -> str | None:
-        """Return an element's class; None if it has none, or if it is the robot's class, which bodies pass on."""
+        """Return the default class of an MJCF element; None if the ``childclass`` of a body already sets the class."""
         found = self._of.get((tag, name))
         return None if found is None or found == self.root or not self._needed(found) else found
 
@@ -160,15 +157,13 @@ class Classes:
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
     def rest(self, tag: str, name: str) -> Attributes:
-        """Return the attributes that an element's class does not give it."""
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
-        """Return whether the robot's class has attributes for elements inside bodies."""
+        """Return whether the robot's default class has attributes of joints or sites, which are inside bodies."""
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
-        """Return the ``<default>`` of the document."""
         out = Element("default")
         made = {self.root: Element("default", {"class": self.root})}
         for name, tags in self._content.items():
@@ -201,8 +196,8 @@ class Classes:
             self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
 
     def _free(self, stem: str, family: Family) -> str:
-        """Return an unused class name. One class of the same parent can hold several tags."""
-        # A class below another one needs that class in its name, because class names are global in MJCF.
+        """Return a default class name that is unused, or used by the same parent class for another tag."""
+        # MJCF class names are global, so the name of a child class includes the name of its parent class.
         if family.parent == self.root:
             stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
         else:
@@ -216,31 +211,22 @@ class Classes:
         return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
 
 
-def _key(value: Value) -> str:
-    return value_text(value)
-
-
 def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
-    """Return the attributes that all members share; nothing for a single member, which can state them itself."""
     first, *others = [*members] or [{}]
     if not others:
         return {}
-    shared = {k: v for k, v in first.items() if all(k in o and _key(o[k]) == _key(v) for o in others)}
-    return {k: v for k, v in shared.items() if k not in fixed or _key(fixed[k]) != _key(v)}
+    shared = {k: v for k, v in first.items() if all(k in o and value_text(o[k]) == value_text(v) for o in others)}
+    return {k: v for k, v in shared.items() if k not in fixed or value_text(fixed[k]) != value_text(v)}
 
 
 def _without(own: Attributes, shared: Attributes) -> Attributes:
-    return {k: v for k, v in own.items() if k not in shared or _key(shared[k]) != _key(v)}
-
-
-def _grouping(rest: Attributes, family: Family) -> list[str]:
-    return [key for key in rest if family.grouping is None or key in family.grouping]
+    return {k: v for k, v in own.items() if k not in shared or value_text(shared[k]) != value_text(v)}
 
 
 def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
     groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for name, rest in rests.items():
-        key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
+        key = tuple(sorted((k, value_text(v)) for k, v in rest.items() if grouping is None or k in grouping))
         if key:
             groups.setdefault(key, []).append(name)
     return [names for names in groups.values() if len(names) > 1]
@@ -256,11 +242,11 @@ def _words_in_common(names: list[str]) -> str:
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
 SHARED = frozenset({"group", "rgba", "friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
 UNSEEN: Attributes = {"group": GROUP_VISUAL, "contype": 0, "conaffinity": 0, "mass": 0.0}
-TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # contact with the ground, but not with the robot itself
+TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}
 
 
 def gather(robot: RobotDescription) -> Classes:
-    """Return the default classes of a robot."""
+    """Return the MJCF default classes of a robot."""
     root = robot.name if robot.name not in RESERVED else f"{robot.name}_robot"
     classes = Classes(root, roles_of(robot))
     for name in (VISUAL, COLLISION):
@@ -296,7 +282,7 @@ def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
 
 
 def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
-    """Return the actuators by kind. A MuJoCo class has one default for all kinds, so each kind has its own class."""
+    """Return the actuators by kind. A default class has one entry for all kinds, so each kind gets its own class."""
     members: dict[str, dict[str, Attributes]] = {}
     for dof in robot.dofs:
         if dof.drive:

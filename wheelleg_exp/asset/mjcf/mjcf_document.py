@@ -1,17 +1,18 @@
 """Print a robot description as MJCF for people to read: settings, classes, assets, the body tree, and keyframes.
 
-Each assumption becomes a comment at its element; an assumption without an element is in the file's head.
+Each assumption of the converter becomes an XML comment: at the MJCF element that the assumption concerns, or at the
+start of the file if the MJCF has no such element.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from wheelleg_exp.asset.conversion_report import Assumption
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
-from wheelleg_exp.asset.mjcf.default_classes import Classes, gather
+from wheelleg_exp.asset.mjcf.default_classes import gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
 from wheelleg_exp.asset.robot_description import (
     Body,
@@ -27,23 +28,23 @@ from wheelleg_exp.asset.robot_description import (
 )
 from wheelleg_exp.errors import AssetError
 
-FEW = 6  # a rule with more places is noted once, in the head; the report has every place
+FEW = 6  # comments of one rule
 
 
 class Notes:
-    """The notes of a document, and the elements by path in the source."""
+    """The assumptions to print as XML comments, and the MJCF elements by their path in the robot file."""
 
     def __init__(self, notes: Sequence[Assumption]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Record the element of a source path; the first one counts."""
+        """Record the first MJCF element that was made from a source path."""
         if path:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Add comments to the elements. Return the notes without an element and those with many elements."""
+        """Add comments to the MJCF elements, and return the assumptions for the start of the file."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]
@@ -67,140 +68,45 @@ class Notes:
 
 
 class Names:
-    """Names of free joints, closures, and anchors that are unique in the robot."""
+    """Unique names of the free joints, loop closures, and anchor sites of an MJCF."""
 
     def __init__(self, robot: RobotDescription) -> None:
         joints = Numbered(dof.name for dof in robot.dofs)
         sites = Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
         equalities = Numbered(coupling.name for coupling in robot.couplings)
-        self._free = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
-        self._closures: dict[str, list[tuple[str, str, str]]] = {}
-        self._anchors: dict[str | None, list[tuple[str, Pose]]] = {}
-        # A loop closes between two sites, because sites state both frames explicitly.
+        self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
+        self.equalities: dict[str, list[tuple[str, str, str]]] = {}
+        self.anchors: dict[str | None, list[tuple[str, Pose]]] = {}
+        # An equality that closes a loop connects two sites, because sites state both frames explicitly.
         for closure in robot.closures:
             self._closure(closure, sites, equalities)
 
-    def free_joint(self, body: str) -> str:
-        """Return the name of a body's free joint."""
-        return self._free[body]
-
-    def anchors(self, body: str | None) -> Iterator[tuple[str, Pose]]:
-        """Yield the sites on a body (None: the world) at which loops close."""
-        yield from self._anchors.get(body, [])
-
-    def equalities(self, closure: Closure) -> list[tuple[str, str, str]]:
-        """Return the equality's name and its two sites, for each pair of anchors."""
-        return self._closures[closure.name]
-
     def _closure(self, closure: Closure, sites: Numbered, equalities: Numbered) -> None:
-        made = self._closures.setdefault(closure.name, [])
+        made = self.equalities.setdefault(closure.name, [])
         several = len(closure.anchors) > 1
         for index, pair in enumerate(closure.anchors):
             stem = f"{closure.name}_{index}"
             name = equalities.take(stem if several else closure.name)
             ends = [sites.take(f"{stem}_{side}") for side in "ab"]
             for body, site, at in zip(closure.bodies, ends, pair, strict=True):
-                self._anchors.setdefault(body, []).append((site, at))
+                self.anchors.setdefault(body, []).append((site, at))
             made.append((name, ends[0], ends[1]))
 
 
-class World:
-    """The ``<worldbody>`` of one robot."""
-
-    def __init__(self, robot: RobotDescription, classes: Classes, names: Names, notes: Notes) -> None:
-        self.robot, self.classes, self.names, self.notes = robot, classes, names, notes
-
-    def element(self) -> Element:
-        """Return the world with its contents."""
-        world = Element("worldbody")
-        for geom in self.robot.static_geoms:
-            self._geom(world, geom, static=True)
-        self._sites(world, self.robot.static_sites, None)
-        made: dict[str | None, Element] = {None: world}
-        for body in self.robot.bodies:  # parents come before their children
-            made[body.name] = self._body(made[body.parent], body)
-        return world
-
-    def _body(self, parent: Element, body: Body) -> Element:
-        passes_class = body.parent is None and self.classes.inherited()
-        out = parent.add("body", name=body.name, childclass=self.classes.root if passes_class else None)
-        out.attributes.update(of.pose(body.pose))
-        out.attributes.update(mocap=True if body.mocap else None, gravcomp=1.0 if body.weightless else None)
-        out.attributes.update(body.extra)
-        self.notes.place(body.path, out)
-        self._inertial(out, body)
-        if body.floating:
-            out.add("freejoint", name=self.names.free_joint(body.name))
-        for dof in body.dofs:
-            self._joint(out, dof)
-        self._sites(out, body.sites, body.name)
-        for geom in body.geoms:
-            self._geom(out, geom)
-        return out
-
-    def _inertial(self, out: Element, body: Body) -> None:
-        inertial = body.inertial
-        turned = None if inertial.axes == of.IDENTITY else inertial.axes
-        out.add(
-            "inertial",
-            pos=inertial.center_of_mass,
-            quat=turned,
-            mass=inertial.mass,
-            diaginertia=inertial.moments,
-        )
-
-    def _joint(self, out: Element, dof: Dof) -> None:
-        element = out.add(
-            "joint",
-            self.classes.rest("joint", dof.name),
-            name=dof.name,
-            class_=self.classes.of("joint", dof.name),
-            type=None if dof.kind == "hinge" else dof.kind,
-            pos=dof.anchor if any(dof.anchor) else None,
-            axis=None if dof.kind == "ball" else dof.axis,
-            range=dof.range,
-            ref=dof.ref or None,
-        )
-        self.notes.place(dof.path, element)
-
-    def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
-        for site in sites:
-            shared = self.classes.explicit("site", site.name) if owner is None else self.classes.of("site", site.name)
-            rest = self.classes.rest("site", site.name)
-            element = out.add("site", {**of.pose(site.pose), **rest}, name=site.name, class_=shared)
-            self.notes.place(site.path, element)
-        for name, at in self.names.anchors(owner):
-            out.add("site", of.pose(at), name=name)
-
-    def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
-        bare = static and geom.collides  # static colliders keep MuJoCo's defaults
-        rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
-        element = out.add(
-            "geom",
-            {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}},
-            name=geom.name,
-            class_=None if bare else self.classes.of("geom", geom.name),
-            type=rest.get("type"),
-            size=geom.size or None,
-            mesh=geom.mesh,
-        )
-        self.notes.place(geom.path, element)
-
-
 def file_name(mesh: Mesh) -> str:
-    """Return the mesh's file name, without characters that separate folders."""
+    """Return the name of a mesh's OBJ file, with slashes and other special characters replaced by ``_``."""
     return re.sub(r"[^\w.-]", "_", mesh.name) + ".obj"
 
 
 def obj_text(mesh: Mesh) -> str:
-    """Return the mesh as OBJ, with lossless numbers."""
-    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (twice as fast)
+    """Return the text of a mesh's OBJ file, with lossless numbers."""
+    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (an f-string takes twice as long)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"
 
 
-SHOWN_NOTES = 30  # assumptions in the file's head; the report has all of them
-DEEPEST = 499  # nested elements that MuJoCo's XML reader accepts
+SHOWN_NOTES = 30  # assumptions in the head
+DEEPEST = 499  # levels of nested elements
 
 
 class Writer:
@@ -213,15 +119,9 @@ class Writer:
         self.classes = gather(robot)
 
     def text(self) -> str:
-        """Return the whole document.
-
-        Raises:
-            AssetError: bodies are nested deeper than MuJoCo can read.
-        """
         root = Element("mujoco", {"model": self.robot.name})
         self._settings(root)
-        world = World(self.robot, self.classes, self.names, self.notes).element()
-        parts = (self.classes.element(), self._assets(), world, self._contacts(), self._equalities())
+        parts = (self.classes.element(), self._assets(), self._world(), self._contacts(), self._equalities())
         for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
             if element.children:
                 root.children.append(element)
@@ -257,8 +157,76 @@ class Writer:
         for item in self.robot.materials:
             out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
         for mesh in self.robot.meshes:
-            out.children.append(_mesh_element(mesh))
+            inertia = "convex" if mesh.solid else "shell"
+            own: Attributes = {"file": file_name(mesh)} if len(mesh.faces) else {"vertex": mesh.vertices.ravel()}
+            out.children.append(Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra}))
         return out
+
+    def _world(self) -> Element:
+        world = Element("worldbody")
+        for geom in self.robot.static_geoms:
+            self._geom(world, geom, static=True)
+        self._sites(world, self.robot.static_sites, None)
+        made: dict[str | None, Element] = {None: world}
+        for body in self.robot.bodies:  # ``bodies`` lists parents before children
+            made[body.name] = self._body(made[body.parent], body)
+        return world
+
+    def _body(self, parent: Element, body: Body) -> Element:
+        passes_class = body.parent is None and self.classes.inherited()
+        out = parent.add("body", name=body.name, childclass=self.classes.root if passes_class else None)
+        out.attributes.update(of.pose(body.pose))
+        out.attributes.update(mocap=True if body.mocap else None, gravcomp=1.0 if body.weightless else None)
+        out.attributes.update(body.extra)
+        self.notes.place(body.path, out)
+        inertial = body.inertial
+        turned = None if inertial.axes == IDENTITY else inertial.axes
+        out.add("inertial", pos=inertial.center_of_mass, quat=turned, mass=inertial.mass, diaginertia=inertial.moments)
+        if body.floating:
+            out.add("freejoint", name=self.names.free_joints[body.name])
+        for dof in body.dofs:
+            self._joint(out, dof)
+        self._sites(out, body.sites, body.name)
+        for geom in body.geoms:
+            self._geom(out, geom)
+        return out
+
+    def _joint(self, out: Element, dof: Dof) -> None:
+        element = out.add(
+            "joint",
+            self.classes.rest("joint", dof.name),
+            name=dof.name,
+            class_=self.classes.of("joint", dof.name),
+            type=None if dof.kind == "hinge" else dof.kind,
+            pos=dof.anchor if any(dof.anchor) else None,
+            axis=None if dof.kind == "ball" else dof.axis,
+            range=dof.range,
+            ref=dof.ref or None,
+        )
+        self.notes.place(dof.path, element)
+
+    def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
+        for site in sites:
+            shared = self.classes.explicit("site", site.name) if owner is None else self.classes.of("site", site.name)
+            rest = self.classes.rest("site", site.name)
+            element = out.add("site", {**of.pose(site.pose), **rest}, name=site.name, class_=shared)
+            self.notes.place(site.path, element)
+        for name, at in self.names.anchors.get(owner, []):
+            out.add("site", of.pose(at), name=name)
+
+    def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
+        bare = static and geom.collides
+        rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
+        element = out.add(
+            "geom",
+            {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}},
+            name=geom.name,
+            class_=None if bare else self.classes.of("geom", geom.name),
+            type=rest.get("type"),
+            size=geom.size or None,
+            mesh=geom.mesh,
+        )
+        self.notes.place(geom.path, element)
 
     def _contacts(self) -> Element:
         out = Element("contact")
@@ -270,7 +238,7 @@ class Writer:
         out = Element("equality")
         for closure in self.robot.closures:
             extra = {key: value for key, value in closure.extra.items() if key == "torquescale"}
-            for name, first, second in self.names.equalities(closure):
+            for name, first, second in self.names.equalities[closure.name]:
                 own = {**extra, **self.classes.rest("equality", of.key(closure))}
                 shared = self.classes.explicit("equality", of.key(closure))
                 element = out.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
@@ -332,12 +300,6 @@ def _route(element: Element, tendon: Tendon) -> None:
             element.add(point.kind, {point.kind: point.name, "sidesite": point.side})
 
 
-def _mesh_element(mesh: Mesh) -> Element:
-    inertia = "convex" if mesh.solid else "shell"
-    own: of.Attributes = {"vertex": mesh.vertices.ravel()} if not len(mesh.faces) else {"file": file_name(mesh)}
-    return Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra})
-
-
 HOME = "home"
 
 
@@ -345,7 +307,10 @@ def keyframes(robot: RobotDescription) -> Element:
     """Return the ``<keyframe>`` of a robot; a keyframe ``home`` of the file replaces the generated one."""
     out = Element("keyframe")
     positions, velocities = state(robot)
-    controls = [_control(dof) for dof in robot.dofs if dof.drive] + [0.0] * len(robot.actuators)
+    drives = [dof.drive for dof in robot.dofs if dof.drive]
+    targets = {"position": "target_position", "velocity": "target_velocity"}
+    controls = [float(getattr(drive, targets[drive.kind])) if drive.kind in targets else 0.0 for drive in drives]
+    controls += [0.0] * len(robot.actuators)
     if positions and all(item.name != HOME for item in robot.keyframes):
         out.add(
             "key",
@@ -371,8 +336,3 @@ def state(robot: RobotDescription) -> tuple[list[float], list[float]]:
             positions += IDENTITY if dof.kind == "ball" else (dof.position,)
             velocities += [0.0] * 3 if dof.kind == "ball" else [dof.velocity]
     return positions, velocities
-
-
-def _control(dof: Dof) -> float:
-    assert dof.drive is not None
-    return {"position": dof.drive.target_position, "velocity": dof.drive.target_velocity, "motor": 0.0}[dof.drive.kind]

@@ -15,7 +15,7 @@ Value = str | int | float | bool | Iterable[float] | None
 
 @dataclass
 class Element:
-    """A tag, its attributes (None is omitted), and its children; ``comment`` is printed before it."""
+    """An XML element of an MJCF. ``comment`` is printed before the element; attributes that are None are omitted."""
 
     tag: str
     attributes: dict[str, Value] = field(default_factory=dict)
@@ -23,14 +23,17 @@ class Element:
     comment: str = ""
 
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
-        """Append and return a child. A keyword's trailing underscore is dropped; attributes in ``given`` come last."""
+        """Append and return a child element.
+
+        ``given`` attributes are printed last; ``class_`` is printed as ``class``.
+        """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
         self.children.append(child)
         return child
 
     def text(self) -> str:
-        """Return the element as indented lines, without recursion, so any depth works."""
+        """Return the element as indented XML. A stack replaces recursion, so any nesting depth works."""
         lines: list[str] = []
         stack: list[tuple[Element | str, int]] = [(self, 0)]
         while stack:
@@ -48,7 +51,7 @@ class Element:
         return "\n".join(lines)
 
     def depth(self) -> int:
-        """Return the number of nested levels, this element included."""
+        """Return the number of element levels, from this element down to the deepest descendant."""
         deepest, level = 0, [self]
         while level:
             deepest += 1
@@ -86,11 +89,11 @@ def number(value: float) -> str:
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour, which a material's colour replaces
+GREY = (0.5, 0.5, 0.5, 1.0)  # A material's colour replaces this default colour of MuJoCo.
 GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show groups 0 to 2 by default
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # MuJoCo's defaults, which need not be written
+PLAIN: Attributes = {  # The MJCF omits attributes that equal these defaults of MuJoCo.
     "solref": (0.02, 1.0),
     "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
     "solreflimit": (0.02, 1.0),
@@ -110,20 +113,17 @@ PLAIN: Attributes = {  # MuJoCo's defaults, which need not be written
 
 
 def pose(at: Pose) -> Attributes:
-    """Return position and rotation if they are not zero."""
-    return {
-        "pos": at.position if any(at.position) else None,
-        "quat": None if at.rotation == IDENTITY else at.rotation,
-    }
+    """Return the MJCF attributes ``pos`` and ``quat`` of a pose; None replaces a zero position or rotation."""
+    return {"pos": at.position if any(at.position) else None, "quat": None if at.rotation == IDENTITY else at.rotation}
 
 
 def given(attributes: Attributes) -> Attributes:
-    """Return the attributes whose value is not MuJoCo's default."""
+    """Return the MJCF attributes whose value is not MuJoCo's default."""
     return {k: v for k, v in attributes.items() if v is not None and (k not in PLAIN or v != PLAIN[k])}
 
 
 def joint(dof: Dof) -> Attributes:
-    """Return the attributes that joints can share: passive forces and constraint parameters."""
+    """Return the MJCF attributes that several joints can share: passive forces and constraint parameters."""
     own: Attributes = {
         "stiffness": dof.stiffness or None,
         "damping": dof.damping or None,
@@ -135,7 +135,7 @@ def joint(dof: Dof) -> Attributes:
 
 
 def drive(of: Drive) -> Attributes:
-    """Return the attributes that actuators can share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
+    """Return the MJCF attributes that several actuators can share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
     return given(
         {
             "kp": of.stiffness if of.kind == "position" else None,
@@ -146,34 +146,34 @@ def drive(of: Drive) -> Attributes:
 
 
 def actuator(item: Actuator) -> Attributes:
-    """Return the parameters of a general actuator, without sites that belong to its target."""
+    """Return a general actuator's MJCF attributes except ``refsite`` and ``slidersite``, which belong to the target."""
     return {key: value for key, value in item.extra.items() if key not in ("refsite", "slidersite")}
 
 
 def tendon(item: Tendon) -> Attributes:
-    """Return a tendon's springs, limits, and looks."""
+    """Return the MJCF attributes of a tendon's springs, limits, and colour."""
     return given({"range": item.range, **item.extra})
 
 
 def key(item: Closure | Coupling) -> str:
-    """Return a key that differs for a closure and a coupling of the same name."""
+    """Return a key that differs between a loop closure and a joint coupling with equal names."""
     return item.name if isinstance(item, Closure) else f"{item.name} (coupling)"
 
 
 def equality(item: Closure | Coupling) -> Attributes:
-    """Return the constraint parameters of an equality."""
+    """Return the MJCF attributes of an equality's constraint."""
     return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
 
 
 def site(item: Site) -> Attributes:
-    """Return the look of a site."""
+    """Return the MJCF attributes of a site's shape, size, and colour."""
     return dict(item.extra)
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:
-    """Return a shape's kind, looks, and contact parameters. Static shapes share nothing."""
+    """Return a shape's MJCF attributes: type, colour, and contact parameters. A static collider gets no group."""
     group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
-    plain = GREY if item.collides and item.drawn and not static else None  # not the colour of hidden colliders
+    plain = GREY if item.collides and item.drawn and not static else None
     own: Attributes = {
         "type": item.kind,
         "group": None if static and item.collides else group,

@@ -1,4 +1,4 @@
-"""A scene for viewing a converted robot: floor, light, and a time step at which its gains and contacts are stable."""
+"""A scene for viewing a converted robot: floor, light, and a time step at which gains and contacts are stable."""
 
 from __future__ import annotations
 
@@ -15,35 +15,31 @@ from wheelleg_exp.asset.robot_description import RobotDescription
 from wheelleg_exp.files import write_text
 
 SUFFIX, STAND = "_scene", "stand"
-MARK = "Made by 'wheelleg convert'"  # marks an older scene, which can be replaced
-STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s, time steps to try
+MARK = "Made by 'wheelleg convert'"
+STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s
 TRIAL = 0.5  # s
 NUDGE = 0.01  # m/s and rad/s
-MOST_DOFS, MOST_GEOMS = 200, 500  # larger models get the first time step without a trial
-CLEARANCE = 0.002  # m between the floor and the robot's lowest point
-FAST = 10.0  # m/s beyond a free fall through the robot's own size: a stable robot stays slower
+MOST_DOFS, MOST_GEOMS = 200, 500
+CLEARANCE = 0.002  # m above the floor
+FAST = 10.0  # m/s beyond free fall
 
 
 def scene_path(model: Path) -> Path:
-    """Return the path of an MJCF's scene, next to the MJCF."""
+    """Return the path of an MJCF's preview scene."""
     return model.with_name(f"{model.stem}{SUFFIX}.xml")
 
 
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
-    """Write the scene of a robot next to its MJCF; return None if another file has its name.
+    """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
 
-    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The time step is the largest one with which the robot,
-    dropped on the floor, stays stable for half a second.
-
-    Raises:
-        AssetError: MuJoCo refuses the scene.
-        RunDirectoryError: the scene cannot be written.
+    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The scene's time step is the largest candidate at
+    which the robot, dropped on the floor, stays stable for half a second.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None
     alone = load(model, model.name)
-    # The scene includes the model by a relative path, so the draft must be in the same folder.
+    # The scene includes the model by a relative path, so the draft of the scene must be in the model's folder.
     draft = path.with_name(f".{path.stem}.trying.xml")
     try:
         write_text(draft, _text(robot, model, alone, STEPS[0]))
@@ -58,7 +54,6 @@ def write_scene(robot: RobotDescription, model: Path) -> Path | None:
 
 
 def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: float) -> str:
-    """Return a document that includes the model."""
     root = Element("mujoco", {"model": f"{robot.name} scene"})
     root.comment = f"{robot.name} on a floor, to look at. {MARK}."
     root.add("include", file=model.name)
@@ -96,7 +91,7 @@ def _free(stem: str) -> itertools.chain[str]:
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
-    """Return the floor's height, and qpos and ctrl of the saved pose on the floor; None if no body floats."""
+    """Return the floor's height, and qpos and ctrl of the saved pose on the floor (None if no body floats)."""
     data = mujoco.MjData(alone)
     mujoco.mj_kinematics(alone, data)
     at_zero = round(_lowest(alone, data), 5)
@@ -117,7 +112,6 @@ def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float
 
 
 def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Return the lowest point of the boxes around moving shapes; of colliders if there are any."""
     moving = np.flatnonzero(model.geom_bodyid)
     solid = [g for g in moving if model.geom_contype[g] or model.geom_conaffinity[g]]
     lows = []
@@ -129,7 +123,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether the robot, released at its start and in its last keyframe, moves no faster than in a free fall."""
+    """Return whether the robot, released at its start and in its last keyframe, moves no faster than in free fall."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))
@@ -137,7 +131,7 @@ def _is_calm(model: mujoco.MjModel, step: float) -> bool:
         data = mujoco.MjData(model)
         if key is not None:
             mujoco.mj_resetDataKeyframe(model, data, key)
-        data.qvel += NUDGE  # an instability grows from this
+        data.qvel += NUDGE
         for _ in range(round(TRIAL / step)):
             mujoco.mj_step(model, data)
             linear = np.abs(data.cvel[:, 3:]).max(initial=0.0)

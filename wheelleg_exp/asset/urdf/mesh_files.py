@@ -26,15 +26,11 @@ from wheelleg_exp.errors import AssetError
 Faces = NDArray[np.int64]
 
 FACES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
-MOST_PARTS = 500_000  # nodes of one file, counted with references, which can multiply without limit
+MOST_PARTS = 500_000  # nodes of one file
 
 
 def read_dae(data: bytes) -> tuple[Array, Faces]:
-    """Return vertices (n, 3) in m and faces (k, 3) of all shapes in the file's scene.
-
-    Raises:
-        ValueError: the data is not COLLADA, or refers to missing elements.
-    """
+    """Return vertices (n, 3) in m and faces (k, 3) of all shapes in the scene of a COLLADA file."""
     try:
         root = parse_xml(Path("mesh"), data)
     except AssetError as error:
@@ -56,8 +52,6 @@ def read_dae(data: bytes) -> tuple[Array, Faces]:
 
 
 class _File:
-    """A COLLADA document with its elements by id."""
-
     def __init__(self, root: Element) -> None:
         self.root = root
         self._by_id = {e.attributes["id"]: e for e in root.walk() if "id" in e.attributes}
@@ -67,14 +61,12 @@ class _File:
         self.unit = float(unit.attributes.get("meter", "1")) if unit else 1.0
 
     def target(self, element: Element, name: str) -> Element:
-        """Return the element that a reference such as ``#mesh-1`` names."""
         wanted = element.attributes.get(name, "")
         if wanted.removeprefix("#") not in self._by_id:
             raise ValueError(f"<{element.tag}> refers to '{wanted[:60]}', which is missing")
         return self._by_id[wanted.removeprefix("#")]
 
     def shown(self) -> list[tuple[Element, Array]]:
-        """Return the meshes of the scene with their 4x4 matrices."""
         scene = self.root.first("scene")
         instance = scene.first("instance_visual_scene") if scene else None
         visual = self.target(instance, "url") if instance else None
@@ -84,10 +76,10 @@ class _File:
         return [item for node in visual.all("node") for item in self._below(node, np.eye(4), 0)]
 
     def _below(self, node: Element, above: Array, depth: int) -> Iterator[tuple[Element, Array]]:
-        # Nodes can refer to each other, so a file of a few lines could describe millions of parts.
+        # COLLADA nodes can refer to each other, so a file of a few lines could describe millions of parts.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
-            raise ValueError("nodes refer to each other in a cycle, or multiply")
+            raise ValueError("the file's nodes refer to each other in a cycle, or multiply")
         matrix = above
         for child in node.children:
             matrix = matrix @ _transform(child)
@@ -107,7 +99,6 @@ def _numbers(element: Element) -> Array:
 
 
 def _transform(element: Element) -> Array:
-    """Return the 4x4 matrix of one transformation of a node; the identity for other elements."""
     out = np.eye(4)
     if element.tag == "matrix":
         return _numbers(element).reshape(4, 4)
@@ -125,7 +116,6 @@ def _transform(element: Element) -> Array:
 
 
 def _placed(file: _File, mesh: Element, matrix: Array) -> tuple[Array, Faces]:
-    """Return a mesh's vertices and triangles in the scene. Triangles of a mirrored mesh are flipped back."""
     groups = [child for child in mesh.children if child.tag in FACES]
     vertices = mesh.first("vertices")
     if vertices is None or not groups:
@@ -160,7 +150,7 @@ def _faces(group: Element) -> Faces:
         counts = group.first("vcount")
         sizes = np.array(counts.text.split() if counts else [], dtype=int)
         if any((sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners) for corners in lists):
-            raise ValueError("the polygons do not match the corners")
+            raise ValueError("the polygons of a mesh do not match its corners")
         return _joined([triangles(sizes, corners) for corners in lists])
     if group.tag == "tristrips":
         return _joined([_strip(corners) for corners in lists])
@@ -184,14 +174,10 @@ _STL_HEAD, _STL_FACE = 84, 50  # bytes
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Return a file's triangles, in its own units and axes.
-
-    Raises:
-        ValueError: the format is unknown, or the file is damaged or too large.
-    """
+    """Return the triangles of a mesh file, in the units and axes of the file."""
     reader = reader_of(path.name)
     try:
-        with np.errstate(all="ignore"):  # values that are not finite are detected below
+        with np.errstate(all="ignore"):
             data = path.read_bytes()
             if data.startswith(POINTER):
                 raise ValueError(FETCH)
@@ -203,16 +189,12 @@ def read_mesh(path: Path) -> Triangles:
     if len(vertices) + len(faces) > MOST_POINTS:
         raise ValueError(f"the file has more than {MOST_POINTS:,} points and triangles")
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("the file has no triangles, or points that are not finite")
+        raise ValueError("the file has no triangles, or has points that are not finite")
     return vertices, faces
 
 
 def reader_of(name: str) -> Callable[[bytes], Triangles]:
-    """Return the reader of a file, by its suffix.
-
-    Raises:
-        ValueError: the format is unknown.
-    """
+    """Return the function that reads a mesh file, by the file's suffix."""
     suffix = PurePosixPath(name).suffix
     if suffix.lower() not in READERS:
         raise ValueError(f"{suffix or 'a file without suffix'} is not a supported mesh format")
@@ -220,9 +202,9 @@ def reader_of(name: str) -> Callable[[bytes], Triangles]:
 
 
 def read_stl(data: bytes) -> Triangles:
-    """Return the triangles of a binary or text STL; equal corners become one vertex."""
+    """Return the triangles of a binary or text STL file; equal corners become one vertex."""
     count = int.from_bytes(data[80:84], "little")
-    if len(data) >= _STL_HEAD + count * _STL_FACE:  # in a text STL these four bytes make a number far too large
+    if len(data) >= _STL_HEAD + count * _STL_FACE:
         layout = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
         corners = np.frombuffer(data, layout, count, _STL_HEAD)["corners"].astype(float).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
@@ -232,9 +214,9 @@ def read_stl(data: bytes) -> Triangles:
     else:
         corners = np.zeros((0, 3))
     if not len(corners):
-        raise ValueError("neither text, nor as long as its number of triangles requires")
+        raise ValueError("the STL file is neither text, nor as long as its number of triangles requires")
     if len(corners) % 3:
-        raise ValueError("a triangle does not have three corners")
+        raise ValueError("a triangle of the file does not have three corners")
     return _welded(corners)
 
 
@@ -249,7 +231,7 @@ def _welded(corners: Array) -> Triangles:
 
 
 def read_obj(data: bytes) -> Triangles:
-    """Return the triangles of all objects in an OBJ."""
+    """Return the triangles of all objects in an OBJ file."""
     points: list[list[str]] = []
     corners: list[int] = []
     counts: list[int] = []
@@ -270,7 +252,7 @@ def read_obj(data: bytes) -> Triangles:
 READERS: dict[str, Callable[[bytes], Triangles]] = {".stl": read_stl, ".obj": read_obj, ".dae": read_dae}
 
 
-LEVELS = 6  # parent folders to search for a package
+LEVELS = 6  # searched parent folders
 _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/{0,2}", re.IGNORECASE)
 
 
@@ -289,12 +271,9 @@ class Files:
         self._note(self.document.source)
 
     def find(self, name: str, endings: tuple[str, ...] = tuple(READERS)) -> Path | None:
-        """Return the file of a ``filename``; None if it is missing or has another suffix.
+        """Return the path of a mesh file that a URDF names; None if the file is missing or has a wrong suffix.
 
-        A file with another suffix, such as ``/etc/passwd``, is neither opened nor searched.
-
-        Raises:
-            AssetError: the file is too large or cannot be read.
+        A file without a suffix of ``endings``, such as ``/etc/passwd``, is neither searched nor opened.
         """
         if not name.lower().endswith(endings):
             return None
@@ -317,7 +296,6 @@ class Files:
             raise AssetError(message, where=str(self.document.source), expected="a mesh or a texture") from None
 
     def _mesh_folder(self) -> str | None:
-        """Return the mesh folder of MuJoCo's URDF extension."""
         extension = self.document.root.first("mujoco")
         compiler = extension.first("compiler") if extension else None
         return self.document.text(compiler, "meshdir", "the search for mesh files") if compiler else None
@@ -333,7 +311,7 @@ class Files:
                 yield self.folder / self.mesh_folder / Path(name).name
             yield from (above / name for above in self._above())
         elif scheme.group(1).lower() == "file":
-            # Some tools write spaces as they are, others as %20.
+            # Some tools write a space in a file name as %20, and some do not.
             for path in dict.fromkeys((name[scheme.end() :], unquote(name[scheme.end() :]))):
                 yield Path("/" + path.lstrip("/"))
                 yield self.folder / path
@@ -342,9 +320,9 @@ class Files:
             yield from self._in_package(*name[scheme.end() :].partition("/")[::2])
 
     def _moved(self, name: str) -> Iterator[Path]:
-        """Yield possible local paths of an absolute path from another machine.
+        """Yield possible local paths of a mesh file whose absolute path is from another machine.
 
-        The path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
+        The absolute path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
         """
         parts = Path(name).parts if name.startswith("/") else ()
         around = {above.name for above in (self.folder, *self._above())}

@@ -1,6 +1,7 @@
-"""Read a URDF as elements with line and path, check its numbers, note every reading, and name what nothing read.
+"""Parse a URDF, check its numbers, and record which elements and attributes became part of the model.
 
-A document type is refused, so no entity can grow or reach other files. Depth and number of elements are limited.
+XML with a document type is refused, because XML entities could grow without limit or read other
+files. The depth and the number of XML elements are limited.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from wheelleg_exp.asset.file_limits import LARGEST_TEXT, MOST_ELEMENTS, require_
 from wheelleg_exp.asset.usd.ledger import HUGEST, Ledger
 from wheelleg_exp.errors import AssetError
 
-DEEPEST = 60  # nested elements; a URDF needs eight
+DEEPEST = 60  # nested XML elements
 
 
 @dataclass(eq=False)
@@ -33,33 +34,24 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> list[Element]:
-        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child with a tag, or None."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
-        """Yield this element and all descendants, in the order of the file."""
         yield self
         for child in self.children:
             yield from child.walk()
 
 
 def parse_xml(source: Path, data: bytes) -> Element:
-    """Return the root element of an XML file's bytes.
-
-    Raises:
-        AssetError: the bytes are not XML, declare a document type or entities, or have too many or too deep elements.
-    """
-    start = len(data) - len(data.lstrip(b" \t\r\n"))  # whitespace before the XML declaration is common and harmless
+    """Return the root element of an XML file's bytes."""
+    start = len(data) - len(data.lstrip(b" \t\r\n"))
     return _Parser(source, data[:start].count(b"\n")).parse(data[start:])
 
 
 class _Parser:
-    """Expat with a stack of open elements."""
-
     def __init__(self, source: Path, skipped_lines: int) -> None:
         self.source, self.skipped = source, skipped_lines
         self.stack: list[tuple[Element, list[str]]] = []
@@ -73,7 +65,6 @@ class _Parser:
         self.expat.StartDoctypeDeclHandler = self._doctype
 
     def parse(self, data: bytes) -> Element:
-        """Return the root element; AssetError, with file and line, if the text is not XML."""
         try:
             self.expat.Parse(data, True)
         except expat.ExpatError as error:
@@ -109,7 +100,7 @@ class _Parser:
         if self.stack:
             self.stack[-1][1].append(text)
 
-    # Entities can grow without limit or read other files, and they need a document type.
+    # XML entities, which need a document type, can grow without limit or read other files.
     def _doctype(self, *_: object) -> None:
         self._refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 
@@ -117,45 +108,36 @@ class _Parser:
         raise AssetError(message, where=f"{self.source}:{self._line()}", expected=expected)
 
 
-SHOWN_TEXT = 60  # characters of a value in a message
+SHOWN_TEXT = 60  # characters in a message
 
 
 @dataclass(eq=False)
 class Document:
-    """A URDF and the ledger of its readings."""
+    """A parsed URDF, and the ledger of the elements and attributes that the converter has read."""
 
     source: Path
     root: Element
     ledger: Ledger = field(default_factory=Ledger)
 
     def fail(self, element: Element, message: str, expected: str | None = None) -> NoReturn:
-        """Raise an AssetError that names the element and its line."""
+        """Raise an AssetError that names the XML element and its line."""
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
-        """Return an attribute, or None if missing; record what it becomes, if anything."""
+        """Return an XML attribute's text or None, and record the MJCF part that the attribute becomes."""
         value = element.attributes.get(name)
         if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
-        """Return an attribute that must exist and not be empty.
-
-        Raises:
-            AssetError: the attribute is missing or empty.
-        """
         value = self.text(element, name, became)
         if not value:
             self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')
         return value
 
     def numbers(self, element: Element, name: str, count: int, became: str) -> tuple[float, ...] | None:
-        """Return an attribute's numbers, or None if the attribute is missing or blank.
-
-        Raises:
-            AssetError: there are not ``count`` numbers, or one is larger than any number of a robot.
-        """
+        """Return an XML attribute's numbers, or None if the attribute is missing or blank."""
         text = self.text(element, name, became)
         if text is None or not text.strip():
             return None
@@ -166,11 +148,7 @@ class Document:
         return values
 
     def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
-        """Return an attribute's number, or None if the attribute is missing or blank; ``endless`` allows infinity.
-
-        Raises:
-            AssetError: the text is not a number, is NaN, or is larger than any number of a robot.
-        """
+        """Return an XML attribute's number, or None if it is missing or blank; ``endless`` allows infinity."""
         text = self.text(element, name, became)
         if text is None or not text.strip():
             return None
@@ -181,19 +159,18 @@ class Document:
 
     def _parsed(self, element: Element, name: str, word: str) -> float:
         try:
-            return float(word.replace("_", "?"))  # Python accepts 1_000, a URDF must not
+            return float(word.replace("_", "?"))  # Python's ``float`` accepts 1_000, but URDF does not.
         except ValueError:
             return self.fail(element, f"'{name}' is '{word[:SHOWN_TEXT]}'", "a number")
 
 
 def open_document(source: Path) -> Document:
-    """Read a URDF.
-
-    Raises:
-        AssetError: the file cannot be read, is not XML or not a URDF, declares a document type or entities, or contains
-            unexpanded xacro.
-    """
-    root = parse_xml(source, _bytes(source))
+    """Read a URDF."""
+    require_plain_file(source, "a URDF file", LARGEST_TEXT)
+    try:
+        root = parse_xml(source, source.read_bytes())
+    except OSError as error:
+        raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
     if root.tag != "robot":
         raise AssetError(
             f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>",
@@ -204,14 +181,6 @@ def open_document(source: Path) -> Document:
     document = Document(source, root)
     _refuse_xacro(document)
     return document
-
-
-def _bytes(source: Path) -> bytes:
-    require_plain_file(source, "a URDF file", LARGEST_TEXT)
-    try:
-        return source.read_bytes()
-    except OSError as error:
-        raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
 
 
 def _name_paths(root: Element) -> None:
@@ -236,7 +205,6 @@ PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*
 
 
 def _refuse_xacro(document: Document) -> None:
-    """Raise an error for unexpanded macros and substitutions, except those that name a file's package."""
     for element in document.root.walk():
         values = [PACKAGE.sub("", v) if key == "filename" else v for key, v in element.attributes.items()]
         values.append(element.text)
@@ -244,7 +212,7 @@ def _refuse_xacro(document: Document) -> None:
             document.fail(element, "the file contains unexpanded xacro", "xacro IN -o OUT first")
 
 
-READ = {  # children that are read, by tag; all other children are left out
+READ = {  # children, by tag
     "robot": {"link", "joint", "material", "mujoco"},
     "link": {"inertial", "visual", "collision"},
     "inertial": {"origin", "mass", "inertia"},
@@ -284,7 +252,7 @@ ATTRIBUTES = {  # by tag and name
 
 
 def audit(document: Document) -> None:
-    """Record every element and attribute that nothing read."""
+    """Record every XML element and attribute that the converter has not read."""
     document.ledger.mapped(document.root.path, "name", "model name")
     _visit(document, document.root)
 
@@ -304,7 +272,7 @@ def _visit(document: Document, element: Element) -> None:
 
 
 def summary(element: Element) -> str:
-    """Return the content of an element on one line, shortened."""
+    """Return a summary of an XML element on one line."""
     found = []
     for item in element.walk():
         found += [f"{item.tag} {name}={value}" for name, value in item.attributes.items()]

@@ -1,7 +1,8 @@
 """Mass properties of URDF links.
 
-A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: ROS uses such links for
-shapes and names. If no link of a moving group has a mass, the volume of its colliders gives the mass.
+A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: ROS uses massless links to
+place shapes and name frames. If no link of a moving group of welded links has a mass, the volume of the group's
+colliders gives the mass.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
 from wheelleg_exp.asset.usd.gprims import Shape
 
-NOISE = 1e-6  # m; no body has a radius of gyration below this
+NOISE = 1e-6  # m, smallest plausible radius of gyration
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -37,21 +38,20 @@ def inertials(
 ) -> dict[str, Inertial]:
     """Return the mass properties of each link, by name.
 
-    The volume of ``colliders`` gives the mass if the file gives none. A link that does not move can be without mass.
-
-    Raises:
-        AssetError: a moving link has too little mass for MuJoCo.
+    If the URDF gives no mass, the volume of ``colliders`` gives the mass. A link that does not move can have no mass.
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
-    # MuJoCo needs mass and inertia only once per group of welded links, not in each link.
+    # MuJoCo needs mass and inertia only for one link of each group of welded links.
     for group in _welded(tree, base):
         top = group[0]
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
             found.update(_moving(document, unweighed, colliders))
-        _note_unweighed(document, group, unweighed, found)
+        for link in group:
+            if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
+                document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
         if moves and not any(_enough(found[link.name]) for link in group):
             message = f"the link moves, and its mass or inertia is below {SMALLEST:g}"
             document.fail(top.element, message, "a larger mass and inertia, which MuJoCo needs")
@@ -74,15 +74,7 @@ def _moving(document: Document, group: list[Link], colliders: dict[str, list[Sha
     return heavy
 
 
-def _note_unweighed(document: Document, group: list[Link], unweighed: list[Link], found: dict[str, Part]) -> None:
-    """Record the links of a group that have no ``<inertial>``, or an assumed mass, in kg."""
-    for link in group:
-        if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
-            document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
-
-
 def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
-    """Return groups of links that move as one, in each group the link nearest to the root first."""
     groups: dict[str, list[Link]] = {}
     top: dict[str, str] = {}
     for link in tree.depth_first():
@@ -94,7 +86,7 @@ def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> Part:
-    """Return a link's mass, centre, and tensor in its own frame; 0 kg without mass and volume."""
+    """Return a link's mass, centre, and inertia tensor in the link's frame; 0 kg if it has no mass and no volume."""
     center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
     if seen.mass > 0 and tensor is not None:
         turn = seen.inertia_frame.rotation
@@ -124,7 +116,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part |
 
 
 def _tensor(document: Document, link: Link, mass: float) -> Array | None:
-    """Return the tensor in the inertial frame; None if missing, zero, or rounding noise of an exporter."""
+    """Return a link's inertia tensor in the inertial frame; None if missing, zero, or an exporter's rounding error."""
     inertial = link.element.first("inertial")
     element = inertial.first("inertia") if inertial else None
     if element is None:

@@ -1,6 +1,6 @@
 """Read a URDF into a robot description and a report.
 
-Axes of joints are those that MuJoCo reads; limits and couplings come from the XML.
+Limits and couplings follow the URDF specification.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from wheelleg_exp.asset.urdf.mesh_files import Files
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element, audit, open_document
 from wheelleg_exp.asset.urdf.urdf_inertia import inertials
 from wheelleg_exp.asset.urdf.urdf_shapes import Shapes
-from wheelleg_exp.asset.urdf.urdf_tree import Axis, Joint, Link, Seen, Tree, read_tree, read_with_mujoco
+from wheelleg_exp.asset.urdf.urdf_tree import Axis, Joint, Link, Seen, Tree, read_links, read_tree
 from wheelleg_exp.asset.usd.usd_stage import HUGE, effort_limit, endless
 from wheelleg_exp.errors import nearest_name
 
-FAR = 1e6  # replaces the missing end of a range
-UNIT_LENGTH = 1e-6  # an axis with a length this near to 1 is used as written
-PLANAR = ("_transX", "_transY", "_rotZ")  # in the frame whose z is the joint's axis
+FAR = 1e6  # rad or m
+UNIT_LENGTH = 1e-6  # allowed error of lengths
+PLANAR = ("_transX", "_transY", "_rotZ")  # names of slides and hinge
 
 Range = tuple[float, float]
 
 
 def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a joint; none for a weld or a floating joint."""
+    """Return the degrees of freedom of a joint; an empty tuple for a fixed or floating joint."""
     axes = seen.axes if joint.kind != "floating" else ()
     document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
     suffixes = PLANAR if joint.kind == "planar" else ("",)
@@ -60,7 +60,7 @@ def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
 
 
 def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> Dof:
-    own = not suffix  # limits of a planar joint do not say which of its three axes they mean
+    own = not suffix
     return Dof(
         name=joint.name + suffix,
         path=joint.element.path,
@@ -96,7 +96,7 @@ class _Limits:
 def _limits(document: Document, joint: Joint) -> _Limits:
     element = joint.element.first("limit")
     if joint.kind in ("planar", "spherical"):
-        return _Limits()  # the audit reports these elements
+        return _Limits()  # reported by the audit
     if element is None:
         return _Limits(_range(document, joint, None))
     return _Limits(
@@ -105,7 +105,6 @@ def _limits(document: Document, joint: Joint) -> _Limits:
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
-    """Return the limits of a hinge or slide. URDF's default for a missing end is 0."""
     if joint.kind == "continuous":
         _note_ignored(document, joint, element)
         return None
@@ -126,7 +125,7 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
         return None
     if None in found:
         ledger.assume(path, "only one limit is given: the other is 0, URDF's default", f"{low:g} to {high:g}")
-    # Exporters write a missing limit as a huge number. A hinge with one such end has no limits.
+    # Exporters write a missing limit as a huge number. A hinge with a huge upper or lower limit has no limits.
     no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
     if (no_low or no_high) if angular else (no_low and no_high):
         ledger.assume(path, "limits are infinite or huge: no limits", f"{low:g} to {high:g}")
@@ -135,7 +134,6 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
 
 
 def _note_ignored(document: Document, joint: Joint, element: Element | None) -> None:
-    """Warn about limits of a continuous joint, which has none; the audit names the attributes."""
     if element is None or not {"lower", "upper"} <= set(element.attributes):
         return
     low, high = (_written(document, joint, element, side, None) for side in ("lower", "upper"))
@@ -184,9 +182,9 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 
 
 def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Coupling, ...]:
-    """Return the joints that follow another one: q = offset + multiplier · r.
+    """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
-    ``dofs`` gives the degree of freedom of each hinge and slide, by the joint's name.
+    ``dofs`` maps the name of each joint with one hinge or slide to its degree of freedom.
     """
     found = []
     for joint in tree.joints.values():
@@ -229,22 +227,14 @@ SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF alwa
 
 
 def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
-    """Read a robot and its report.
-
-    Raises:
-        AssetError: the file cannot be read, or is not a robot.
-    """
+    """Read a URDF file into a robot description and a conversion report."""
     document = open_document(source)
-    robot, files = describe(document, base)
+    robot, files = _Builder(document, base).build()
     return robot, summarise(document, robot, files)
 
 
 def source_files(source: Path) -> dict[str, str]:
-    """Return the sha256 of a URDF and of each mesh file that it names, by relative path.
-
-    Raises:
-        AssetError: the file cannot be read.
-    """
+    """Return the sha256 of a URDF file and of each mesh file that the URDF names, by relative path."""
     document = open_document(source)
     files = Files(document)
     for element in document.root.walk():
@@ -253,18 +243,13 @@ def source_files(source: Path) -> dict[str, str]:
     return dict(sorted(files.hashes.items()))
 
 
-def describe(document: Document, base: BaseMode) -> tuple[RobotDescription, Files]:
-    """Return the robot of a document, and its files."""
-    return _Builder(document, base).build()
-
-
 class _Builder:
-    """Make bodies from links, except for the world link."""
+    """Builder of the robot description; each link except the world link becomes a body."""
 
     def __init__(self, document: Document, base: BaseMode) -> None:
         self.document, self.base = document, base
         self.tree: Tree = read_tree(document)
-        self.seen: dict[str, Seen] = read_with_mujoco(document, self.tree)
+        self.seen: dict[str, Seen] = read_links(document, self.tree)
         self.files = Files(document)
         self.shapes = Shapes(document, self.tree, self.seen, self.files)
         self.names = _body_names(document, self.tree)
@@ -272,24 +257,25 @@ class _Builder:
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
     def build(self) -> tuple[RobotDescription, Files]:
-        """Return the robot and its files."""
         tree, document = self.tree, self.document
-        masses = inertials(document, tree, self.seen, self.shapes.solids(), self.base)
+        masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
         # The world link is MuJoCo's world body; its shapes become static geoms.
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
         bodies = _floating_last([self._body(link, masses[link.name]) for link in links])
+        single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
+        joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
         robot = RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
             bodies=bodies,
             gravity=(0.0, 0.0, -EARTH),
-            static_geoms=self.shapes.geoms(tree.world) if tree.world else (),
+            static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
             exclusions=self._exclusions(),
-            couplings=couplings(document, tree, self._single_dofs()),
+            couplings=couplings(document, tree, single),
             materials=tuple(self.shapes.looks.used.values()),
-            meshes=self.shapes.meshes(),
-            breadth_first_dofs=self._breadth_first(),
+            meshes=tuple(self.shapes.meshes.values()),
+            breadth_first_dofs=tuple(dof.name for joint in joints for dof in self.dofs[joint.name]),
         )
         document.ledger.assume(document.source.name, "a URDF has no gravity", f"{EARTH} m/s² downwards")
         audit(document)
@@ -321,7 +307,7 @@ class _Builder:
             inertial=inertial,
             floating=floating,
             dofs=self.dofs[joint.name] if joint else (),
-            geoms=self.shapes.geoms(link),
+            geoms=self.shapes.geoms[link.name],
         )
 
     def _floats(self, link: Link) -> bool:
@@ -355,13 +341,6 @@ class _Builder:
         return frame.pose()
 
     # ------------------------------------------------------------ joints
-    def _single_dofs(self) -> dict[str, Dof]:
-        return {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
-
-    def _breadth_first(self) -> tuple[str, ...]:
-        joints = [link.joint for link in self.tree.breadth_first() if link.joint is not None]
-        return tuple(dof.name for joint in joints for dof in self.dofs[joint.name])
-
     def _exclusions(self) -> tuple[tuple[str, str], ...]:
         pairs = []
         for joint in self.tree.joints.values():
@@ -385,7 +364,6 @@ def _floating_last(bodies: list[Body]) -> tuple[Body, ...]:
 
 
 def _body_names(document: Document, tree: Tree) -> dict[str, str]:
-    """Return the bodies' names: those of the links, except for a name that MuJoCo reserves."""
     names = {name: name for name in tree.links}
     for name in RESERVED & set(names):
         if tree.world is not None and tree.world.name == name:
@@ -399,7 +377,7 @@ def _body_names(document: Document, tree: Tree) -> dict[str, str]:
 
 
 def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
-    """Return the report of a URDF and its robot."""
+    """Return the conversion report of a robot that was read from a URDF file."""
     return report_of(
         robot,
         document.ledger,

@@ -13,13 +13,13 @@ from wheelleg_exp.asset.rigid_geometry import Array, Frame
 from wheelleg_exp.asset.robot_description import Geom, Material, Mesh, Numbered, Rgba, ShapeKind
 from wheelleg_exp.asset.urdf.mesh_files import Files, Triangles, read_mesh, reader_of
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element
-from wheelleg_exp.asset.urdf.urdf_tree import Link, Placed, Seen, Tree
+from wheelleg_exp.asset.urdf.urdf_tree import Placed, Seen, Tree
 from wheelleg_exp.asset.usd.gprims import SMALLEST_AREA, Shape, flat_to_box
 from wheelleg_exp.errors import AssetError
 
 
 class Looks:
-    """The colours of a document; ``used`` holds the materials of shapes."""
+    """The colours that a URDF defines; ``used`` has the materials that shapes refer to."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -32,7 +32,6 @@ class Looks:
         self._taken: set[str] = set()
 
     def _register(self, element: Element) -> None:
-        """Store the first colour of each name; a later shape can still define its own."""
         name, color = element.attributes.get("name"), self._color(element)
         if name and color is not None:
             self._colors.setdefault(name, color)
@@ -43,7 +42,7 @@ class Looks:
         color = element.first("color")
         try:
             values = self.document.numbers(color, "rgba", 4, "material rgba") if color else None
-        except AssetError as error:  # a wrong colour is no reason to refuse a robot
+        except AssetError as error:
             self.document.ledger.leave(element.path, "color", "a colour is four numbers", error.message)
             return None
         if values is None:
@@ -52,7 +51,6 @@ class Looks:
         return r, g, b, a
 
     def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
-        """Return the name of a shape's material, or the shape's own colour if that has no name."""
         element = shape.first("material")
         if element is None:
             return None, None
@@ -75,12 +73,12 @@ class Looks:
         return self.used[name, color].name
 
 
-LONGEST_NAME = 100  # bytes of a mesh's name; the file's name is longer
+LONGEST_NAME = 100  # bytes
 KINDS: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder", "capsule": "capsule"}
 
 
 class Shapes:
-    """All shapes of a robot, by link."""
+    """The geoms of each link of a robot."""
 
     def __init__(self, document: Document, tree: Tree, seen: dict[str, Seen], files: Files) -> None:
         self.document, self.files = document, files
@@ -88,21 +86,11 @@ class Shapes:
         require_size(sum(len(item.shapes) for item in seen.values()), MOST_SHAPES, "shapes", where=self._where)
         self.looks = Looks(document)
         self._loaded: dict[str, Triangles | str] = {}
-        self._meshes: dict[str, Mesh] = {}
+        self.meshes: dict[str, Mesh] = {}
         self._taken, self._mesh_names = Numbered(), Numbered()
-        self._made = {name: self._of(name, seen[name]) for name in tree.links}
-
-    def solids(self) -> dict[str, list[Shape]]:
-        """Return the colliders of each link."""
-        return {name: [shape for shape, geom in made if geom.collides] for name, made in self._made.items()}
-
-    def geoms(self, link: Link) -> tuple[Geom, ...]:
-        """Return the geoms of a link."""
-        return tuple(geom for _, geom in self._made[link.name])
-
-    def meshes(self) -> tuple[Mesh, ...]:
-        """Return the meshes in use, equal ones once."""
-        return tuple(self._meshes.values())
+        made = {name: self._of(name, seen[name]) for name in tree.links}
+        self.geoms = {name: tuple(geom for _, geom in pairs) for name, pairs in made.items()}
+        self.solids = {name: [shape for shape, geom in pairs if geom.collides] for name, pairs in made.items()}
 
     def _of(self, owner: str, seen: Seen) -> list[tuple[Shape, Geom]]:
         made = []
@@ -131,7 +119,6 @@ class Shapes:
         )
 
     def _name(self, owner: str, placed: Placed) -> str:
-        """Return a geom's name: the link's name, the element's own name if any, and its role."""
         own = self.document.text(placed.element, "name", "geom name") or ""
         short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
         if placed.collides and not own:
@@ -209,18 +196,18 @@ class Shapes:
         """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
-        # Equal meshes get one file. Visuals and colliders differ in their MuJoCo inertia mode, so they stay separate.
+        # Equal meshes share one file, but not a visual and a collider, which differ in MuJoCo's inertia mode.
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
-        if key not in self._meshes:
-            self._meshes[key] = Mesh(self._mesh_name(placed), vertices, shape.faces, placed.collides)
-        return self._meshes[key].name
+        if key not in self.meshes:
+            self.meshes[key] = Mesh(self._mesh_name(placed), vertices, shape.faces, placed.collides)
+        return self.meshes[key].name
 
     def _mesh_name(self, placed: Placed) -> str:
         mesh = next(element for element in placed.element.walk() if element.tag == "mesh")
         file = PurePosixPath(mesh.attributes["filename"].replace("\\", "/"))
         name = file.stem.encode()[:LONGEST_NAME].decode(errors="ignore") + ("" if placed.collides else "_visual")
-        return name + self._mesh_names.take(name.lower())[len(name) :]  # some file systems ignore case
+        return name + self._mesh_names.take(name.lower())[len(name) :]
 
 
 def _area(vertices: Array, faces: np.ndarray) -> float:

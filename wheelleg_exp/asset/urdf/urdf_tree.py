@@ -1,28 +1,22 @@
-"""Links and joints of a URDF as a tree, with frames, axes, and shapes from MuJoCo's own URDF reader.
-
-MuJoCo gets a reduced file: names become numbers and meshes become placeholders. Limits, inertia tensors, and
-couplings, which MuJoCo would misread, refuse, or complain about, are read from the XML by this package.
-"""
+"""Read links and joints of a URDF as a tree, with frames, axes, and shapes in the meaning of MuJoCo's URDF reader."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from wheelleg_exp.asset.file_limits import MOST_BODIES, require_size
-from wheelleg_exp.asset.mjcf.compile_mjcf import refusals
-from wheelleg_exp.asset.mjcf.mjcf_elements import Element as Xml
 from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import DofKind, Pose, Vec3
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element
 from wheelleg_exp.errors import nearest_name
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
-WORLD = "world"  # a massless root link of this name is the world itself
+WORLD = "world"
 
 
 @dataclass(eq=False)
@@ -37,7 +31,7 @@ class Link:
 
 @dataclass(eq=False)
 class Joint:
-    """A joint; ``kind`` is URDF's joint type."""
+    """A URDF joint; ``kind`` is the URDF's joint type."""
 
     element: Element
     name: str
@@ -47,13 +41,12 @@ class Joint:
 
     @property
     def welds(self) -> bool:
-        """Whether the joint leaves no motion free."""
         return self.kind == "fixed"
 
 
 @dataclass(eq=False)
 class Tree:
-    """Links and joints in the order of the file."""
+    """Links and joints of a URDF, in the order of the file."""
 
     links: dict[str, Link]
     joints: dict[str, Joint]
@@ -65,7 +58,7 @@ class Tree:
         return self.root if self.root.name == WORLD and self.root.element.first("inertial") is None else None
 
     def depth_first(self) -> Iterator[Link]:
-        """Yield all links, parents first, each with its whole branch before the next."""
+        """Yield all links of the tree in depth-first order."""
         stack = [self.root]
         while stack:
             link = stack.pop()
@@ -73,7 +66,6 @@ class Tree:
             stack.extend(joint.child for joint in reversed(link.joints))
 
     def breadth_first(self) -> Iterator[Link]:
-        """Yield all links level by level."""
         level = [self.root]
         while level:
             yield from level
@@ -81,12 +73,7 @@ class Tree:
 
 
 def read_tree(document: Document) -> Tree:
-    """Return the tree of links.
-
-    Raises:
-        AssetError: a name is missing or repeated, a joint type or link is unknown, a link has two parent joints, links
-            form a cycle, there is not exactly one root, or there are too many links.
-    """
+    """Return the tree of links."""
     links = _links(document)
     joints: dict[str, Joint] = {}
     for element in document.root.all("joint"):
@@ -162,14 +149,13 @@ def _require_tree(document: Document, tree: Tree) -> None:
             document.fail(link.element, message, "a tree of links")
 
 
-KEEP_ALL: dict[str, Any] = {"discardvisual": False, "fusestatic": False, "strippath": False}
 SHAPES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
-DIGITS = 12  # digits of quaternions; more are rounding errors of sines and cosines
+DIGITS = 12  # digits of quaternions
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One MuJoCo joint, with damping and friction in SI units."""
+    """One MuJoCo joint of a URDF joint, with damping and friction in SI units."""
 
     kind: DofKind
     axis: Vec3
@@ -179,7 +165,7 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A visual or collider: its XML, its pose in the link, and MuJoCo's ``size`` of a primitive."""
+    """A visual or collider: its XML, its pose in the link, and MuJoCo's ``kind`` and ``size`` if it is a primitive."""
 
     element: Element
     collides: bool
@@ -190,7 +176,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """MuJoCo's reading of a link: pose in the parent, mass, frame of the inertia, axes, and shapes."""
+    """The numbers of a link: its pose in the parent, mass, frame of the inertia, axes of its joint, and shapes."""
 
     pose: Pose
     mass: float
@@ -199,108 +185,89 @@ class Seen:
     shapes: tuple[Placed, ...]
 
 
-def read_with_mujoco(document: Document, tree: Tree) -> dict[str, Seen]:
-    """Return MuJoCo's reading of each link, by the link's name.
-
-    Raises:
-        AssetError: a number is invalid, or MuJoCo refuses the file.
-    """
-    # Numbered names avoid MuJoCo's errors about reserved or repeated names.
-    ids = {link.name: f"link_{number}" for number, link in enumerate(tree.links.values())}
-    if tree.world is not None:
-        ids[tree.world.name] = WORLD
-    text = _plain(document, tree, ids).text()
-    with refusals(document.source.name):
-        spec = mujoco.MjSpec.from_string(text)
-    return {name: _seen(spec.body(ids[name]), link) for name, link in tree.links.items()}
+def read_links(document: Document, tree: Tree) -> dict[str, Seen]:
+    """Return the pose, mass, joint axes, and shapes of each link, by the link's name."""
+    return {name: _seen(document, link) for name, link in tree.links.items()}
 
 
-def _plain(document: Document, tree: Tree, ids: dict[str, str]) -> Xml:
-    root = Xml("robot", {"name": "robot"})
-    root.add("mujoco").add("compiler", **KEEP_ALL)
-    for link in tree.links.values():
-        root.children.append(_plain_link(document, link, ids[link.name]))
-    for number, joint in enumerate(tree.joints.values()):
-        root.children.append(_plain_joint(document, joint, number, ids))
-    return root
+def _seen(document: Document, link: Link) -> Seen:
+    joint, inertial = link.joint, link.element.first("inertial")
+    return Seen(
+        pose=_origin(document, joint.element, "body pos and quat") if joint else Pose(),
+        mass=_positive(document, inertial.first("mass"), "value", "inertial mass") if inertial else 0.0,
+        inertia_frame=Frame.of(_origin(document, inertial, "inertial pos and quat") if inertial else Pose()),
+        axes=_axes(document, joint) if joint else (),
+        shapes=tuple(_placed(document, element) for element in shapes_of(link)),
+    )
 
 
-def _plain_link(document: Document, link: Link, name: str) -> Xml:
-    out = Xml("link", {"name": name})
-    inertial = link.element.first("inertial")
-    if inertial is not None:
-        inner = out.add("inertial")
-        _origin(document, inertial, inner, "inertial pos and quat")
-        # MuJoCo gets a zero tensor, because it refuses or changes some valid ones. This package reads the tensor.
-        inner.add("mass", value=_mass(document, inertial))
-        inner.add("inertia", ixx=0.0, iyy=0.0, izz=0.0, ixy=0.0, ixz=0.0, iyz=0.0)
-    for element in shapes_of(link):
-        inner = out.add(element.tag)
-        _origin(document, element, inner, "geom pos and quat")
-        _geometry(document, element, inner.add("geometry"))
-    return out
+def _origin(document: Document, element: Element, became: str) -> Pose:
+    """Return the pose of a URDF ``<origin>``; its angles rotate about the fixed axes x, y, and z in this order."""
+    origin = element.first("origin")
+    if origin is None:
+        return Pose()
+    x, y, z = document.numbers(origin, "xyz", 3, became) or (0.0, 0.0, 0.0)
+    angles = document.numbers(origin, "rpy", 3, became) or (0.0, 0.0, 0.0)
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in angles)
+    quat = (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+    sign = -1.0 if quat[0] < 0 else 1.0
+    w, i, j, k = (round(sign * value, DIGITS) + 0.0 for value in quat)
+    return Pose((x + 0.0, y + 0.0, z + 0.0), (w, i, j, k))
+
+
+def _positive(document: Document, element: Element | None, name: str, became: str) -> float:
+    value = (document.number(element, name, became) if element else None) or 0.0
+    if element is not None and value < 0:
+        document.fail(element, f"'{name}' is {value:g}", "a number that is not negative")
+    return value
 
 
 def shapes_of(link: Link) -> list[Element]:
-    """Return a link's visuals and colliders in the order of the file."""
+    """Return a link's visual and collision elements, in the order of the file."""
     return [child for child in link.element.children if child.tag in ("visual", "collision")]
 
 
-def _mass(document: Document, inertial: Element) -> float:
-    element = inertial.first("mass")
-    value = document.number(element, "value", "inertial mass") if element else None
-    if element is not None and value is not None and value < 0:
-        document.fail(element, f"the mass is {value:g} kg", "a mass that is not negative")
-    return value or 0.0
-
-
-def _origin(document: Document, element: Element, out: Xml, became: str) -> None:
-    origin = element.first("origin")
-    if origin is None:
-        return
-    xyz = document.numbers(origin, "xyz", 3, became)
-    rpy = document.numbers(origin, "rpy", 3, became)
-    out.add("origin", xyz=xyz or (0.0, 0.0, 0.0), rpy=rpy or (0.0, 0.0, 0.0))
-
-
-def primitive_of(element: Element) -> Element | None:
-    """Return a visual's or collider's box, sphere, cylinder, or capsule; None for other shapes."""
-    geometry = element.first("geometry")
-    found = [child for child in geometry.children if child.tag in SHAPES] if geometry else []
-    return found[0] if found else None
-
-
-def _geometry(document: Document, element: Element, out: Xml) -> None:
-    """Write a primitive; any other shape becomes a placeholder box."""
-    shape = primitive_of(element)
+def _placed(document: Document, element: Element) -> Placed:
+    pose, geometry = _origin(document, element, "geom pos and quat"), element.first("geometry")
+    shape = next((child for child in geometry.children if child.tag in SHAPES), None) if geometry else None
+    collides, size = element.tag == "collision", list[float]()
     if shape is None:
-        out.add("box", size=(1.0, 1.0, 1.0))
-        return
-    values: dict[str, Any] = {}
+        return Placed(element, collides, "", (), pose)
     for name in SHAPES[shape.tag]:
         numbers = document.numbers(shape, name, 3 if name == "size" else 1, "geom size")
         if numbers is None:
             document.fail(shape, f"<{shape.tag}> has no '{name}'", f'{name}="..."')
-        values[name] = numbers
-    out.add(shape.tag, **values)
+        size += numbers if name == "radius" else [value / 2 for value in numbers]
+    return Placed(element, collides, shape.tag, tuple(size), pose)
 
 
-def _plain_joint(document: Document, joint: Joint, number: int, ids: dict[str, str]) -> Xml:
-    out = Xml("joint", {"name": f"joint_{number}", "type": joint.kind})
-    out.add("parent", link=ids[joint.parent.name])
-    out.add("child", link=ids[joint.child.name])
-    _origin(document, joint.element, out, "body pos and quat")
+def _axes(document: Document, joint: Joint) -> tuple[Axis, ...]:
     if joint.kind in ("fixed", "floating"):
-        return out
-    out.add("axis", xyz=_axis(document, joint))
-    dynamics = joint.element.first("dynamics")
-    if dynamics is not None:
-        damping = _passive(document, dynamics, "damping", "damping")
-        out.add("dynamics", damping=damping, friction=_passive(document, dynamics, "friction", "frictionloss"))
-    return out
+        return ()
+    axis, dynamics = _axis(document, joint), joint.element.first("dynamics")
+    damping = _positive(document, dynamics, "damping", "damping")
+    friction = _positive(document, dynamics, "friction", "frictionloss")
+    kinds: list[tuple[DofKind, Vec3]] = [("hinge", axis)]
+    if joint.kind == "prismatic":
+        kinds = [("slide", axis)]
+    elif joint.kind == "spherical":
+        kinds = [("ball", (0.0, 0.0, 1.0))]
+    elif joint.kind == "planar":
+        # The two slides are the x and y axes of MuJoCo's shortest rotation from z to the joint's axis.
+        quat, turn = np.zeros(4), np.zeros(9)
+        mujoco.mju_quatZ2Vec(quat, np.array(axis))
+        mujoco.mju_quat2Mat(turn, quat)
+        along = [(float(x), float(y), float(z)) for x, y, z in turn.reshape(3, 3).T[:2]]
+        kinds = [("slide", along[0]), ("slide", along[1]), ("hinge", axis)]
+    return tuple(Axis(kind, direction, damping, friction) for kind, direction in kinds)
 
 
-def _axis(document: Document, joint: Joint) -> tuple[float, ...]:
+def _axis(document: Document, joint: Joint) -> Vec3:
     element = joint.element.first("axis")
     axis = document.numbers(element, "xyz", 3, "joint axis") if element else None
     if axis is None:
@@ -309,51 +276,5 @@ def _axis(document: Document, joint: Joint) -> tuple[float, ...]:
         return 1.0, 0.0, 0.0
     if element is not None and not any(axis):
         document.fail(element, "the axis has no direction", "three numbers, not all zero")
-    return axis
-
-
-def _passive(document: Document, dynamics: Element, name: str, became: str) -> float:
-    value = document.number(dynamics, name, became) or 0.0
-    if value < 0:
-        document.fail(dynamics, f"'{name}' is {value:g}", "a number that is not negative")
-    return value
-
-
-def _seen(body: Any, link: Link) -> Seen:
-    shapes = [_placed(element, geom) for element, geom in zip(shapes_of(link), body.geoms, strict=True)]
-    center = body.ipos if body.explicitinertial else (0.0, 0.0, 0.0)
-    return Seen(
-        pose=_pose(body.pos, body.quat),
-        mass=float(body.mass),
-        inertia_frame=Frame.of(_pose(center, body.iquat)),
-        axes=tuple(_axis_of(joint) for joint in body.joints if int(joint.type) in JOINT_KINDS),
-        shapes=tuple(shapes),
-    )
-
-
-def _placed(element: Element, geom: Any) -> Placed:
-    shape = primitive_of(element)
-    kind = shape.tag if shape is not None else ""
-    count = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}.get(kind, 0)
-    size = tuple(float(value) for value in geom.size[:count])
-    return Placed(element, element.tag == "collision", kind, size, _pose(geom.pos, geom.quat))
-
-
-JOINT_KINDS: dict[int, DofKind] = {
-    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
-    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
-    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
-}
-
-
-def _axis_of(joint: Any) -> Axis:
-    x, y, z = (float(value) for value in joint.axis)
-    damping = float(np.atleast_1d(joint.damping)[0])  # the first coefficient is the linear one
-    return Axis(JOINT_KINDS[int(joint.type)], (x, y, z), damping, float(joint.frictionloss))
-
-
-def _pose(position: Any, rotation: Any) -> Pose:
-    x, y, z = (float(value) + 0.0 for value in position)
-    sign = -1.0 if rotation[0] < 0 else 1.0
-    w, i, j, k = (round(sign * float(value), DIGITS) + 0.0 for value in rotation)
-    return Pose((x, y, z), (w, i, j, k))
+    x, y, z = axis
+    return x, y, z

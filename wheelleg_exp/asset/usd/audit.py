@@ -1,7 +1,7 @@
-"""Name every authored physics property, schema, and prim that nothing read, with the reason.
+"""Report every authored physics property, schema, and prim of a USD stage that the converter has not read.
 
-Each table is a list of patterns of full names; the first that matches gives the reason. A name that matches no
-pattern is reported as not known here.
+Each table maps patterns of full property, schema, or prim type names to a reason; the first matching pattern counts.
+The audit reports a name that matches no pattern as unknown.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.usd.ledger import plain
-from wheelleg_exp.asset.usd.usd_stage import Stage, below_instancer, schemas
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 PHYSICAL_PROPERTIES = re.compile(
     r"physics:|physx|drive:|limit:|state:|newton:|mjc:|mjcf:|urdf:|isaac:physics|omni:physx|warpSim:"
@@ -26,7 +26,7 @@ PHYSICAL_SCHEMAS = re.compile(r"(TensorPhysics|Physics|Physx|Newton|Mjc|Isaac\w*
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is left out; ``loud`` if the robot moves differently without it."""
+    """The reason why the MJCF omits a USD schema or prim; ``loud`` adds a warning."""
 
     text: str
     loud: bool = False
@@ -89,7 +89,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# The attributes of these schemas are recorded one by one.
+# The ledger records each attribute of these USD schemas.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -100,7 +100,7 @@ _BY_ATTRIBUTES = re.compile(
 _KINDS: tuple[tuple[str, Reason], ...] = (
     (r"Camera", Reason("cameras are not read")),
     (r"\w*Light(_1)?", Reason("lights are not read")),
-    (r"PointInstancer", Reason("it has no shapes")),
+    (r"PointInstancer", Reason("the copies of a PointInstancer are not read", loud=True)),
     (r"PhysicsCollisionGroup", Reason("it filters nothing of the robot")),
     (r"PhysicsScene", Reason("one scene is read")),
     (r"Physx(Particle|PBD|Deformable)\w*", Reason("particles and deformable bodies are not supported", loud=True)),
@@ -115,13 +115,13 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 
 def why_property(name: str) -> str:
-    """Return why a property has no place in the model."""
+    """Return the reason why the MJCF omits a USD property."""
     return next((text for pattern, text in _PROPERTIES if re.match(pattern, name)), "not known here")
 
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why an applied schema has no place; None if it is not physics or if its attributes are recorded."""
+    """Return why the MJCF omits an applied schema; None for a schema without physics or with recorded attributes."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -130,7 +130,7 @@ def why_schema(name: str) -> Reason | None:
 
 @functools.cache
 def why_kind(name: str) -> Reason | None:
-    """Return why a kind of prim has no place; None if it is not physics."""
+    """Return why the MJCF omits a USD prim type; None for a type without physics."""
     return next((reason for pattern, reason in _KINDS if re.fullmatch(pattern, name)), None)
 
 
@@ -138,7 +138,7 @@ LONGEST = 200  # characters of a value
 
 
 def audit(stage: Stage) -> None:
-    """Record every authored physics property, applied schema, and prim that nothing read."""
+    """Record every authored physics property, applied schema, and prim that the converter has not read."""
     for prim in _everything(stage):
         _kind(stage, prim)
         _schemas(stage, prim)
@@ -154,17 +154,8 @@ def audit(stage: Stage) -> None:
 
 
 def _everything(stage: Stage) -> Iterator[Usd.Prim]:
-    """Yield the robot's prims, prims inside instancers, and scenes and materials outside the robot."""
-    seen: set[Sdf.Path] = set()
-    for prim in stage.prims:
-        seen.add(prim.GetPath())
-        yield prim
-        if prim.IsA(UsdGeom.PointInstancer):
-            yield from below_instancer(prim)
-    for prim in [*stage.physics_scenes, *_materials(stage)]:
-        if prim and prim.GetPath() not in seen:
-            seen.add(prim.GetPath())
-            yield prim
+    prims = [*stage.prims, *stage.physics_scenes, *_materials(stage)]
+    yield from {prim.GetPath(): prim for prim in prims}.values()
 
 
 def _materials(stage: Stage) -> Iterator[Usd.Prim]:
@@ -197,7 +188,6 @@ def _schemas(stage: Stage, prim: Usd.Prim) -> None:
 
 
 def _files(stage: Stage, shader: Usd.Prim) -> None:
-    """Record the textures and material libraries of a shader, and which of them are missing."""
     for name in shader.GetAuthoredPropertyNames():
         value = shader.GetAttribute(name).Get() if name.startswith(("inputs:", "info:mdl")) else None
         if isinstance(value, Sdf.AssetPath) and value.path:
@@ -210,13 +200,13 @@ _MASS = ("physics:mass", "physics:density", "physics:centerOfMass", "physics:dia
 
 
 def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
-    """Return why a property was left out; its place can give a better reason than its name."""
+    """Return why the MJCF omits a USD property; the prim can give a more specific reason than the property's name."""
     name, kind = prop.GetName(), str(prim.GetTypeName())
     if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
         return "declared without a value"
     if name in _MASS:
         return _why_mass(prim, name)
-    # The order matters: the reason of a whole joint is better than that of one of its properties.
+    # The reason for omitting a whole joint comes first: it is more useful than a property's reason.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"
@@ -246,16 +236,15 @@ def _text(prop: Usd.Property) -> str:
     try:
         if isinstance(prop, Usd.Relationship):
             return ", ".join(str(path) for path in prop.GetTargets())[:LONGEST]
-        if not isinstance(prop, Usd.Attribute):  # a damaged layer names the property without a definition
+        if not isinstance(prop, Usd.Attribute):
             return "not readable"
         value = plain(prop.Get()) if prop.HasAuthoredValue() else ""
-    except Tf.ErrorException:  # authored as an attribute in one layer and as a relationship in another
+    except Tf.ErrorException:
         return "not readable"
     return " ".join(str(value).split())[:LONGEST]
 
 
 def _outside(stage: Stage) -> None:
-    """Record physics outside the default prim, one entry for each top-level prim."""
     top = stage.root.GetPath().GetPrefixes()[:1]
     if not top:
         return
@@ -278,7 +267,6 @@ def _sort(prim: Usd.Prim) -> str:
 
 
 def _referenced(stage: Stage) -> set[Sdf.Path]:
-    """Return the top-level prims that the robot references, such as scopes of prototypes."""
     found: set[Sdf.Path] = set()
     for prim in stage.prims:
         if prim.IsInstance() or prim.HasAuthoredReferences():

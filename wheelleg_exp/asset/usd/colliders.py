@@ -1,33 +1,31 @@
-"""Find colliders, visuals, and sites: gprims, all gprims below a prim with CollisionAPI, and copies of instancers.
+"""Find colliders, visuals, and sites: gprims, and all gprims below a prim with CollisionAPI.
 
-Sites are named frames: Isaac's sensors, and the sites of MuJoCo's and Newton's schemas with their looks.
+Sites are named frames: Isaac Sim's sensors, and the sites of MuJoCo's and Newton's schemas with their looks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from wheelleg_exp.asset.file_limits import FARTHEST, MOST_POINTS, MOST_SHAPES, require_size
-from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.file_limits import MOST_POINTS, MOST_SHAPES, require_near, require_size
+from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import Extra, Site, unique_names
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
 from wheelleg_exp.asset.usd.gprims import Shape, bounding_box, bounding_sphere, flat_to_box, plane_as_box, shape_of
 from wheelleg_exp.asset.usd.materials import display_color
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
-from wheelleg_exp.errors import AssetError
 
 SITE_SCHEMAS = {"MjcSiteAPI", "NewtonSiteAPI"}
 SHAPES = {"sphere", "capsule", "ellipsoid", "cylinder", "box"}  # MuJoCo's shapes of sites
-GREY = (0.5, 0.5, 0.5, 1.0)  # default colour of a site
-SAME_ANGLE = 1e-6  # rad between a shape's frame and its prim's
+GREY = (0.5, 0.5, 0.5, 1.0)
+SAME_ANGLE = 1e-6  # rad
 
 
 def is_site(prim: Usd.Prim) -> bool:
-    """Return whether a prim marks a place and is neither drawn nor solid."""
+    """Return whether a USD prim is a site, which is neither a visual nor a collider."""
     kind = str(prim.GetTypeName())
     return (kind.startswith("Isaac") and kind.endswith("Sensor")) or bool(SITE_SCHEMAS & set(schemas(prim)))
 
@@ -35,7 +33,7 @@ def is_site(prim: Usd.Prim) -> bool:
 def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
     """Return the sites of each body, by the body's path.
 
-    The USD library does not know the types of Isaac's sensors, so their transform is that of the parent prim.
+    The USD library does not know Isaac Sim's sensor types, so a sensor gets the transform of its parent prim.
     """
     found: dict[str, list[Site]] = {}
     for prim, name in _named(stage):
@@ -45,7 +43,7 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
 
 
 def world_sites(stage: Stage, links: Links) -> list[Site]:
-    """Return the sites that belong to no body."""
+    """Return the sites of the stage that belong to no body."""
     return [_site(stage, prim, name, None) for prim, name in _named(stage) if links.owner(prim.GetPath()) is None]
 
 
@@ -76,85 +74,14 @@ def _look(stage: Stage, prim: Usd.Prim, base: Frame, frame: Frame) -> Extra:
     return {key: value for key, value in found.items() if (key, value) != ("type", "sphere")}
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """A gprim of a prototype in one instance: its map (4x4) to the world in metres, and the instance's index."""
-
-    prim: Usd.Prim
-    carrier: Usd.Prim | None
-    matrix: Array
-    index: int
-
-
-def placed_gprims(stage: Stage, instancer: Usd.Prim) -> Iterator[Placed]:
-    """Yield the gprims of all instances; an instancer that cannot be expanded is reported."""
-    api, time = UsdGeom.PointInstancer(instancer), Usd.TimeCode.Default()
-    roots = [stage.usd.GetPrimAtPath(path) for path in api.GetPrototypesRel().GetForwardedTargets()]
-    if not roots or not all(roots):
-        return _refuse(stage, instancer, "its prototypes are missing")
-    shapes = [_gprims(root) for root in roots]
-    if any("PhysicsRigidBodyAPI" in schemas(prim) for root in roots for prim in Usd.PrimRange(root)):
-        return _refuse(stage, instancer, "its prototypes are rigid bodies")
-    if any(len(values) > MOST_SHAPES for values in _arrays(instancer)):
-        return _refuse(stage, instancer, f"it makes more than {MOST_SHAPES:,} instances")
-    indices, maps = _instance_maps(api, time)
-    if indices is None or len(indices) != len(maps) or any(not 0 <= i < len(roots) for i in indices):
-        return _refuse(stage, instancer, "its protoIndices do not fit its positions and prototypes")
-    if sum(len(shapes[i]) for i in indices) > MOST_SHAPES:
-        return _refuse(stage, instancer, f"it makes more than {MOST_SHAPES:,} shapes")
-    if not all((np.abs(matrix) <= FARTHEST).all() for matrix in maps):
-        return _refuse(stage, instancer, f"its transforms are not finite, or reach more than {FARTHEST:g} m")
-    stage.ledger.mapped(instancer.GetPath(), "PointInstancer", f"the shapes of {len(indices)} instances")
-    above = stage.matrix(instancer)
-    inside = UsdGeom.XformCache(time)
-    for number, (which, local) in enumerate(zip(indices, maps, strict=True)):
-        for gprim, carrier in shapes[which]:
-            within = np.array(inside.ComputeRelativeTransform(gprim, roots[which])[0], dtype=float).T
-            yield Placed(gprim, carrier, above @ local @ within, number)
-
-
-def _refuse(stage: Stage, instancer: Usd.Prim, reason: str) -> None:
-    stage.ledger.leave(instancer.GetPath(), "PointInstancer", reason)
-    stage.ledger.warn(f"{instancer.GetPath()}: a PointInstancer was left out: {reason}")
-
-
-def _gprims(root: Usd.Prim) -> list[tuple[Usd.Prim, Usd.Prim | None]]:
-    found = []
-    carriers: dict[object, Usd.Prim] = {}
-    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-        carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else carriers.get(prim.GetPath().GetParentPath())
-        if prim.IsA(UsdGeom.Gprim):
-            found.append((prim, carrier))
-        elif carrier is not None:
-            carriers[prim.GetPath()] = carrier
-    return found
-
-
-def _arrays(instancer: Usd.Prim) -> Iterator[Sized]:
-    names = ("protoIndices", "positions", "orientations", "orientationsf", "scales", "invisibleIds", "ids")
-    values = (instancer.GetAttribute(name).Get() for name in names if instancer.HasAttribute(name))
-    yield from (value for value in values if isinstance(value, Sized))
-
-
-def _instance_maps(api: UsdGeom.PointInstancer, time: Usd.TimeCode) -> tuple[list[int] | None, list[Array]]:
-    """Return the prototype index and the map of each instance; masked instances are left out."""
-    which = api.GetProtoIndicesAttr().Get(time)
-    if which is None or np.asarray(which).dtype.kind not in "iu":
-        return None, []
-    transforms = api.ComputeInstanceTransformsAtTime(time, time)
-    mask = list(api.ComputeMaskAtTime(time))
-    shown = [int(i) for number, i in enumerate(which) if number >= len(mask) or mask[number]]
-    return shown, [np.array(matrix, dtype=float).T for matrix in transforms]
-
-
 SHAPED = {"Cube", "Sphere", "Capsule", "Capsule_1", "Cylinder", "Cylinder_1", "Cone", "Plane", "Mesh"}
 
 
 @dataclass(eq=False)
 class Piece:
-    """A gprim of a body (None: the world). ``carrier`` is the prim with CollisionAPI, None for a visual.
+    """A gprim of a body (None: the world).
 
-    ``instance`` is the index of a PointInstancer's copy.
+    ``carrier`` is the prim with the CollisionAPI of a collider; None for a visual.
     """
 
     prim: Usd.Prim
@@ -163,25 +90,14 @@ class Piece:
     carrier: Usd.Prim | None
     collides: bool
     drawn: bool
-    instance: int | None = None
 
     @property
     def path(self) -> str:
-        """The gprim's path."""
         return str(self.prim.GetPath())
-
-    @property
-    def key(self) -> str:
-        """A unique key: the path, with the index of the instance."""
-        return self.path if self.instance is None else f"{self.path}_{self.instance}"
 
 
 def find_pieces(stage: Stage, links: Links) -> list[Piece]:
-    """Return all shapes, in the order of the stage. Unsupported shapes are reported.
-
-    Raises:
-        AssetError: there are too many shapes or points of meshes for a robot, or a shape has no valid size or place.
-    """
+    """Return all visuals and colliders, in the order of the stage. Unsupported shapes are reported."""
     pieces, points = [], 0
     for piece in filter(None, _pieces(stage, links)):
         pieces.append(piece)
@@ -192,63 +108,49 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
 
 
 def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
-    # CollisionAPI applies to all gprims below a prim. Parents come first, so a prim finds its parent's entry.
+    # CollisionAPI applies to all gprims below a prim. The stage lists parents first, so the parent's entry exists.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()
         above = carriers.get(path.GetParentPath())
         carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else above
         if prim.IsA(UsdGeom.Gprim):
-            if above is not None:  # a gprim's own schema does not apply to its children
+            if above is not None:
                 carriers[path] = above
             if not is_site(prim):
-                yield _piece(stage, links.owner(path), prim, carrier, stage.matrix(prim))
-        elif prim.IsA(UsdGeom.PointInstancer):
-            yield from _instances(stage, links.owner(path), prim, carrier)
+                yield _piece(stage, links.owner(path), prim, carrier)
         elif carrier is not None:
             carriers[path] = carrier
 
 
-def _instances(stage: Stage, link: Link | None, prim: Usd.Prim, above: Usd.Prim | None) -> Iterator[Piece | None]:
-    for item in placed_gprims(stage, prim):
-        yield _piece(stage, link, item.prim, item.carrier or above, item.matrix, item.index)
-
-
-def _piece(
-    stage: Stage,
-    link: Link | None,
-    prim: Usd.Prim,
-    carrier: Usd.Prim | None,
-    world: Array,
-    instance: int | None = None,
-) -> Piece | None:
+def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | None) -> Piece | None:
     solid = carrier is not None and stage.ledger.read(carrier, "physics:collisionEnabled", "the choice of colliders")
     collides = carrier is not None and solid is not False
     drawn = _drawn(prim)
     if carrier is None and not drawn:
         stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()), "neither drawn nor solid")
         return None
-    inside = link.frame.inverse().matrix() @ world if link else world
+    inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
     shape = shape_of(prim, inside)
     reason = ""
     if shape is not None:
-        _require_sane(prim, shape)
+        require_near(shape.size if shape.vertices is None else shape.vertices, key=str(prim.GetPath()))
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # MuJoCo builds a hull from points, drawn or not
+        elif shape.vertices is not None and shape.faces is None:  # MuJoCo's convex hull needs no triangles.
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)
             reason = "a plane collides only where it stands still, in the world"
-    if shape is None or _empty(shape):
+    if shape is None or (shape.kind != "plane" and any(size <= 0 for size in shape.size)):
         _unsupported(stage, prim, collides, "its size is zero" if shape else reason)
         return None
     if shape.note:
         stage.ledger.assume(prim.GetPath(), f"{prim.GetTypeName()}: {shape.note}", shape.kind)
     if not collides and carrier is not None:
         stage.ledger.assume(prim.GetPath(), "collisionEnabled is 0: no contact, but it counts for the mass", "visual")
-    return Piece(prim, link, shape, carrier, collides, drawn, instance)
+    return Piece(prim, link, shape, carrier, collides, drawn)
 
 
 def _drawn(prim: Usd.Prim) -> bool:
@@ -256,10 +158,6 @@ def _drawn(prim: Usd.Prim) -> bool:
     if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
         return False
     return bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
-
-
-def _empty(shape: Shape) -> bool:
-    return shape.kind != "plane" and any(size <= 0 for size in shape.size)
 
 
 def _unsupported(stage: Stage, prim: Usd.Prim, collides: bool, reason: str) -> None:
@@ -290,15 +188,3 @@ def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape,
     if flat is not shape and not static:
         stage.ledger.warn(f"{prim.GetPath()}: a flat collider on a moving body became a thin box")
     return flat
-
-
-def _require_sane(prim: Usd.Prim, shape: Shape) -> None:
-    numbers = np.array(shape.size) if shape.vertices is None else shape.vertices
-    if not np.isfinite(numbers).all():
-        message, expected = "the shape's size or points are not finite", "finite numbers"
-    elif numbers.size and np.abs(numbers).max() > FARTHEST:
-        message = f"the shape's size or points reach {np.abs(numbers).max():.3g} m"
-        expected = f"less than {FARTHEST:g} m"
-    else:
-        return
-    raise AssetError(message, key=str(prim.GetPath()), expected=expected)

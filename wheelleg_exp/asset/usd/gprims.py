@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sized
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from wheelleg_exp.asset.file_limits import MOST_POINTS, require_size
 from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, Solid, cone, primitive, rounded, split_scale
 from wheelleg_exp.asset.robot_description import ShapeKind
 from wheelleg_exp.asset.usd.ledger import number_of, plain
 
-THIN = 1e-3  # m, thickness of flat shapes
-SMALLEST_AREA = 1e-12  # m²; MuJoCo refuses meshes without a surface
-_SEGMENTS = 32  # sides of a cone, and of an oval cylinder
+THIN = 1e-3  # m
+SMALLEST_AREA = 1e-12  # m²
+_SEGMENTS = 32  # polygon sides
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), and triangles (k, 3).
+    """A shape in its body: MuJoCo's geom type and size (m), a frame, and a mesh's points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the solid that gives PhysX the mass, in the shape's frame, if it differs from the shape.
+    ``weight`` is the solid from which PhysX computes the mass, in the shape's frame, if this solid is not the shape
+    itself.
     """
 
     kind: ShapeKind
@@ -37,16 +38,13 @@ class Shape:
 
     @property
     def points(self) -> int:
-        """Number of a mesh's points and triangles, 0 for other shapes."""
         return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
-    """Return the shape of a gprim, None if the kind is not supported or a mesh is broken.
+    """Return the shape of a USD gprim; None if the gprim's type is not supported or its mesh is invalid.
 
-    Args:
-        prim: a Cube, Sphere, Capsule, Cylinder (or the newer Capsule_1, Cylinder_1), Cone, Plane, or Mesh.
-        matrix: 4x4, from the gprim's coordinates to its body's in metres.
+    ``matrix`` (4, 4) maps the gprim's coordinates to those of its body in metres.
     """
     make = _MAKERS.get(str(prim.GetTypeName()))
     if make is None:
@@ -63,7 +61,7 @@ class _Placing:
 
     @property
     def scale(self) -> Array | None:
-        """Scale along the shape's own axes, None if the shape is sheared."""
+        """Scale factors along the shape's own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
         if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max():
             return None
@@ -81,7 +79,6 @@ def _clean(*sizes: float) -> tuple[float, ...]:
 
 
 def _axis(prim: Usd.Prim) -> tuple[str, str]:
-    """Return the axis of a shape, and a note if the file names an unknown axis."""
     value = plain(prim.GetAttribute("axis").Get())
     if value is None or (isinstance(value, str) and value in (*Z_TO_AXIS, "")):
         return value or "Z", ""
@@ -109,29 +106,15 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
     return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
 
 
-def _round(kind: ShapeKind) -> Maker:
-    def make(prim: Usd.Prim, at: _Placing) -> Shape:
-        radius = number_of(prim, "radius")
-        return _between(kind, prim, at, radius, radius)
-
-    return make
-
-
-def _tapered(kind: ShapeKind) -> Maker:
-    """Return the maker of Capsule_1 and Cylinder_1, which have a radius for each end."""
-
-    def make(prim: Usd.Prim, at: _Placing) -> Shape:
-        return _between(kind, prim, at, number_of(prim, "radiusTop"), number_of(prim, "radiusBottom"))
-
-    return make
-
-
-def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: float) -> Shape:
-    """Return a capsule or cylinder; its hull if MuJoCo has no such shape."""
+def _round(kind: ShapeKind, prim: Usd.Prim, at: _Placing) -> Shape:
+    # USD's Capsule_1 and Cylinder_1 have a radius for each end.
+    ends = ("radiusTop", "radiusBottom") if prim.GetTypeName().endswith("_1") else ("radius", "radius")
+    top, bottom = (number_of(prim, name) for name in ends)
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
-    # MuJoCo's capsule and cylinder have one radius and a circular section; other shapes become a convex hull.
+    # MuJoCo's capsule and cylinder have one radius and a circular section; a USD capsule or cylinder of any other form
+    # becomes a convex hull.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
@@ -148,7 +131,6 @@ def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: 
 
 
 def _rings(top: float, bottom: float, half: float, kind: ShapeKind) -> Array:
-    """Return points of a cylinder or capsule about z, with a radius for each end."""
     levels = [(half, top), (-half, bottom)]
     if kind == "capsule":
         tilt = np.linspace(0, math.pi / 2, 7)
@@ -170,7 +152,10 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
-    """Return an infinite plane. Its solid side stays below its axis, mirrored or not."""
+    """Return an infinite plane.
+
+    The solid side of a plane is below the plane's axis, even if the transform mirrors the plane.
+    """
     axis, note = _axis(prim)
     turn = Z_TO_AXIS[axis]
     if at.scale is None or np.diag(at.stretch).min() < 0:
@@ -190,7 +175,7 @@ def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
     """Return a drawn plane as a thin box, for bodies that move: MuJoCo's planes are static."""
     rotation, stretch = split_scale(matrix[:3, :3])
     along = "XYZ".index(_axis(prim)[0])
-    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # directions of width and length, by UsdGeomPlane
+    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # UsdGeomPlane's width and length
     half = np.full(3, THIN / 2)
     for side, name in zip(sides, ("width", "length"), strict=True):
         half[side] = number_of(prim, name) / 2 * abs(stretch[side, side])
@@ -198,35 +183,29 @@ def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
 
 
 def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
-    """Return a mesh's points, stretched, and its triangles without the holes; None if it is broken."""
+    """Return a mesh's scaled points and its triangles without the mesh's holes; None if the mesh is invalid."""
     mesh = UsdGeom.Mesh(prim)
     points = _points(mesh)
-    counts, indices = (_integers(_array(a)) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
+    counts, indices = (_integers(a.Get()) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
     if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
         return None
-    faces = triangles(counts, indices, _holes(mesh, len(counts)))
+    holes = _integers(mesh.GetHoleIndicesAttr().Get())
+    holes = None if holes is None else holes[(holes >= 0) & (holes < len(counts))]
+    faces = triangles(counts, indices, holes)
     if len(points) == 3:  # MuJoCo needs four points
         points = np.vstack([points, points.mean(axis=0)])
-    with np.errstate(all="ignore"):  # the caller checks for numbers that are not finite
+    with np.errstate(all="ignore"):
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
-    # A left-handed mesh and a mirrored transform each flip the triangles; both together do not.
+    # A left-handed mesh and a mirroring transform each flip the triangles, so the two flips cancel.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 
 
-def _array(attribute: Usd.Attribute) -> object:
-    """Return an array after checking its size, before larger arrays are made from it."""
-    value = attribute.Get()
-    if isinstance(value, Sized):
-        require_size(len(value), 3 * MOST_POINTS, "numbers", key=str(attribute.GetPath()), expected="fewer")
-    return value
-
-
 def _points(mesh: UsdGeom.Mesh) -> Array | None:
     try:
-        points = np.asarray(_array(mesh.GetPointsAttr()), dtype=float)
+        points = np.asarray(mesh.GetPointsAttr().Get(), dtype=float)
     except (TypeError, ValueError):
         return None
     return points if points.ndim == 2 and points.shape[1] == 3 and len(points) >= 3 else None
@@ -245,11 +224,6 @@ def _consistent(points: int, counts: NDArray[np.int64], indices: NDArray[np.int6
     return not len(indices) or bool(indices.min() >= 0 and indices.max() < points)
 
 
-def _holes(mesh: UsdGeom.Mesh, faces: int) -> NDArray[np.int64]:
-    holes = _integers(_array(mesh.GetHoleIndicesAttr()))
-    return np.zeros(0, dtype=np.int64) if holes is None else holes[(holes >= 0) & (holes < faces)]
-
-
 def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     with np.errstate(all="ignore"):
@@ -260,7 +234,7 @@ def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
     """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
-    # A polygon of n corners gives n - 2 triangles. The arrays below do this for all polygons at once.
+    # A polygon of n corners gives n - 2 triangles. The arrays below split all polygons at once.
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:
@@ -288,10 +262,10 @@ def _hull(points: Array, at: _Placing, note: str) -> Shape:
 _MAKERS: dict[str, Maker] = {
     "Cube": _cube,
     "Sphere": _sphere,
-    "Capsule": _round("capsule"),
-    "Cylinder": _round("cylinder"),
-    "Capsule_1": _tapered("capsule"),
-    "Cylinder_1": _tapered("cylinder"),
+    "Capsule": partial(_round, "capsule"),
+    "Cylinder": partial(_round, "cylinder"),
+    "Capsule_1": partial(_round, "capsule"),
+    "Cylinder_1": partial(_round, "cylinder"),
     "Cone": _cone,
     "Plane": _plane,
     "Mesh": _mesh,
@@ -299,7 +273,7 @@ _MAKERS: dict[str, Maker] = {
 
 
 def bounding_box(shape: Shape) -> Shape:
-    """Return the box around a mesh, along the mesh's axes."""
+    """Return the bounding box of a mesh, along the mesh's axes."""
     assert shape.vertices is not None
     low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
     frame = shape.frame @ Frame(np.eye(3), (low + high) / 2)
@@ -307,7 +281,7 @@ def bounding_box(shape: Shape) -> Shape:
 
 
 def bounding_sphere(shape: Shape) -> Shape:
-    """Return the sphere around a mesh, about the centre of its box."""
+    """Return the bounding sphere of a mesh, about the centre of the mesh's bounding box."""
     assert shape.vertices is not None
     middle = (shape.vertices.min(axis=0) + shape.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(shape.vertices - middle, axis=1).max())

@@ -1,7 +1,7 @@
-"""Read attributes in plain Python, check each value's kind, and record what became of it: nothing authored is ignored.
+"""Read USD attributes as plain Python values, check the values, and record the MJCF part made from each attribute.
 
-A file may give an attribute any type and any number. Text in place of a number, NaN, and numbers that no robot has
-are errors that name the prim and the attribute. A value that means "not given" (a mass of 0, an infinite limit) is
+A USD file can give an attribute any type and any number. Text in place of a number, NaN, and implausibly large numbers
+raise an error that names the prim and the attribute. A value that means "not given" (a mass of 0, an infinite limit) is
 not an error: its reader handles it.
 """
 
@@ -20,64 +20,63 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # no length, mass, gain, or force is larger; products of larger numbers would overflow
+HUGEST = 1e30  # products of larger numbers overflow
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """The required kind of a value; ``length`` of a vector; ``endless`` if infinity and huge numbers are allowed."""
+    """The required kind of a USD value; ``length`` of a vector; ``endless`` allows infinity and huge numbers."""
 
     what: What
     length: int = 1
     endless: bool = False
 
 
-_KINDS: tuple[tuple[str, ValueKind], ...] = (  # patterns of full names
-    (r"physics:(lowerLimit|upperLimit|coneAngle[01]Limit|minDistance|maxDistance)", ValueKind("number", endless=True)),
-    (r"(limit:\w+:physics:(low|high)|drive:\w+:physics:maxForce)", ValueKind("number", endless=True)),
-    (r"physx(Joint|JointAxis:\w+):maxJointVelocity", ValueKind("number", endless=True)),
-    (r"newton:(velocityLimit|effortLimit|contact\w+|limit\w+|shellThickness)", ValueKind("number", endless=True)),
-    (r"mjc:(actuatorfrcrange|range|\w+Range):(min|max)", ValueKind("number", endless=True)),
-    (r"urdf:limit:\w+", ValueKind("number", endless=True)),
-    (r"physics:(mass|density|dynamicFriction|staticFriction|restitution)", ValueKind("number")),
-    (r"physics:gravityMagnitude", ValueKind("number", endless=True)),
-    (r"drive:\w+:physics:(stiffness|damping|targetPosition|targetVelocity)", ValueKind("number")),
-    (r"state:\w+:physics:(position|velocity)", ValueKind("number")),
-    (r"physxJoint:(armature|jointFriction)", ValueKind("number")),
-    (r"physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)", ValueKind("number")),
-    (r"physxMimicJoint:\w+:(gearing|offset|naturalFrequency|dampingRatio)", ValueKind("number")),
-    (r"newton:(armature|friction|damping|mimicCoef\d|torsionalFriction|rollingFriction)", ValueKind("number")),
-    (r"newton:maxHullVertices", ValueKind("number")),
-    (r"urdf:dynamics:\w+", ValueKind("number")),
-    (r"mjc:(armature|damping|frictionloss|stiffness|ref|springref|margin|gap|solmix)", ValueKind("number")),
-    (r"mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength)", ValueKind("number")),
-    (r"mjc:(torsional|rolling)friction", ValueKind("number")),
-    (r"mjc:(actDim|maxhullvert|body:gravcomp)", ValueKind("number")),
-    (r"mjc:compiler:(boundMass|boundInertia|setTotalMass)", ValueKind("number")),
-    (r"mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)", ValueKind("number")),
-    (r"mjc:(flag:\w+|actEarly|actuatorgravcomp|jointInParent|compiler:(balanceInertia|autoLimits))", ValueKind("flag")),
-    (r"physics:(\w+Enabled|excludeFromArticulation|invertFilteredGroups)", ValueKind("flag")),
-    (r"physxRigidBody:disableGravity", ValueKind("flag")),
-    (r"physxArticulation:(enabledSelfCollisions|articulationEnabled)", ValueKind("flag")),
-    (r"newton:(\w+Enabled|jointsAddMobility)", ValueKind("flag")),
-    (r"physics:(axis|approximation)", ValueKind("text")),
-    (
-        r"(drive:\w+:physics:type|physxMaterial:\w+CombineMode|physxMimicJoint:\w+:referenceJointAxis)",
-        ValueKind("text"),
-    ),
-    (r"(newton:massModel|mjc:compiler:angle|physics:mergeGroup)", ValueKind("text")),
-    (r"mjc:(type|gainType|biasType|dynType|inertia|\w*[lL]imited)", ValueKind("text")),
-    (r"mjc:option:(cone|integrator|jacobian|solver)", ValueKind("text")),
-    (r"physics:(diagonalInertia|localPos[01]|gravityDirection|velocity|angularVelocity)", ValueKind("vector", 3)),
-    (r"physics:centerOfMass", ValueKind("vector", 3, endless=True)),
-    (r"physics:(principalAxes|localRot[01])", ValueKind("vector", 4)),
-    (r"newton:inertia", ValueKind("vector", 6)),
-    (r"mjc:(gainPrm|biasPrm|dynPrm|gear|solref\w*|solimp\w*|springlength|springdamper|rgba)", ValueKind("array")),
-    (r"mjc:(qpos|qvel|act|ctrl|mpos|mquat|option:(wind|magnetic|actuatorgroupdisable|o_\w+))", ValueKind("array")),
-    (r"mjc:(path:(coef|divisors|indices|segments)|sideSites:indices)", ValueKind("array")),
-)
+_KINDS: dict[ValueKind, str] = {  # patterns of full names
+    ValueKind("number", endless=True): r"""
+        physics:(lowerLimit|upperLimit|coneAngle[01]Limit|minDistance|maxDistance)
+        (limit:\w+:physics:(low|high)|drive:\w+:physics:maxForce) physx(Joint|JointAxis:\w+):maxJointVelocity
+        newton:(velocityLimit|effortLimit|contact\w+|limit\w+|shellThickness)
+        mjc:(actuatorfrcrange|range|\w+Range):(min|max) urdf:limit:\w+ physics:gravityMagnitude
+    """,
+    ValueKind("number"): r"""
+        physics:(mass|density|dynamicFriction|staticFriction|restitution)
+        drive:\w+:physics:(stiffness|damping|targetPosition|targetVelocity) state:\w+:physics:(position|velocity)
+        physxJoint:(armature|jointFriction)
+        physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)
+        physxMimicJoint:\w+:(gearing|offset|naturalFrequency|dampingRatio)
+        newton:(armature|friction|damping|mimicCoef\d|torsionalFriction|rollingFriction) newton:maxHullVertices
+        urdf:dynamics:\w+ mjc:(armature|damping|frictionloss|stiffness|ref|springref|margin|gap|solmix)
+        mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength)
+        mjc:(torsional|rolling)friction mjc:(actDim|maxhullvert|body:gravcomp)
+        mjc:compiler:(boundMass|boundInertia|setTotalMass)
+        mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)
+    """,
+    ValueKind("flag"): r"""
+        mjc:(flag:\w+|actEarly|actuatorgravcomp|jointInParent|compiler:(balanceInertia|autoLimits))
+        physics:(\w+Enabled|excludeFromArticulation|invertFilteredGroups) physxRigidBody:disableGravity
+        physxArticulation:(enabledSelfCollisions|articulationEnabled) newton:(\w+Enabled|jointsAddMobility)
+    """,
+    ValueKind("text"): r"""
+        physics:(axis|approximation)
+        (drive:\w+:physics:type|physxMaterial:\w+CombineMode|physxMimicJoint:\w+:referenceJointAxis)
+        (newton:massModel|mjc:compiler:angle|physics:mergeGroup)
+        mjc:(type|gainType|biasType|dynType|inertia|\w*[lL]imited) mjc:option:(cone|integrator|jacobian|solver)
+    """,
+    ValueKind("vector", 3): r"""
+        physics:(diagonalInertia|localPos[01]|gravityDirection|velocity|angularVelocity)
+    """,
+    ValueKind("vector", 3, endless=True): r"physics:centerOfMass",
+    ValueKind("vector", 4): r"physics:(principalAxes|localRot[01])",
+    ValueKind("vector", 6): r"newton:inertia",
+    ValueKind("array"): r"""
+        mjc:(gainPrm|biasPrm|dynPrm|gear|solref\w*|solimp\w*|springlength|springdamper|rgba)
+        mjc:(qpos|qvel|act|ctrl|mpos|mquat|option:(wind|magnetic|actuatorgroupdisable|o_\w+))
+        mjc:(path:(coef|divisors|indices|segments)|sideSites:indices)
+    """,
+}
 _EXPECTED = {
     "number": "a number",
     "flag": "true or false",
@@ -89,16 +88,15 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return the required kind of an attribute by its full name, or None if any value is allowed."""
-    return next((kind for pattern, kind in _KINDS if re.fullmatch(pattern, name)), None)
+    """Return the required kind of a USD attribute by its full name, or None if any value is allowed."""
+    matching = (
+        kind for kind, patterns in _KINDS.items() for pattern in patterns.split() if re.fullmatch(pattern, name)
+    )
+    return next(matching, None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
-    """Return an attribute's value as ``plain`` does, after checking it.
-
-    Raises:
-        AssetError: the value has another kind, is NaN, or is larger than any number of a robot.
-    """
+    """Return a USD attribute's value as a plain Python value, after checking its kind."""
     value = plain(attribute.Get())
     if value is None:
         return None
@@ -109,11 +107,7 @@ def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
 
 
 def number_of(prim: Usd.Prim, name: str) -> float:
-    """Return a shape's number, such as ``radius``; the schema's default if not authored.
-
-    Raises:
-        AssetError: there is no number, or it is infinite.
-    """
+    """Return a number of a USD shape, such as ``radius``; the schema's default if the number is not authored."""
     attribute = prim.GetAttribute(name)
     value = value_of(attribute, ValueKind("number")) if attribute else None
     if value is None:
@@ -122,11 +116,13 @@ def number_of(prim: Usd.Prim, name: str) -> float:
 
 
 def _wrong(value: Any, kind: ValueKind | None) -> str:
-    """Return what is wrong with a value; an empty text if it is valid."""
+    """Return the text of an error message for an invalid USD value, or an empty string for a valid value."""
     if kind is None or kind.what in ("flag", "text"):
         if _has_nan(value):
             return "is not a number (NaN)"
-        fits = kind is None or (isinstance(value, str) if kind.what == "text" else _is_flag(value))
+        fits = kind is None or (
+            isinstance(value, str) if kind.what == "text" else isinstance(value, (int, float)) and value in (0, 1)
+        )
         return "" if fits else f"is {_shown(value)}"
     if (kind.what == "number") != (isinstance(value, (int, float)) and not isinstance(value, bool)):
         return f"is {_shown(value)}"
@@ -138,10 +134,6 @@ def _wrong(value: Any, kind: ValueKind | None) -> str:
     if not kind.endless and (np.abs(array) >= HUGEST).any():
         return "is infinite or larger than any robot's"
     return ""
-
-
-def _is_flag(value: Any) -> bool:
-    return isinstance(value, (bool, int, float)) and value in (0, 1)
 
 
 def _has_nan(value: Any) -> bool:
@@ -160,17 +152,13 @@ def _mistake(attribute: Usd.Attribute, wrong: str, kind: ValueKind | None) -> As
     expected = _EXPECTED[kind.what].format(length=kind.length) if kind else "finite numbers"
     if wrong.startswith("is infinite") or "NaN" in wrong:
         expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
+    stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
     return AssetError(
         f"'{attribute.GetName()}' {wrong}",
         key=str(attribute.GetPrim().GetPath()),
-        where=_layer(attribute),
+        where=stack[0].layer.GetDisplayName() if stack else None,
         expected=expected,
     )
-
-
-def _layer(attribute: Usd.Attribute) -> str | None:
-    stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
-    return stack[0].layer.GetDisplayName() if stack else None
 
 
 def plain(value: Any) -> Any:
@@ -201,7 +189,7 @@ def _plain_array(value: Any) -> Any:
 
 
 class Ledger:
-    """What was read and what it became, what was assumed, what was left out, and warnings."""
+    """The records of a conversion: attributes read, assumptions, omitted physics, findings, and warnings."""
 
     def __init__(self) -> None:
         self._mapped: dict[tuple[str, str], Mapped] = {}
@@ -210,24 +198,18 @@ class Ledger:
         self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
         self._found: dict[tuple[str, str, str], Finding] = {}
-        self.authored: dict[str, dict[str, Any]] = {}  # joint attributes in the file's units, by path and name
+        self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return an attribute's authored value in plain Python, or None.
+        """Return an attribute's authored value in plain Python, or None, and record the MJCF part that it becomes.
 
-        Args:
-            prim: the attribute's prim.
-            name: full name, such as ``physics:mass``; schemas unknown to the USD library work, too.
-            became: what the attribute becomes; None if the caller records it later.
-
-        Raises:
-            AssetError: the value has a wrong kind, is NaN, or is larger than any number of a robot.
+        The method also reads attributes of schemas that the USD library does not know.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
-        # The report shows the file's own numbers of joints next to the converted ones.
+        # The report shows the joint numbers of the USD file next to the converted joint numbers.
         if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
             self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:
@@ -235,7 +217,6 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the targets of a relationship, [] if it is not authored."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -244,50 +225,43 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
-        """Record what a part of the source became."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
-        """Record a value that a rule gave and not the file."""
+        """Record a value that a rule of the converter chose, because the robot file lacks the value."""
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
-        """Record a part of the source that has no place in the model."""
+        """Record a part of the robot file that the MJCF cannot express."""
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
-        """Record a warning."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record a finding, once for each kind, subject, and path; see ``conversion_report`` for kinds and numbers."""
+        """Record a finding once for each kind, subject, and path; ``conversion_report`` lists the kinds and numbers."""
         self._found[kind, subject, str(path)] = Finding(
             kind, subject, str(path), {name: float(value) for name, value in numbers.items()}
         )
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All findings, in the order of recording."""
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
-        """Return whether a rule was used at a path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
-        """Return whether an attribute became something or was left out for a reason."""
+        """Return whether the ledger has recorded an attribute as mapped or as left out."""
         key = (str(path), name)
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
-        """Return whether an attribute was left out for a reason."""
         return (str(path), name) in self._left_names
 
-    def entries(
-        self,
-    ) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return mapped, assumed, and left-out items and warnings, in the order of recording."""
+    def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
+        """Return the mapped attributes, assumptions, omitted physics, and warnings, in the order of recording."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

@@ -17,18 +17,17 @@ COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseC
 
 @dataclass
 class Looks:
-    """Materials in use, by path of the USD material, in the order of first use."""
+    """The materials in use, by the path of the USD material, in the order of first use."""
 
     stage: Stage
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
-        """Return the materials with unique names, by USD path."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
     def look(self, prim: Usd.Prim) -> tuple[str | None, Rgba | None]:
-        """Return the path of the material of a gprim, or the gprim's own colour."""
+        """Return the path of a gprim's bound material, or else the gprim's display colour."""
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if bound and self._read(bound.GetPrim()):
             self.stage.ledger.mapped(prim.GetPath(), "material:binding", "material")
@@ -55,7 +54,7 @@ class Looks:
 
 
 def display_color(prim: Usd.Prim) -> Rgba | None:
-    """Return a gprim's first displayColor, with displayOpacity; None if invalid."""
+    """Return a gprim's first displayColor and displayOpacity as RGBA; None if the value is invalid."""
     gprim = UsdGeom.Gprim(prim)
     color = _first(gprim.GetDisplayColorPrimvar(), 3)
     if color is None:
@@ -65,7 +64,6 @@ def display_color(prim: Usd.Prim) -> Rgba | None:
 
 
 def _first(primvar: UsdGeom.Primvar, count: int) -> tuple[float, ...] | None:
-    """Return the first element of a primvar, None unless it is ``count`` finite numbers."""
     try:
         values = np.asarray(primvar.ComputeFlattened(), dtype=float).reshape(-1, count)
     except (Tf.ErrorException, TypeError, ValueError):
@@ -99,9 +97,9 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
 
-    None means MuJoCo's default, which is right for files with MuJoCo's own schemas.
+    The function returns None, which means MuJoCo's default, for files with MuJoCo's own USD schemas.
     """
-    # PhysX's order: the shape's own material, then the scene's default material, then a constant.
+    # As in PhysX, the shape's own material overrides the scene's default material, which overrides a constant.
     material = physics_material(stage, prim) or _scene_material(stage)
     if material is None:
         return _unbound(stage)

@@ -1,9 +1,9 @@
-"""Add what only MuJoCo's own USD schemas say to the robot that the other readers made.
+"""Add the data of MuJoCo's USD schemas to a robot description that was read from the remaining schemas.
 
-These are attributes of joints, geoms, and equalities; the scene's options and flags; compiler settings with their
-effect on masses and inertias; and the parts of ``mjc_parts``.
+MuJoCo's schemas have attributes of joints, geoms, and equalities; the scene's options and flags; compiler settings with
+their effect on masses and inertias; and the parts of ``mjc_parts``.
 
-If two schemas state the same fact, MuJoCo's wins over Newton's, and Newton's over PhysX's.
+MuJoCo's schemas override Newton's schemas, and Newton's schemas override PhysX's.
 """
 
 from __future__ import annotations
@@ -43,27 +43,17 @@ from wheelleg_exp.asset.usd.mjc_parts import (
 )
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians, find_scene, schemas
 
-__all__ = ["with_mujoco"]
-
-
-JOINT_ATTRIBUTES = {
-    "mjc:springdamper": "springdamper",
-    "mjc:margin": "margin",
-    "mjc:solreflimit": "solreflimit",
-    "mjc:solimplimit": "solimplimit",
-    "mjc:solreffriction": "solreffriction",
-    "mjc:solimpfriction": "solimpfriction",
-    "mjc:actuatorgravcomp": "actuatorgravcomp",
-    "mjc:group": "group",
-}
+_OF_JOINTS = "springdamper margin solreflimit solimplimit solreffriction solimpfriction actuatorgravcomp group"
+JOINT_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_JOINTS.split()}
 
 
 def with_body_extra(stage: Stage, body: Body) -> Body:
-    """Return a body with MuJoCo's own attributes of it and of its joints."""
+    """Return a body with MuJoCo's own attributes of the body, its joints, and its geoms."""
     prim = stage.usd.GetPrimAtPath(body.path)
     found = attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
     dofs = tuple(_dof(stage, dof) for dof in body.dofs)
-    return replace(body, dofs=dofs, extra={**body.extra, **found})
+    geoms = tuple(with_geom_extra(stage, geom) for geom in body.geoms)
+    return replace(body, dofs=dofs, geoms=geoms, extra={**body.extra, **found})
 
 
 def _dof(stage: Stage, dof: Dof) -> Dof:
@@ -72,29 +62,17 @@ def _dof(stage: Stage, dof: Dof) -> Dof:
     springref = stage.ledger.read(prim, "mjc:springref", "springref")
     if springref is not None:
         found["springref"] = angle_in_radians(stage, springref) if dof.kind == "hinge" else float(springref)
-    found |= _unlimited(stage, prim, dof)
+    if stage.ledger.read(prim, "mjc:actuatorfrclimited", "actuatorfrclimited") == "false" and dof.force_range:
+        found["actuatorfrclimited"] = False
     return replace(dof, extra={**dof.extra, **found}) if found else dof
 
 
-def _unlimited(stage: Stage, prim: Usd.Prim, dof: Dof) -> dict[str, Attribute]:
-    """Return the switch that disables a force range."""
-    token = stage.ledger.read(prim, "mjc:actuatorfrclimited", "actuatorfrclimited")
-    return {"actuatorfrclimited": False} if token == "false" and dof.force_range else {}
-
-
 NEWTON = {"newton:contactMargin": "margin", "newton:contactGap": "gap"}
-GEOM_ATTRIBUTES = {
-    "mjc:condim": "condim",
-    "mjc:priority": "priority",
-    "mjc:solref": "solref",
-    "mjc:solimp": "solimp",
-    "mjc:solmix": "solmix",
-    "mjc:margin": "margin",
-    "mjc:gap": "gap",
-}
-FRICTION = (0.0, 0.005, 0.0001)  # MuJoCo's defaults of torsional and rolling friction
-EXPLICIT = ("mjc:shellinertia", "mjc:inertia")  # mass rules of a shape, if nothing read them
-DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}  # schemas with a group, whose default is 0
+_OF_GEOMS = "condim priority solref solimp solmix margin gap"
+GEOM_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_GEOMS.split()}
+FRICTION = (0.0, 0.005, 0.0001)
+EXPLICIT = ("mjc:shellinertia", "mjc:inertia")
+DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}
 SOLID = {"MjcCollisionAPI", "NewtonCollisionAPI"}
 
 
@@ -115,7 +93,7 @@ def with_geom_extra(stage: Stage, geom: Geom) -> Geom:
 
 
 def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
-    """Return the maximum number of vertices of a mesh's convex hull, as the mesh's attribute."""
+    """Return the MJCF attribute for the maximum number of vertices of a mesh's convex hull."""
     prim = stage.usd.GetPrimAtPath(geom.path)
     names = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
     found = attributes(stage, prim, names)
@@ -123,7 +101,6 @@ def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
 
 
 def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
-    """Return the prim, or the nearest ancestor up to its body, that has one of the schemas."""
     while prim and not prim.IsPseudoRoot():
         found = set(schemas(prim))
         if wanted & found:
@@ -135,7 +112,6 @@ def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
 
 
 def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
-    """Return three friction coefficients if the bound material has more than sliding friction."""
     bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
     if not bound or geom.friction is None:
         return {}
@@ -149,14 +125,14 @@ def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
     return {} if tuple(values[1:]) == FRICTION[1:] else {"friction": tuple(values)}
 
 
-LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)  # default of a coupling: the same coordinate
+LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)
 SOLVER = {"mjc:solref": "solref", "mjc:solimp": "solimp"}
 COUPLED = {"NewtonMimicAPI", "MjcEqualityJointAPI"}
 CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
 
 def with_closure_extra(stage: Stage, closure: Closure) -> Closure:
-    """Return a loop closure with the stiffness of its constraint, and whether it is active."""
+    """Return a loop closure with MuJoCo's attributes for the stiffness and the activity of the constraint."""
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
@@ -169,7 +145,7 @@ def with_closure_extra(stage: Stage, closure: Closure) -> Closure:
 
 
 def read_couplings(stage: Stage, dofs: Mapping[str, Dof]) -> tuple[Coupling, ...]:
-    """Return the joints that follow another one, by NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` by prim path."""
+    """Return the joint couplings of NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` is keyed by prim path."""
     found = []
     for prim in stage.prims:
         dof = dofs.get(str(prim.GetPath()))
@@ -194,7 +170,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
 
 
 def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float, float, float, float]:
-    """Return the polynomial in rad and m. Newton's offset is in the unit of USD's coordinate, MuJoCo's is in SI."""
+    """Return a coupling's polynomial in rad and m. Newton's offset is in USD's unit of the joint; MuJoCo's is in SI."""
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -209,68 +185,18 @@ def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float,
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
-OPTIONS = {  # options that change the model; the task defines time step and solver
-    f"mjc:option:{name}": name
-    for name in (
-        "cone",
-        "impratio",
-        "density",
-        "viscosity",
-        "wind",
-        "magnetic",
-        "o_margin",
-        "o_solref",
-        "o_solimp",
-        "o_friction",
-        "noslip_iterations",
-        "noslip_tolerance",
-    )
-}
-GROUPS = 31  # groups of actuators that MuJoCo can switch off
-FLAGS = (
-    "constraint",
-    "equality",
-    "frictionloss",
-    "limit",
-    "contact",
-    "spring",
-    "damper",
-    "gravity",
-    "clampctrl",
-    "warmstart",
-    "filterparent",
-    "actuation",
-    "refsafe",
-    "sensor",
-    "midphase",
-    "eulerdamp",
-    "autoreset",
-    "nativeccd",
-    "island",
-    "override",
-    "energy",
-    "fwdinv",
-    "invdiscrete",
-    "multiccd",
-    "sleep",
-)
+# The robot's MJCF gets only options that change the physics; the task defines the time step and the solver.
+_OPTIONS = """cone impratio density viscosity wind magnetic o_margin o_solref o_solimp o_friction
+noslip_iterations noslip_tolerance"""
+OPTIONS = {f"mjc:option:{name}": name for name in _OPTIONS.split()}
+GROUPS = 31
+FLAGS = """constraint equality frictionloss limit contact spring damper gravity clampctrl warmstart filterparent
+actuation refsafe sensor midphase eulerdamp autoreset nativeccd island override energy fwdinv invdiscrete
+multiccd sleep"""
 SOLVER_REASON = "a setting of the solver or time step, which the task defines, not the robot"
-SOLVER_OPTIONS = (
-    "apirate",
-    "timestep",
-    "iterations",
-    "ls_iterations",
-    "tolerance",
-    "ls_tolerance",
-    "ccd_iterations",
-    "ccd_tolerance",
-    "sdf_iterations",
-    "sdf_initpoints",
-    "sleep_tolerance",
-    "jacobian",
-    "solver",
-)
-COMPILER = {  # reasons why these settings are not written
+SOLVER_OPTIONS = """apirate timestep iterations ls_iterations tolerance ls_tolerance ccd_iterations ccd_tolerance
+sdf_iterations sdf_initpoints sleep_tolerance jacobian solver"""
+COMPILER = {  # reasons for omitting settings
     "angle": "angles are written in radians",
     "autoLimits": "ranges are written with their effective limits",
     "saveInertial": "a setting for saving models",
@@ -286,11 +212,11 @@ COMPILER = {  # reasons why these settings are not written
 
 
 def with_options(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with the scene's options and flags, and with the masses after its compiler settings."""
+    """Return the robot with the options and flags of the physics scene, and with its compiler settings applied."""
     scene = find_scene(stage)
     if scene is None:
         return robot
-    for name in SOLVER_OPTIONS:
+    for name in SOLVER_OPTIONS.split():
         leave(stage, scene, f"mjc:option:{name}", SOLVER_REASON)
     for name, reason in COMPILER.items():
         leave(stage, scene, f"mjc:compiler:{name}", reason)
@@ -315,7 +241,7 @@ def _options(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
 
 
 def _flags(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
-    found = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS})
+    found = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS.split()})
     passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
     if passive is not None:
         found = {"spring": passive, "damper": passive, **found}
@@ -326,7 +252,7 @@ COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
 
 
 def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with the masses that result from the scene's compiler settings."""
+    """Return the robot with the masses and inertias that result from the physics scene's compiler settings."""
     values = {
         name: stage.ledger.read(scene, f"mjc:compiler:{name}", "masses and inertias of the bodies")
         for name in COMPILED_MASSES
@@ -357,7 +283,7 @@ def _scaled(inertial: Inertial, factor: float) -> Inertial:
 
 
 def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with all data of MuJoCo's schemas, matched by prim path."""
+    """Return the robot with all data of MuJoCo's USD schemas, matched by prim path."""
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
     robot = with_wraps(stage, links, robot)
@@ -383,7 +309,7 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
         couplings=(*robot.couplings, *couplings),
         actuators=(*robot.actuators, *read_actuators(stage, targets)),
     )
-    # If a joint has a drive and an actuator of MuJoCo's schemas, the actuator has more information.
+    # If a joint has both a USD drive and a MuJoCo actuator, the actuator has more information.
     robot = _without_doubled_drives(stage, robot)
     robot = replace(robot, actuators=distinct([dof for dof in robot.dofs if dof.drive], robot.actuators))
     robot = with_options(stage, robot)
@@ -394,13 +320,13 @@ Part = TypeVar("Part", Site, Tendon, Coupling, Actuator)
 
 
 def distinct(known: Iterable[Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
-    """Return ``parts`` with numbers appended to names that ``known`` parts of the same kind have."""
+    """Return ``parts`` with a number appended to each name that one of the ``known`` parts has."""
     names = Numbered(item.name for item in known)
     return tuple(replace(part, name=names.take(part.name)) for part in parts)
 
 
 def single_dofs(robot: RobotDescription) -> dict[str, Dof]:
-    """Return by prim path the degree of freedom of joints that have just one."""
+    """Return the degree of freedom of each joint with exactly one, by prim path."""
     found: dict[str, Dof | None] = {}
     for dof in robot.dofs:
         found[dof.path] = None if dof.path in found else dof
@@ -415,32 +341,20 @@ def _with_extras(stage: Stage, robot: RobotDescription) -> RobotDescription:
     hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
     return replace(
         robot,
-        bodies=tuple(_body(stage, body) for body in robot.bodies),
+        bodies=tuple(with_body_extra(stage, body) for body in robot.bodies),
         static_geoms=tuple(with_geom_extra(stage, geom) for geom in robot.static_geoms),
         closures=tuple(with_closure_extra(stage, closure) for closure in robot.closures),
         meshes=tuple(replace(m, extra={**m.extra, **hulls[m.name]}) if m.name in hulls else m for m in robot.meshes),
     )
 
 
-def _body(stage: Stage, body: Body) -> Body:
-    body = with_body_extra(stage, body)
-    return replace(body, geoms=tuple(with_geom_extra(stage, geom) for geom in body.geoms))
-
-
 def _without_doubled_drives(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Drop the drive of a joint that a MuJoCo actuator acts on."""
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
     bodies = []
     for body in robot.bodies:
         dofs = tuple(replace(d, drive=None) if d.drive and d.name in driven else d for d in body.dofs)
-        for old, new in zip(body.dofs, dofs, strict=True):
-            if old is not new:
-                _leave_drive(stage, old)
+        for dof in (old for old, new in zip(body.dofs, dofs, strict=True) if old is not new):
+            for prop in stage.usd.GetPrimAtPath(dof.path).GetAuthoredPropertiesInNamespace("drive"):
+                stage.ledger.leave(dof.path, prop.GetName(), "a MjcActuator acts on this joint and wins over its drive")
         bodies.append(replace(body, dofs=dofs) if dofs != body.dofs else body)
     return replace(robot, bodies=tuple(bodies))
-
-
-def _leave_drive(stage: Stage, dof: Dof) -> None:
-    prim = stage.usd.GetPrimAtPath(dof.path)
-    for prop in prim.GetAuthoredPropertiesInNamespace("drive"):
-        stage.ledger.leave(dof.path, prop.GetName(), "a MjcActuator acts on this joint and wins over its drive")

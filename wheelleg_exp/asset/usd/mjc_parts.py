@@ -1,7 +1,7 @@
 """Read actuators, tendons, and keyframes of MuJoCo's USD schemas, with their attributes in MJCF's types.
 
-Only authored values are read. USD writes what differs from the schema's default, so one end of a range may be
-missing: it is 0. Arrays of a keyframe are in the order of MuJoCo's own model.
+Only authored values are read. USD writes what differs from the schema's default, so one end of a range may be missing:
+it is 0. A keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
 """
 
 from __future__ import annotations
@@ -32,41 +32,30 @@ from wheelleg_exp.asset.usd.usd_stage import Stage
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
-    "solref": 2,
-    "solreflimit": 2,
-    "solreffriction": 2,
-    "o_solref": 2,
-    "springdamper": 2,
-    "springlength": 2,
-    "solimp": 5,
-    "solimplimit": 5,
-    "solimpfriction": 5,
-    "o_solimp": 5,
-    "o_friction": 5,
+    **dict.fromkeys(["solref", "solreflimit", "solreffriction", "o_solref", "springdamper", "springlength"], 2),
+    **dict.fromkeys(["solimp", "solimplimit", "solimpfriction", "o_solimp", "o_friction"], 5),
     "gear": 6,
-    "gainprm": 10,
-    "biasprm": 10,
-    "dynprm": 10,
+    **dict.fromkeys(["gainprm", "biasprm", "dynprm"], 10),
 }
 WORDS = {"cone": {"pyramidal", "elliptic"}}
 
 
 def numbers(stage: Stage, prim: Usd.Prim, name: str, became: str) -> tuple[float, ...] | None:
-    """Return an array's numbers, None if it is not authored or empty."""
+    """Return the numbers of an array attribute, None if the array is empty or not authored."""
     value = stage.ledger.read(prim, name, became)
     found = None if value is None else tuple(float(v) for v in np.atleast_1d(value))
     return found if found and _fits(stage, prim, name, became, found) else None
 
 
 def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
-    """Return an array of integers, [] if it is not authored."""
+    """Return the integers of an array attribute, [] if the array is not authored."""
     return [int(v) for v in numbers(stage, prim, name, became) or ()]
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
-    """Return the authored attributes of ``names`` (USD name: MJCF attribute), in the order of ``names``.
+    """Return the authored values of ``names``, which maps USD attribute names to MJCF attribute names.
 
-    Values that are not finite mean MuJoCo's default and are left out.
+    A value that is not finite means MuJoCo's default and is omitted.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -78,7 +67,6 @@ def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[s
 
 
 def _fits(stage: Stage, prim: Usd.Prim, name: str, became: str, value: Attribute) -> bool:
-    """Return whether MuJoCo accepts a value; if not, record it as left out."""
     if isinstance(value, tuple) and len(value) != EXACT.get(became, len(value)):
         reason = f"MuJoCo's {became} has {EXACT[became]} numbers, not {len(value)}"
     elif isinstance(value, tuple) and len(value) > LONGEST.get(became, len(value)):
@@ -102,14 +90,10 @@ def _plain(value: Any) -> Attribute | None:
 
 
 def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
-    """Return a range and its switch, as two MJCF attributes.
+    """Return a USD range and the flag that enables the range, as two MJCF attributes.
 
-    Args:
-        stage: the open stage.
-        prim: the attributes' prim.
-        stem: ``mjc:ctrlRange`` of ``mjc:ctrlRange:min`` and ``:max``.
-        switch: the token ``auto``, ``true``, or ``false``, such as ``mjc:ctrlLimited``.
-        became: the MJCF attribute of the range; the switch of ``ctrlrange`` is ``ctrllimited``.
+    USD's ``mjc:ctrlRange:min``, ``mjc:ctrlRange:max``, and ``mjc:ctrlLimited`` become ``ctrlrange`` and
+    ``ctrllimited``.
     """
     switched = became.removesuffix("range") + "limited"
     ends = [stage.ledger.read(prim, f"{stem}:{end}", became) for end in ("min", "max")]
@@ -127,7 +111,7 @@ def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) ->
 
 
 def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
-    """Record an authored attribute as left out, unless it became something already."""
+    """Record an authored attribute as omitted, unless the ledger has already recorded the attribute."""
     value = stage.ledger.read(prim, name)
     if value is not None and not stage.ledger.knows(prim.GetPath(), name):
         stage.ledger.leave(prim.GetPath(), name, reason, value)
@@ -135,7 +119,7 @@ def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
 
 Transmission = Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
 ACTUATOR = "MjcActuator"
-TYPES = {  # MuJoCo's types, as MJCF writes them
+TYPES = {  # MJCF's words
     "dynType": {"none", "integrator", "filter", "filterexact", "muscle", "user"},
     "gainType": {"fixed", "affine", "muscle", "user"},
     "biasType": {"none", "affine", "muscle", "user"},
@@ -151,7 +135,7 @@ ACTUATOR_ATTRIBUTES = {
 
 @dataclass(frozen=True)
 class Targets:
-    """Names in the model, by prim path, of possible actuator targets; ``ranged`` are names with limits."""
+    """The MJCF names of possible actuator targets, by prim path; ``ranged`` are the names of targets with limits."""
 
     ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
@@ -160,7 +144,6 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
-        """Return the kind and the name of the target at ``path``."""
         kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
             ("joint", self.joints),
             ("tendon", self.tendons),
@@ -171,7 +154,7 @@ class Targets:
 
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[Actuator, ...]:
-    """Return the actuators whose target is in the model, in the order of the stage."""
+    """Return the actuators whose target is in the MJCF, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_actuator(stage, prim, names[str(prim.GetPath())], targets) for prim in prims)
@@ -216,7 +199,6 @@ def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
 
 
 def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribute] | None:
-    """Return the further sites of an actuator, None if one of them is not in the model."""
     found: dict[str, Attribute] = {}
     for name, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
         for path in stage.ledger.targets(prim, name, became)[:1]:
@@ -240,41 +222,27 @@ def _parameters(stage: Stage, prim: Usd.Prim) -> dict[str, Attribute]:
 
 
 def _without_zeros(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the array without trailing zeros, which MuJoCo adds; at least one number stays."""
     last = max((i for i, v in enumerate(values) if v != 0.0), default=0)
     return values[: last + 1]
 
 
 TENDON = "MjcTendon"
-TENDON_ATTRIBUTES = {
-    f"mjc:{name}": name
-    for name in (
-        "springlength",
-        "stiffness",
-        "damping",
-        "frictionloss",
-        "armature",
-        "margin",
-        "solreflimit",
-        "solimplimit",
-        "solreffriction",
-        "solimpfriction",
-        "group",
-    )
-}
-DRAWN = {"mjc:width": "width", "mjc:rgba": "rgba"}  # only spatial tendons are drawn
+_OF_TENDONS = """springlength stiffness damping frictionloss armature margin solreflimit solimplimit solreffriction
+solimpfriction group"""
+TENDON_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_TENDONS.split()}
+DRAWN = {"mjc:width": "width", "mjc:rgba": "rgba"}
 OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:indices")
 
 
 def tendon_prims(stage: Stage) -> list[Usd.Prim]:
-    """Return the tendon prims of the stage."""
+    """Return the MjcTendon prims of the stage."""
     return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
 
 
 def read_tendons(
     stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
 ) -> tuple[Tendon, ...]:
-    """Return the tendons whose whole path is in the model; the arguments map prim paths to names."""
+    """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
     prims = tendon_prims(stage)
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
@@ -304,22 +272,20 @@ def _tendon(
     extra |= limits(stage, prim, "mjc:actuatorfrcrange", "mjc:actuatorfrclimited", "actuatorfrcrange")
     extra |= {key: value for key, value in bounds.items() if key != "range"}
     stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
-    return Tendon(name, str(prim.GetPath()), points, factors, _pair(bounds.get("range")), extra)
+    span = bounds.get("range")
+    length = (span[0], span[1]) if isinstance(span, tuple) else None
+    return Tendon(name, str(prim.GetPath()), points, factors, length, extra)
 
 
 class _BrokenPath(Exception):
-    """A tendon's path is invalid; the message gives the reason."""
-
-
-def _pair(value: Attribute | None) -> tuple[float, float] | None:
-    return (value[0], value[1]) if isinstance(value, tuple) else None
+    """A tendon's path is invalid; the error message gives the reason."""
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
     order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
     if not order or not all(0 <= i < len(targets) for i in order):
-        raise _BrokenPath("its path does not match the path's indices")
+        raise _BrokenPath("the tendon's path does not match the path's indices")
     return [targets[i] for i in order]
 
 
@@ -327,7 +293,7 @@ def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[t
     route = _route(stage, prim)
     factors = numbers(stage, prim, "mjc:path:coef", "the tendon's coefficients") or ()
     if len(factors) != len(route):
-        raise _BrokenPath(f"it has {len(route)} joints, but {len(factors)} coefficients")
+        raise _BrokenPath(f"the tendon has {len(route)} joints, but {len(factors)} coefficients")
     missing = [path for path in route if path not in joints]
     if missing:
         raise _BrokenPath(f"there is no joint '{missing[0]}' in the model")
@@ -342,43 +308,36 @@ def _points(
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
     sides = _sides(stage, prim, len(route), sites)
     if len(segments) != len(route) or max(segments) >= len(divisors):
-        raise _BrokenPath("its path does not match its segments")
+        raise _BrokenPath("the tendon's path does not match its segments")
     points: list[TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
-        # MJCF marks a new segment by a pulley with the segment's divisor.
+        # MJCF marks a new tendon segment by a pulley with the segment's divisor.
         if segment != current or (not points and divisors[0] != 1.0):
             points.append(TendonPoint("pulley", divisor=divisors[segment]))
         current = segment
-        points.append(_point(path, side, sites, geoms))
+        if path not in sites and path not in geoms:
+            raise _BrokenPath(f"there is no site or geom '{path}' in the model")
+        points.append(TendonPoint("site", sites[path]) if path in sites else TendonPoint("geom", geoms[path], side))
     return tuple(points)
 
 
-def _point(path: str, side: str | None, sites: Mapping[str, str], geoms: Mapping[str, str]) -> TendonPoint:
-    if path in sites:
-        return TendonPoint("site", sites[path])
-    if path in geoms:
-        return TendonPoint("geom", geoms[path], side)
-    raise _BrokenPath(f"there is no site or geom '{path}' in the model")
-
-
 def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -> list[str | None]:
-    """Return the side site of each point, or None."""
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
     order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
     if len(order) != count or max(order) >= len(targets):
-        raise _BrokenPath("its path does not match its side sites")
+        raise _BrokenPath("the tendon's path does not match its side sites")
     missing = [path for path in targets if path not in sites]
     if missing:
         raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
     return [sites[targets[i]] if i >= 0 else None for i in order]
 
 
-WRAPPED = {"sphere", "cylinder"}  # shapes that MuJoCo's tendons can wrap around
+WRAPPED = {"sphere", "cylinder"}
 
 
 def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
-    """Return the robot with a geom for each shape on a tendon's path that has no geom yet."""
+    """Return the robot with a geom added for each shape on a tendon's path that has no geom yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
@@ -417,7 +376,7 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 
 def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...]:
-    """Return the keyframes that match the robot's number of coordinates, velocities, and controls."""
+    """Return the keyframes whose arrays match the robot's numbers of coordinates, velocities, and controls."""
     prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
@@ -438,24 +397,22 @@ def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) 
 
 
 def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
-    """Return the length of each array of a keyframe."""
+    """Return the required length of each array of a keyframe."""
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls
     mocap = sum(body.mocap for body in robot.bodies)
+    states = 0
+    for actuator in robot.actuators:
+        own = actuator.extra.get("actdim", -1)
+        stateful = actuator.extra.get("dyntype", "none") != "none"
+        states += own if isinstance(own, int) and own >= 0 else int(stateful)
     controls = len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs)
     return {
         "qpos": 7 * free + 4 * balls + single,
         "qvel": 6 * free + 3 * balls + single,
         "ctrl": controls,
-        "act": sum(_states(actuator) for actuator in robot.actuators),
+        "act": states,
         "mpos": 3 * mocap,
         "mquat": 4 * mocap,
     }
-
-
-def _states(actuator: Actuator) -> int:
-    own = actuator.extra.get("actdim", -1)
-    if isinstance(own, int) and own >= 0:
-        return own
-    return 0 if actuator.extra.get("dyntype", "none") == "none" else 1

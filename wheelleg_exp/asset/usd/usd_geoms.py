@@ -1,6 +1,6 @@
-"""Give each body its geoms, store each mesh once, and find the pairs that never touch.
+"""Make the geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
 
-Joined bodies, filtered pairs, and collision groups become excludes of bodies or bits of shapes.
+Joined bodies, filtered pairs, and collision groups become MJCF excludes of bodies or collision bits of geoms.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
-from wheelleg_exp.asset.robot_description import Extra, Geom, Material, Mesh, Numbered, Rgba, file_stem, unique_names
+from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, file_stem, unique_names
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
 from wheelleg_exp.asset.usd.bodies.roots import Graph
 from wheelleg_exp.asset.usd.colliders import Piece
@@ -22,43 +22,30 @@ from wheelleg_exp.asset.usd.joints.usd_joints import Joint
 from wheelleg_exp.asset.usd.materials import Looks, friction_of
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
-SMALLEST_VOLUME = 1e-13  # m³ of a mesh's box; MuJoCo's compiler refuses smaller solids
+SMALLEST_VOLUME = 1e-13  # m³
 
 
 class Geoms:
-    """All shapes of a stage as geoms, by body."""
+    """The geoms of all shapes of a stage, by body."""
 
     def __init__(self, stage: Stage, pieces: list[Piece]) -> None:
         self.stage, self.looks = stage, Looks(stage)
-        self._pieces: dict[str | None, list[Piece]] = {}
+        self.pieces: dict[str | None, list[Piece]] = {}
         for piece in pieces:
-            self._pieces.setdefault(piece.link.path if piece.link else None, []).append(piece)
-        self._meshes: dict[str, Mesh] = {}
+            self.pieces.setdefault(piece.link.path if piece.link else None, []).append(piece)
+        self.meshes: dict[str, Mesh] = {}
         self._taken, self._files = Numbered(), Numbered()
-        self._surfaces = {piece.key: self._surface(piece) for piece in pieces if piece.drawn}
-        self._materials = self.looks.named()
-        self._names = {key: _names(key, group) for key, group in self._pieces.items()}
-
-    def pieces_of(self, link: Link) -> list[Piece]:
-        """Return the shapes of a body as read."""
-        return self._pieces.get(link.path, [])
+        self._surfaces = {piece.path: self._surface(piece) for piece in pieces if piece.drawn}
+        self.materials = self.looks.named()
+        self._names = {key: _names(key, group) for key, group in self.pieces.items()}
 
     def of(self, link: Link | None) -> tuple[Geom, ...]:
-        """Return the geoms of a body (None: the world)."""
         key = link.path if link else None
         owner = link.name if link else "world"
-        return tuple(self._geom(piece, owner, self._names[key]) for piece in self._pieces.get(key, []))
-
-    def materials(self) -> list[Material]:
-        """Return the materials in use."""
-        return list(self._materials.values())
-
-    def meshes(self) -> list[Mesh]:
-        """Return the meshes in use; valid after all geoms were requested."""
-        return list(self._meshes.values())
+        return tuple(self._geom(piece, owner, self._names[key]) for piece in self.pieces.get(key, []))
 
     def _surface(self, piece: Piece) -> tuple[str | None, Rgba | None]:
-        """Return a shape's look; for a mesh with several materials, that of most faces."""
+        """Return a shape's material or colour; a mesh with several materials gets the material of most faces."""
         own = self.looks.look(piece.prim)
         if own != (None, None):
             return own
@@ -79,9 +66,9 @@ class Geoms:
 
     def _geom(self, piece: Piece, owner: str, names: dict[str, str]) -> Geom:
         shape, path = piece.shape, piece.path
-        material, rgba = self._surfaces.get(piece.key, (None, None))
+        material, rgba = self._surfaces.get(piece.path, (None, None))
         kind = "collider" if piece.collides else "visual"
-        name = self._name(owner, names[piece.key], piece.collides)
+        name = self._name(owner, names[piece.path], piece.collides)
         self.stage.ledger.mapped(path, str(piece.prim.GetTypeName()), f"{kind} geom {name} ({shape.kind})")
         return Geom(
             name=name,
@@ -92,7 +79,7 @@ class Geoms:
             collides=piece.collides,
             drawn=piece.drawn,
             mesh=self._mesh(name, shape, piece.collides) if shape.kind == "mesh" else None,
-            material=self._materials[material].name if material else None,
+            material=self.materials[material].name if material else None,
             rgba=rgba,
             friction=friction_of(self.stage, piece.prim) if piece.collides else None,
         )
@@ -103,9 +90,9 @@ class Geoms:
         vertices = np.round(shape.vertices, 9) + 0.0
         faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
         key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
-        if key not in self._meshes:
-            self._meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
-        return self._meshes[key].name
+        if key not in self.meshes:
+            self.meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
+        return self.meshes[key].name
 
     def _mesh_name(self, name: str) -> str:
         stem = file_stem(name)
@@ -120,27 +107,27 @@ def _faces(subset: UsdGeom.Subset) -> int:
 def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
     """Return the shapes' names within their body: the leaf, with parents if two leaves are equal.
 
-    Visuals get a suffix, so drawn and solid shapes never have the same name.
+    Visuals get a suffix, so a visual and a collider never have equal names.
     """
     base = key or ""
     out = {}
     for collides in (True, False):
         chosen = [piece for piece in pieces if piece.collides is collides]
-        keys = {piece.key.removeprefix(base): piece.key for piece in chosen}
-        shown = shown_names([piece.prim for piece in chosen if piece.instance is None])
+        keys = {piece.path.removeprefix(base): piece.path for piece in chosen}
+        shown = shown_names([piece.prim for piece in chosen])
         short = unique_names(keys, {path.removeprefix(base): name for path, name in shown.items()})
         out.update({full: short[relative] for relative, full in keys.items()})
     return out
 
 
 WORLD = "world"
-MANY = 300  # more excludes of bodies than this are written as bits of shapes, which is shorter
-BITS = 31  # MuJoCo's contype and conaffinity have 32 bits; all shapes share the first one
+MANY = 300  # excludes of bodies
+BITS = 31  # of MuJoCo's 32 bits
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Pairs of bodies that never touch, and collision bits of geoms by the path of their shape."""
+    """The pairs of bodies that never touch, and the collision bits of geoms, by shape path."""
 
     pairs: tuple[tuple[str, str], ...]
     bits: Mapping[str, Extra]
@@ -148,7 +135,7 @@ class Filters:
 
 @dataclass
 class _Rules:
-    """Pairs of shape sets that never touch; shapes by path."""
+    """The pairs of shape sets that never touch; a set has the paths of its shapes."""
 
     sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
 
@@ -157,7 +144,10 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a number for each shape; shapes with the same number are in the same sets. 0 is in no set."""
+        """Return a class number for each shape; shapes with equal numbers are in the same sets.
+
+        A shape with number 0 is in no set.
+        """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
         for index, pair in enumerate(self.sides):
@@ -167,7 +157,6 @@ class _Rules:
         return {path: known.setdefault(tuple(member.get(path, ())), len(known)) for path in shapes}
 
     def forbidden(self, classes: Mapping[str, int]) -> set[tuple[int, int]]:
-        """Return the pairs of classes that never touch, in both orders."""
         out = set()
         for first, second in self.sides:
             for a in {classes[path] for path in first}:
@@ -179,7 +168,7 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return the filters of a stage. Two joined bodies do not touch unless the joint allows it.
+    """Return the collision filters of a stage. Two joined bodies do not touch unless the joint allows contact.
 
     ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
@@ -192,7 +181,7 @@ def read_filters(
         rules.add(inside, inside)
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
-    # Excludes of whole bodies are easier to read than bits, so bits are used only if excludes cannot express the rules.
+    # MJCF excludes of bodies are easier to read than collision bits, so bits are used only if necessary.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
@@ -229,7 +218,6 @@ def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Ru
 
 
 def _bodies(links: Links, path: Sdf.Path) -> list[Link]:
-    """Return the body at a path, else all bodies below it; none for a collider of a body."""
     owner = links.owner(path)
     if owner is None:
         return links.below(path)
@@ -243,7 +231,7 @@ def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str
 
 
 def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
-    """Add the rules of collision groups, by OpenUSD's own table of groups."""
+    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups."""
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
@@ -259,12 +247,13 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
 def _members(
     stage: Stage, groups: list[UsdPhysics.CollisionGroup], solid: Mapping[str, Piece]
 ) -> dict[Sdf.Path, set[str]]:
-    """Return the shapes of each group. As in PhysX, a shape belongs to the first group that contains it."""
+    """Return the shapes of each collision group; as in PhysX, the first group with a shape gets the shape."""
     taken: dict[str, Sdf.Path] = {}
     out: dict[Sdf.Path, set[str]] = {}
     for group in groups:
-        query = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
-        inside = {path for path, piece in solid.items() if _included(query, piece)}
+        included = group.GetCollidersCollectionAPI().ComputeMembershipQuery().IsPathIncluded
+        places = {path: (piece.prim, piece.carrier) for path, piece in solid.items()}
+        inside = {path for path, prims in places.items() if any(prim and included(prim.GetPath()) for prim in prims)}
         double = inside & taken.keys()
         for path in sorted(double):
             rule = f"a collider of two collision groups: the first, {taken[path]}"
@@ -272,12 +261,6 @@ def _members(
         out[group.GetPath()] = inside - double
         taken |= dict.fromkeys(inside - double, group.GetPath())
     return out
-
-
-def _included(query: object, piece: Piece) -> bool:
-    assert piece.carrier is not None
-    included = query.IsPathIncluded  # type: ignore[attr-defined]
-    return bool(included(piece.prim.GetPath()) or included(piece.carrier.GetPath()))
 
 
 GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:invertFilteredGroups")
@@ -294,9 +277,9 @@ def _account(stage: Stage, prim: Usd.Prim, count: int) -> None:
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return pairs of bodies whose shapes never touch, and pairs with only some such shapes.
+    """Return the pairs of bodies of which no shapes touch, and the pairs of which some shapes never touch.
 
-    Bodies with the same classes of shapes are processed together.
+    Bodies whose shapes are in equal sets are processed together.
     """
     if not forbidden:
         return [], []
@@ -332,7 +315,7 @@ def _bits(
     out: dict[str, Extra] = {}
     for path, piece in solid.items():
         kind = classes[path]
-        # MuJoCo tests contype of one geom against conaffinity of the other: a cleared bit forbids the contact.
+        # MuJoCo tests one geom's contype against the second geom's conaffinity: a cleared bit forbids the contact.
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
@@ -343,7 +326,7 @@ SWITCHES = ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnab
 
 
 def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
-    """Return the bodies, by path, of each articulation whose self-collision is switched off."""
+    """Return the body paths of each articulation whose self-collision is disabled."""
     parts: dict[frozenset[str], None] = {}
     for prim in (prim for prim in stage.prims if schemas(prim)):
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
@@ -361,5 +344,5 @@ def _meant(graph: Graph, path: str) -> list[Link]:
 
 
 def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:
-    """Return whether one such articulation contains all colliding bodies."""
+    """Return whether one articulation without self-collision contains all bodies with colliders."""
     return len(parts) == 1 and solid <= parts[0]

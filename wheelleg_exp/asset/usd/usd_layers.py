@@ -1,6 +1,6 @@
-"""Open the layers of a stage before composition, and report those that are missing after it.
+"""Open the USD layers of a stage before composition, and report the missing layers after composition.
 
-The USD library opens whatever a layer names, and would wait for a pipe.
+The USD library opens every file that a layer names, and would wait forever for a pipe.
 
 A missing texture, material library, or visual layer is reported and skipped. A missing physics layer is an error,
 because bodies, joints, and colliders would vanish silently. What was referenced from a layer, and where, decides its
@@ -21,13 +21,12 @@ from wheelleg_exp.errors import AssetError
 
 
 def open_layers(source: Path) -> list[Sdf.Layer]:
-    """Open a stage's layers, including those of all variants. They stay open as long as the list exists.
+    """Open a stage's layers, including those of all variants.
 
-    Raises:
-        AssetError: a layer is a pipe, a device, or too large. Tf.ErrorException: ``source`` itself cannot be read.
+    The layers stay open as long as the returned list exists.
     """
     identifier = str(source.resolve())
-    require_plain_file(source, "a layer of USD")  # the library would wait for a pipe
+    require_plain_file(source, "a layer of USD")
     with Ar.ResolverContextBinder(Ar.GetResolver().CreateDefaultContextForAsset(identifier)):
         root = _read_layer(identifier)
         if root is None:
@@ -49,7 +48,6 @@ def open_layers(source: Path) -> list[Sdf.Layer]:
 
 
 def _open_layer(identifier: str, holder: Sdf.Layer, name: str) -> Sdf.Layer | None:
-    """Return the layer that another layer names, or None if it is missing or unreadable."""
     file = Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]).GetPathString()
     path = Path(Ar.SplitPackageRelativePathOuter(file)[0])
     if not file or not Sdf.FileFormat.FindByExtension(file) or not path.exists() or path.is_dir():
@@ -61,12 +59,11 @@ def _open_layer(identifier: str, holder: Sdf.Layer, name: str) -> Sdf.Layer | No
         raise
     try:
         return _read_layer(identifier)
-    except Tf.ErrorException:  # reported when the stage needs the layer
+    except Tf.ErrorException:
         return None
 
 
 def _naming_prim(layer: Sdf.Layer, name: str) -> str | None:
-    """Return the first prim with a reference or payload to the layer ``name``; None for a sublayer."""
     found: list[Sdf.Path] = []
 
     def note(path: Sdf.Path) -> None:
@@ -102,19 +99,18 @@ class Missing:
 
     @property
     def looks_only(self) -> bool:
-        """Whether only looks were referenced from it: by its suffix, or by the prims that name it."""
+        """Whether the missing file contains only visuals, judging by its suffix or by the prims that name the file."""
         return bool(_NO_LAYER.search(self.name)) or all(
             any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims
         )
 
     @property
     def prim(self) -> Sdf.Path:
-        """The first prim that names it; the pseudo-root for a sublayer."""
         return self.prims[0]
 
 
 def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
-    """Return what composition could not find, each item once; files relative to the source's folder if possible."""
+    """Return the layers and prims that USD composition could not find, without duplicates."""
     found: dict[str, Missing] = {}
     for error in usd.GetCompositionErrors():
         item = _missing(str(error), f"{source.resolve().parent}/")
@@ -140,12 +136,7 @@ def _missing(text: str, folder: str) -> Missing:
 
 
 def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Missing], source: Path) -> None:
-    """Raise an error if physics is missing from a stage.
-
-    Raises:
-        AssetError: a layer is missing, and so is a body that a joint names or a shape of a collider, or more bodies of
-            a robot without joints.
-    """
+    """Raise an AssetError if a missing layer or prim would have added physics to the stage."""
     arcs = [(item, holder) for item in missing if not _NO_LAYER.search(item.name) for holder in item.prims]
     if not arcs:
         return
@@ -164,7 +155,6 @@ def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Mis
 def _losses(
     usd: Usd.Stage, prims: list[Usd.Prim], arcs: list[tuple[Missing, Sdf.Path]]
 ) -> Iterator[tuple[Missing, Sdf.Path, str]]:
-    """Yield the missing layers that physics was referenced from, with the naming prim, and what is lost."""
     joints = [prim for prim in prims if prim.IsA(UsdPhysics.Joint)]
     bodies = [prim.GetPath() for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI)]
     gone = [(joint, target) for joint in joints for target in _bodies_of(joint) if not usd.GetPrimAtPath(target)]
@@ -185,8 +175,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return which collider lacks the shapes that ``holder`` should have added, or an empty text."""
-    # Search upwards: the nearest ancestor that is a collider or a visual decides.
+    """Return a text about the collider that lacks the shapes from ``holder``'s missing layer, or an empty string."""
+    # The nearest ancestor that is a collider or a visual determines whether physics is missing.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

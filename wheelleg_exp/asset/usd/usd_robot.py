@@ -1,8 +1,8 @@
-"""Read a USD file into a robot description and a report.
+"""Read a USD file into a robot description and a conversion report.
 
-Numbers that the file stores in single precision become their shortest decimals; double precision stays exact. Joint
-frames, limits, drives, and most masses are single by USD's schemas. Transforms may be either: they are treated as
-single if none of them changes in single precision, as in files whose writer widened them.
+Numbers that the USD file stores in single precision become their shortest decimals; double-precision numbers stay
+exact. USD's schemas define joint frames, limits, drives, and most masses in single precision. Transforms may be either:
+they are treated as single if none of them changes in single precision, as in files whose writer widened them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
 from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, all_quiet, quiet_parts, read_filters
 from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
-HALF_STEP = 2.0**-25  # of a vector's size: a smaller change is lost in single precision
+HALF_STEP = 2.0**-25
 MOST_DIGITS = 9
 
 
@@ -56,7 +56,6 @@ def shortened(stage: Stage, robot: RobotDescription) -> RobotDescription:
 
 
 def _is_single(prim: Usd.Prim) -> bool:
-    """Return whether a prim's transform loses nothing in single precision."""
     for name in prim.GetAuthoredPropertyNames():
         if name.startswith("xformOp:"):
             value: Any = prim.GetAttribute(name).Get() if prim.GetAttribute(name) else None
@@ -69,7 +68,7 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 
 def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
-    by_joint = body.parent is not None  # the pose comes from joint frames
+    by_joint = body.parent is not None
     return replace(
         body,
         pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
@@ -80,13 +79,13 @@ def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
 
 
 def _short_inertial(inertial: Inertial) -> Inertial:
-    """Shorten the centre and the axes. Moments stay unchanged, because they must fit each other."""
+    """Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other."""
     w, x, y, z = _shortest(inertial.axes, 1.0)
     return replace(inertial, center_of_mass=_short_vector(inertial.center_of_mass), axes=(w, x, y, z))
 
 
 def _short_dof(stage: Stage, dof: Dof) -> Dof:
-    """Shorten the numbers of a joint, except for those of MuJoCo's schemas, which are double."""
+    """Shorten the numbers of a joint without attributes of MuJoCo's schemas, which have double precision."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
     return replace(
@@ -127,20 +126,15 @@ def _short_vector(values: Vec3) -> Vec3:
 
 
 def _shortest(values: Iterable[float], size: float) -> list[float]:
-    """Return the shortest decimals that are equal in a single-precision vector of this size."""
-    return [next((s for s in _decimals(value) if abs(s - value) <= size * HALF_STEP), value) for value in values]
-
-
-def _decimals(value: float) -> Iterable[float]:
-    return (float(f"{value:.{digits}g}") + 0.0 for digits in range(1, MOST_DIGITS + 1))
+    found = []
+    for value in values:
+        decimals = (float(f"{value:.{digits}g}") + 0.0 for digits in range(1, MOST_DIGITS + 1))
+        found.append(next((short for short in decimals if abs(short - value) <= size * HALF_STEP), value))
+    return found
 
 
 def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
-    """Read a robot and its report.
-
-    Raises:
-        AssetError: the file cannot be read, or contains no rigid body.
-    """
+    """Read the robot of a USD file, and make its conversion report."""
     with library(source):
         stage = open_stage(source, variants)
         robot = describe(stage, base)
@@ -148,12 +142,12 @@ def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple
 
 
 def describe(stage: Stage, base: BaseMode) -> RobotDescription:
-    """Return the robot of an open stage."""
+    """Return the robot description of an open USD stage."""
     links = find_links(stage)
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    # If one articulation without self-collision contains all colliders, a default class can express it.
+    # If one articulation without self-collision contains all colliders, a default class can disable self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
     filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
@@ -171,8 +165,8 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
         closures=(*read_closures(stage, tree.closures), *ropes.closures),
         couplings=read_mimics(stage, [dof for body in bodies for dof in body.dofs]),
         tendons=tuple(ropes.tendons),
-        materials=tuple(parts.shapes.materials()),
-        meshes=tuple(parts.shapes.meshes()),
+        materials=tuple(parts.shapes.materials.values()),
+        meshes=tuple(parts.shapes.meshes.values()),
         self_collision=touching,
         breadth_first_dofs=_breadth_first(tree, dofs),
     )
@@ -195,20 +189,16 @@ def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str
 
 
 class _Parts:
-    """The parts of bodies, by body."""
-
     def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
         self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
         self.sites: dict[str, list[Site]] = {}
 
     def geoms(self, node: Node | None) -> tuple[Geom, ...]:
-        """Return the shapes of a body (None: the world) with their collision bits."""
         bits = self.filters.bits
         found = self.shapes.of(node.link if node else None)
         return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
     def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
-        """Return a body with its parts."""
         link = node.link
         return Body(
             name=link.name,
@@ -216,7 +206,7 @@ class _Parts:
             parent=node.parent.name if node.parent else None,
             pose=node.pose,
             inertial=inertial_of(
-                self.stage, link, self.shapes.pieces_of(link), welded=node.joint is not None and not dofs
+                self.stage, link, self.shapes.pieces.get(link.path, []), welded=node.joint is not None and not dofs
             ),
             floating=node.floating,
             velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,

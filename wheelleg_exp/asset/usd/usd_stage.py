@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
-from wheelleg_exp.asset.file_limits import FARTHEST, FETCH, MOST_PRIMS, POINTER, require_plain_file, require_size
+from wheelleg_exp.asset.file_limits import FETCH, MOST_PRIMS, POINTER, require_near, require_plain_file, require_size
 from wheelleg_exp.asset.rigid_geometry import Array, Frame, rigid_part, rounded, single, vec3
 from wheelleg_exp.asset.robot_description import Vec3
 from wheelleg_exp.asset.usd.ledger import Ledger
-from wheelleg_exp.asset.usd.usd_layers import Missing, find_missing, open_layers, require_physics
+from wheelleg_exp.asset.usd.usd_layers import find_missing, open_layers, require_physics
 from wheelleg_exp.errors import AssetError, nearest_name
 
-HUGE = 1e37  # larger numbers mean infinity
-ENDLESS_DEG = 5e7  # importers write a continuous hinge as ±57295776° (1e6 rad) or ±1e8°
+HUGE = 1e37
+ENDLESS_DEG = 5e7  # degrees
 ENDLESS_LENGTH = 1e6
 
 
@@ -43,33 +43,29 @@ class Units:
         return out
 
     def mass(self, value: float) -> float:
-        """Return kg."""
         return value * self.kilograms
 
     def density(self, value: float) -> float:
-        """Return kg/m³."""
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
-        """Return kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
-        """Return a joint coordinate or speed in rad or m, from degrees or stage lengths."""
+        """Convert a joint coordinate or velocity from degrees or stage lengths to rad or m."""
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
-        """Return N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
-        """Return a stiffness or damping per rad or per m, from one per degree or per stage length."""
+        """Convert a stiffness or damping from per degree or per stage length to per rad or per m."""
         if angular:
             return rounded(math.degrees(value) * self.kilograms * self.meters**2)
         return rounded(value * self.kilograms)
 
     def rotor(self, value: float, angular: bool) -> float:
-        """Return an armature in kg·m² or kg."""
+        """Convert a joint's armature from stage units to kg·m² or kg."""
         return rounded(self.inertia(value) if angular else self.mass(value))
 
 
@@ -86,19 +82,16 @@ def endless(value: float | None, angular: bool) -> bool:
 
 
 def effort_limit(value: float | None) -> float | None:
-    """Return a drive's force limit in stage units, None if missing, infinite, huge, or not positive."""
+    """Return a drive's effort limit in stage units; None if the limit is missing, infinite, huge, or not positive."""
     if value is None or not math.isfinite(value) or value >= HUGE or value <= 0:
         return None
     return value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
-    """Select variants on the stage's session layer. Return all selected names by variant set.
+    """Select variants on the stage's session layer. Return the selected variant of each variant set.
 
-    Variant sets are searched on the default prim first, then below it.
-
-    Raises:
-        AssetError: the variant set does not exist, or has no such variant.
+    A selection applies to the first prim with the variant set, starting at the default prim.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -116,7 +109,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
         options = holders[0].GetVariantSet(name).GetVariantNames()
         if wanted not in options:
             raise AssetError(
-                f"variant set '{name}' has no '{wanted}'",
+                f"variant set '{name}' has no variant '{wanted}'",
                 key=f"--variant {name}={wanted}",
                 expected="one of " + ", ".join(options),
                 nearest=nearest_name(wanted, options),
@@ -128,7 +121,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
 
 
 def unselected(root: Usd.Prim) -> Iterator[str]:
-    """Yield a warning for each variant set without a selection, whose variants are all ignored."""
+    """Yield a warning for each variant set without a selection, because USD ignores all its variants."""
     for name, options in variant_sets(root).items():
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():
@@ -137,7 +130,7 @@ def unselected(root: Usd.Prim) -> Iterator[str]:
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
-    """Return the variants by variant set: sets of ``root`` first, then those below it."""
+    """Return the variant names of each variant set at or below ``root``; sets of ``root`` come first."""
     found: dict[str, list[str]] = {}
     for prim in Usd.PrimRange(root):
         for name in prim.GetVariantSets().GetNames():
@@ -146,14 +139,13 @@ def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
 
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-MOST_SCHEMAS = 200  # of one prim; the library's time grows with the square of their number
 
 
 @dataclass
 class Stage:
     """An open stage and shared data of the readers: units, the prims to read, transforms, and the ledger.
 
-    ``prims`` are in the stage's order, without the prims below a PointInstancer, which are drawn only as its instances.
+    ``prims`` are in the stage's order, without the prims below a PointInstancer, because USD does not draw prototypes.
     """
 
     usd: Usd.Stage
@@ -172,58 +164,41 @@ class Stage:
 
     @cached_property
     def physics_scenes(self) -> list[Usd.Prim]:
-        """All PhysicsScene prims of the stage."""
         return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
-        """The prims that carry ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
-        """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up.
-
-        Raises:
-            AssetError: an xformOp is invalid or not finite, or moves the prim farther than any robot reaches.
-        """
+        """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up."""
         if prim is None:
             return self._world
         try:
             local = np.array(self._xforms.GetLocalToWorldTransform(prim), dtype=float).T
         except Tf.ErrorException as error:
-            raise _bad_transform(prim, _complaint(error), "xformOps of this prim, each with its own type") from None
+            expected = "xformOps of this prim, each with its own type"
+            raise AssetError(_complaint(error), key=str(prim.GetPath()), expected=expected) from None
         with np.errstate(all="ignore"):
             out = np.asarray(self._world @ local)
-        if not np.isfinite(out).all():
-            raise _bad_transform(prim, "the transform is not finite", "finite xformOps")
-        if np.abs(out).max() > FARTHEST:
-            raise _bad_transform(prim, f"the transform reaches {np.abs(out).max():.3g} m", f"less than {FARTHEST:g} m")
+        require_near(out, key=str(prim.GetPath()))
         return out
 
     def frame(self, prim: Usd.Prim) -> Frame:
-        """Return a prim's frame in the world, without scale."""
+        """Return the rigid frame of a prim in the world, without scale."""
         return rigid_part(self.matrix(prim))
 
 
-def _bad_transform(prim: Usd.Prim, message: str, expected: str) -> AssetError:
-    return AssetError(message, key=str(prim.GetPath()), expected=expected)
-
-
 def schemas(prim: Usd.Prim) -> list[str]:
-    """Return the applied API schemas as authored, including those unknown to the USD library."""
+    """Return the names of a prim's applied API schemas, including schemas unknown to the USD library."""
     return list(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
 
 
 def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
-    """Open ``source`` with all payloads loaded.
-
-    Raises:
-        AssetError: the file is missing or not USD, a variant does not exist, a physics layer is missing, or the stage
-            is too large for a robot.
-    """
+    """Open the USD file ``source`` with all payloads loaded."""
     _require_file(source)
     with library(source):
-        root, *_ = open_layers(source)  # the stage uses the other layers, which stay open
+        root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
         sampled = _settle_samples(usd)
         chosen = choose(usd, variants)
@@ -235,12 +210,8 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
 
 @contextmanager
 def library(source: Path) -> Iterator[None]:
-    """Hide the USD library's terminal messages, and convert its errors and those of the disk to AssetError.
-
-    Raises:
-        AssetError: the library cannot read the file or a layer.
-    """
-    # The delegate collects the library's messages, which would otherwise go to stderr.
+    """Hide the USD library's terminal messages, and convert USD errors and OSError to AssetError."""
+    # The delegate collects the USD library's messages, which would otherwise go to stderr.
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
@@ -273,7 +244,7 @@ def _require_file(source: Path) -> None:
 
 
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
-    """Return the library's first error: for a text layer with its line and the text there."""
+    """Return the USD library's first error message, for a text layer with the line number and the text of the line."""
     text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
@@ -288,7 +259,7 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
 
 
 def _complaint(error: Tf.ErrorException) -> str:
-    """Return the library's first error, without its place in the library's code."""
+    """Return the USD library's first error message, without the file and line of the library's source code."""
     first = str(error).strip().split("Error in ")[1:2] or [str(error)]
     text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
     return text if len(text) <= 300 else text[:300] + "..."
@@ -297,7 +268,7 @@ def _complaint(error: Tf.ErrorException) -> str:
 def _settle_samples(usd: Usd.Stage) -> list[str]:
     """Set attributes that have only time samples to their first sample, in memory; return their paths.
 
-    All attributes are read at the default time, where such an attribute has no value.
+    The converter reads all attributes at the default time, where an attribute with only time samples has no value.
     """
     settled = []
     for layer in usd.GetUsedLayers():
@@ -327,18 +298,13 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     names = tuple(item.name for item in missing)
     stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
     for item in missing:
-        stage.ledger.warn(_missing_text(item))
+        what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
+        stage.ledger.warn(f"{what}, read without it: {item.name}")
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
     for text in unselected(root):
         stage.ledger.warn(text)
     _note_metadata(stage)
     return stage
-
-
-def _missing_text(item: Missing) -> str:
-    if not item.is_file:
-        return f"{item.prim}: not found or a cycle, read without it: {item.name}"
-    return f"not found, read without it: {item.name}"
 
 
 def _prims(root: Usd.Prim, source: Path) -> list[Usd.Prim]:
@@ -347,12 +313,11 @@ def _prims(root: Usd.Prim, source: Path) -> list[Usd.Prim]:
     for prim in walk:
         if not prim.IsPseudoRoot():
             found.append(prim)
-        # Prototypes below an instancer are not drawn themselves, only their instances.
+        # Below a PointInstancer, USD draws the copies of a prototype, but not the prototype itself.
         if prim.IsA(UsdGeom.PointInstancer):
             walk.PruneChildren()
         expected = "one robot: set its prim as the default prim"
         require_size(len(found), MOST_PRIMS, f"prims below {root.GetPath()}", where=str(source), expected=expected)
-        require_size(len(schemas(prim)), MOST_SCHEMAS, "schemas", key=str(prim.GetPath()), expected="fewer")
     return found
 
 
@@ -383,7 +348,6 @@ def _note_metadata(stage: Stage) -> None:
 
 
 def _real_path(layer: Sdf.Layer) -> Path | None:
-    """Return the file of a layer; a layer inside a package belongs to the package's file."""
     if layer.anonymous or not layer.realPath:
         return None
     return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
@@ -402,19 +366,12 @@ def file_hash(path: Path) -> str:
 
 
 def relative_name(path: Path, folder: Path) -> str:
-    """Return ``path`` relative to ``folder``, with slashes and ``..`` if needed."""
+    """Return ``path`` relative to ``folder``, with ``..`` if needed, and with slashes on every platform."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
-def below_instancer(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    """Yield the prims below a PointInstancer, which ``Stage.prims`` leaves out."""
-    walk = iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
-    next(walk)
-    yield from walk
-
-
 def scene_of_robot(stage: Stage) -> Usd.Prim | None:
-    """Return the scene that the bodies name as their owner, else the first scene, else None."""
+    """Return the PhysicsScene that the bodies name as their simulation owner, or else the first scene, or else None."""
     scenes = stage.physics_scenes
     if len(scenes) < 2:
         return scenes[0] if scenes else None
@@ -431,7 +388,7 @@ EARTH = 9.81
 
 
 def gravity(stage: Stage) -> Vec3:
-    """Return gravity in m/s², z up, of the robot's PhysicsScene; the earth's without a scene."""
+    """Return the gravity vector in m/s², z up, of the robot's PhysicsScene; earth's gravity if there is no scene."""
     scene = scene_of_robot(stage)
     if scene is None:
         stage.ledger.assume(stage.source.name, "no PhysicsScene: gravity", f"{EARTH} m/s² downwards")
@@ -469,7 +426,7 @@ def find_scene(stage: Stage) -> Usd.Prim | None:
 
 
 def angle_in_radians(stage: Stage, value: float) -> float:
-    """Return an angle of MuJoCo's schemas in rad. The scene's compiler sets its unit: degrees by default, or radian."""
+    """Return an angle of MuJoCo's USD schemas in rad; the scene's compiler settings define the authored unit."""
     scene = find_scene(stage)
     unit = stage.ledger.read(scene, "mjc:compiler:angle", "the unit of mjc:ref and mjc:springref") if scene else None
     return value if unit == "radian" else math.radians(value)

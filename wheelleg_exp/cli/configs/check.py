@@ -21,16 +21,27 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
-    parser.add_argument("--physics", action="store_true", help="also check the numbers; exit status 1 with findings")
+    parser.add_argument(
+        "--physics",
+        action="store_true",
+        help="also check whether the numbers are plausible; exit status 1 with findings",
+    )
     parser.add_argument("--all", action="store_true", help="with --physics: also show silenced findings")
     parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the mistakes or the findings; return 0 without any, 1 with findings, 2 with mistakes."""
+    """Print the mistakes or findings of a config; return status 0 for neither, 1 for findings, 2 for mistakes."""
     if args.list:
-        return _list(as_json=args.json)
+        from wheelleg_exp.lint.physics_check import RULES
+
+        rules: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
+        if args.json:
+            print_json(rules)
+        else:
+            print_table(("rule", "what it finds"), [list(row.values()) for row in rules])
+        return EXIT_OK
     if any(map(names_pipeline, args.overrides)):
         return _check_pipeline(args)
     from wheelleg_exp.config.checking.find_mistakes import find_mistakes
@@ -42,7 +53,14 @@ def run(args: argparse.Namespace) -> int:
         return _wrong(mistakes, as_json=args.json)
     assert composed is not None
     if args.physics:
-        return _physics(composed, show_all=args.all, as_json=args.json)
+        from wheelleg_exp.lint.physics_check import examine
+
+        report = examine(composed)
+        if args.json:
+            print_json({"mistakes": [], **report.document()})
+        else:
+            _show(report, show_all=args.all)
+        return EXIT_FINDING if report.open else EXIT_OK
     if args.json:
         print_json({"mistakes": []})
     else:
@@ -51,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
-    """Return the mistakes in ``init_from``, and print how the observations of that policy differ from the task's."""
+    """Return the mistakes in ``init_from``, and print how the initial policy's observations differ from the task's."""
     from wheelleg_exp.config.config_errors import parts
     from wheelleg_exp.jobs.train.initial_networks import initial_file
 
@@ -77,7 +95,11 @@ def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
 def _check_pipeline(args: argparse.Namespace) -> int:
     """Check every phase of a pipeline, its initial networks, and its gate, like ``wheelleg train``."""
     if args.physics or args.all:
-        raise UsageError("is for one task", key="--physics", expected="task=... and the overrides of one phase")
+        raise UsageError(
+            "the option applies only to a single task",
+            key="--physics",
+            expected="task=... and the overrides of one phase",
+        )
     from wheelleg_exp.cli.train_pipeline import composed_phases
     from wheelleg_exp.config.config_errors import parts
 
@@ -93,51 +115,24 @@ def _check_pipeline(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _physics(composed: Composed, *, show_all: bool, as_json: bool) -> int:
-    from wheelleg_exp.lint.physics_check import examine
-
-    report = examine(composed)
-    if as_json:
-        print_json({"mistakes": [], **report.document()})
-    else:
-        _show(report, show_all=show_all)
-    return EXIT_FINDING if report.open else EXIT_OK
-
-
 def _show(report: PhysicsReport, *, show_all: bool) -> None:
-    _section(print_table, ("robot", "", ""), report.facts_table())
+    def section(show: Callable[..., None], columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        if rows:
+            show(columns, rows)
+            print()
+
+    def findings(title: str, found: Sequence[tuple[Finding, str]]) -> None:
+        rows = [(f.rule, f.key, f.where or "", f.message, reason) for f, reason in found]
+        section(partial(print_blocks, heads=2), ("", "", "place", "what", title), rows)
+
+    section(print_table, ("robot", "", ""), report.facts_table())
     columns = ("reward", "weight", "at a tolerance of", "per step", "per episode", "share")
-    _section(print_table, columns, report.rewards_table())
-    _section(_print_findings, ("", "", "place", "what", "hint"), [(*_cells(f), f.hint) for f in report.open])
+    section(print_table, columns, report.rewards_table())
+    findings("hint", [(finding, finding.hint) for finding in report.open])
     if show_all:
-        silenced = [(*_cells(finding), report.reasons[finding.rule]) for finding in report.silenced]
-        _section(_print_findings, ("", "", "place", "what", "silenced"), silenced)
+        findings("silenced", [(finding, report.reasons[finding.rule]) for finding in report.silenced])
     for name in report.unused:
         print(f"note: check.silence.{name} silences nothing here")
     count, silent = len(report.open), len(report.silenced)
     more = " (--all shows them)" if silent and not show_all else ""
     print(f"{count} finding{'' if count == 1 else 's'}, {silent} silenced{more}")
-
-
-def _section(show: Callable[..., None], columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    if rows:
-        show(columns, rows)
-        print()
-
-
-_print_findings = partial(print_blocks, heads=2)
-
-
-def _cells(finding: Finding) -> tuple[str, str, str, str]:
-    return finding.rule, finding.key, finding.where or "", finding.message
-
-
-def _list(*, as_json: bool) -> int:
-    from wheelleg_exp.lint.physics_check import RULES
-
-    rows: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
-    if as_json:
-        print_json(rows)
-    else:
-        print_table(("rule", "what it finds"), [list(row.values()) for row in rows])
-    return EXIT_OK

@@ -11,12 +11,12 @@ from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_widt
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Source
-from wheelleg_exp.config.config_tree import node_paths, select
+from wheelleg_exp.config.tree_lookup import node_paths, select
 from wheelleg_exp.errors import EXIT_OK, ConfigError, WheellegError
 from wheelleg_exp.terms.key_syntax import dotted
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.explaining.term_shapes import GroupShape, Shapes, TermShape
+    from wheelleg_exp.config.explaining.term_shapes import GroupShape, TermShape
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
     add_primary(parser)
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
-    parser.add_argument("--resolve", action="store_true", help="replace ${...} by its value")
+    parser.add_argument("--resolve", action="store_true", help="replace each ${...} by its value")
     parser.add_argument(
         "--provenance", action="store_true", help="print the place of each leaf, and the values that it replaced"
     )
@@ -33,10 +33,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the config as YAML, as JSON, or leaf by leaf with places; or print the layout of its vectors."""
+    """Print the composed config, the place that set each value, or the layout of observations and actions."""
     if args.shapes and (args.package or args.resolve or args.provenance):
         expected = "--shapes without --package, --resolve and --provenance"
-        raise WheellegError("cannot be combined", key="--shapes", expected=expected)
+        raise WheellegError(
+            "the option --shapes cannot be combined with other options", key="--shapes", expected=expected
+        )
     composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
@@ -47,8 +49,13 @@ def run(args: argparse.Namespace) -> int:
     tree = _part(_tree(composed, resolve=args.resolve), args.package)
     if args.json:
         print_json(tree)
-    else:
-        print(_yaml(tree), end="")
+        return EXIT_OK
+
+    import yaml
+
+    # PyYAML breaks a line only after the entry that exceeds the width, so the width is less than 80.
+    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
+    print(text.removesuffix("...\n"), end="")
     return EXIT_OK
 
 
@@ -65,15 +72,9 @@ def _part(tree: Any, package: str | None) -> Any:
         return select(tree, package)
     except KeyError as error:
         nearest = nearest_path(package, [dotted(path) for path in node_paths(tree)])
-        raise ConfigError("there is no such key", key=package, where="--package", nearest=nearest) from error
-
-
-def _yaml(tree: Any) -> str:
-    import yaml
-
-    # PyYAML breaks a line only after the entry that exceeds the width, so the width is less than 80.
-    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
-    return text.removesuffix("...\n")
+        raise ConfigError(
+            "the config has no key with this name", key=package, where="--package", nearest=nearest
+        ) from error
 
 
 def _print_provenance(composed: Composed, package: str | None, *, resolve: bool, as_json: bool) -> None:
@@ -81,27 +82,21 @@ def _print_provenance(composed: Composed, package: str | None, *, resolve: bool,
     deleted = places.deleted_below(package or "")
     if not deleted:
         _part(_tree(composed, resolve=False), package)
-    sources = places.below(package or "")
-    values = _tree(composed, resolve=resolve)
+    values, sources = _tree(composed, resolve=resolve), places.below(package or "")
     if as_json:
         found = {source.path: _document(source, select(values, source.path)) for source in sources}
         print_json({**found, **{source.path: {**_document(source, None), "deleted": True} for source in deleted}})
         return
-    for source in sources:
-        _print_line(f"{source.path}: {select(values, source.path)!r}", f"  # {source.where}")
-        _print_hidden(source)
-    for source in deleted:
-        _print_line(f"# {source.path}: removed", f"  # {source.where}")
-        _print_hidden(source)
-
-
-def _print_hidden(source: Source) -> None:
-    for hidden in reversed(source.shadowed):
-        _print_line(f"  # hides {hidden.path}: {hidden.value!r}", f" ({hidden.where})")
+    texts = [(source, f"{source.path}: {select(values, source.path)!r}") for source in sources]
+    texts += [(source, f"# {source.path}: removed") for source in deleted]
+    for source, text in texts:
+        _print_line(text, f"  # {source.where}")
+        for hidden in reversed(source.shadowed):
+            _print_line(f"  # hides {hidden.path}: {hidden.value!r}", f" ({hidden.where})")
 
 
 def _print_line(text: str, place: str) -> None:
-    """Print a text and its place on one line, or on two lines if both do not fit the screen."""
+    """Print a text and its place in a YAML file on one line, or on two lines if the screen is too narrow."""
     line = text + place
     print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 
@@ -117,28 +112,19 @@ def _print_shapes(composed: Composed, *, as_json: bool) -> None:
     require_valid(composed)
     found = shapes(composed)
     if as_json:
-        print_json(_shapes_document(found))
+        groups = {name: _group_document(group) for name, group in found.observations.items()}
+        print_json({"joints": list(found.joints), "observations": groups, "actions": _group_document(found.actions)})
         return
     for name, group in found.observations.items():
-        print(f"observations.{name}: {_size(group.shape) if group.shape else 'one tensor for each term'}")
-        columns = ("term", "target", "width", "history", "shape", "indices")
-        print_table(columns, [*map(_observation_row, group.terms), _total(group)])
+        size = _size(group.shape) if group.shape else ""
+        print(f"observations.{name}: {size or 'one tensor for each term'}")
+        rows = [(t.name, _last(t.target), t.width, t.history or "-", _size(t.shape), _place(t)) for t in group.terms]
+        total = ("total", "", sum(term.width for term in group.terms), "", size, "")
+        print_table(("term", "target", "width", "history", "shape", "indices"), [*rows, total])
         print()
     print(f"actions: {_size(found.actions.shape or ())}")
-    print_table(("term", "target", "width", "indices", "joints"), [*map(_action_row, found.actions.terms)])
-
-
-def _observation_row(term: TermShape) -> tuple[Any, ...]:
-    return term.name, _last(term.target), term.width, term.history or "-", _size(term.shape), _place(term)
-
-
-def _action_row(term: TermShape) -> tuple[Any, ...]:
-    return term.name, _last(term.target), term.width, _place(term), " ".join(term.joints)
-
-
-def _total(group: GroupShape) -> tuple[Any, ...]:
-    width = sum(term.width for term in group.terms)
-    return "total", "", width, "", _size(group.shape) if group.shape else "", ""
+    actions = [(t.name, _last(t.target), t.width, _place(t), " ".join(t.joints)) for t in found.actions.terms]
+    print_table(("term", "target", "width", "indices", "joints"), actions)
 
 
 def _last(target: str) -> str:
@@ -151,11 +137,6 @@ def _size(shape: tuple[int, ...]) -> str:
 
 def _place(term: TermShape) -> str:
     return "-" if term.start is None or term.stop is None else f"{term.start}..{term.stop - 1}"
-
-
-def _shapes_document(found: Shapes) -> dict[str, Any]:
-    groups = {name: _group_document(group) for name, group in found.observations.items()}
-    return {"joints": list(found.joints), "observations": groups, "actions": _group_document(found.actions)}
 
 
 def _group_document(group: GroupShape) -> dict[str, Any]:

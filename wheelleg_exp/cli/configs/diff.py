@@ -16,42 +16,32 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
-_WIDEST = 44  # the most characters of a value; a longer one is cut
+_WIDEST = 44  # Config values are cut to this number of characters.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("a", metavar="A", help=_SIDE)
-    parser.add_argument("b", metavar="B", help="the second one, in the same form")
+    parser.add_argument("b", metavar="B", help="the second run, task, or list of overrides")
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the differences; return 0 for equal, 1 for different."""
+    """Print the differences of two configs; return status 0 for equal and 1 for different configs."""
     from wheelleg_exp.config.explaining.config_diff import compare
     from wheelleg_exp.jobs.diff_inputs import load_sides
 
     a, b = load_sides(args.a, args.b, args.root, args.config_dirs)
     difference = compare(a, b)
     if args.json:
-        print_json(_document(a, b, difference))
+        kinds = {name: [asdict(x) for x in getattr(difference, name)] for name in ("terms", "parameters", "facts")}
+        compared = [section for section in a.facts if section in b.facts]
+        print_json({"a": a.label, "b": b.label, "equal": not difference, **kinds, "facts_compared": compared})
     else:
         _print(a, b, difference)
     return EXIT_FINDING if difference else EXIT_OK
-
-
-def _document(a: Side, b: Side, difference: Difference) -> dict[str, Any]:
-    return {
-        "a": a.label,
-        "b": b.label,
-        "equal": not difference,
-        "terms": [asdict(change) for change in difference.terms],
-        "parameters": [asdict(change) for change in difference.parameters],
-        "facts": [asdict(change) for change in difference.facts],
-        "facts_compared": [section for section in a.facts if section in b.facts],
-    }
 
 
 def _print(a: Side, b: Side, difference: Difference) -> None:
@@ -60,11 +50,9 @@ def _print(a: Side, b: Side, difference: Difference) -> None:
         print("equal by meaning")
         return
     if difference.terms:
-        rows = [_row(change) for change in difference.terms]
-        _titled("terms", ("", "term", "A", "B", "note"), rows)
+        _titled("terms", ("", "term", "A", "B", "note"), list(map(_row, difference.terms)))
     if difference.parameters:
-        rows = [_row(change)[:-1] for change in difference.parameters]
-        _titled("parameters", ("", "key", "A", "B"), rows)
+        _titled("parameters", ("", "key", "A", "B"), [_row(change)[:-1] for change in difference.parameters])
     for section in dict.fromkeys(change.section for change in difference.facts):
         facts = [(f.name, _cut(f.a), _cut(f.b)) for f in difference.facts if f.section == section]
         _titled(section, ("", "A", "B"), facts)
@@ -76,17 +64,14 @@ def _titled(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
 
 
 def _row(change: PlacedChange) -> tuple[str, ...]:
-    first = "-" if change.kind == "added" else _placed(change.a, change.where_a)
-    second = "-" if change.kind == "removed" else _placed(change.b, change.where_b)
+    places = [f"  ({where})" if where else "" for where in (change.where_a, change.where_b)]
+    first = "-" if change.kind == "added" else _brief(change.a) + places[0]
+    second = "-" if change.kind == "removed" else _brief(change.b) + places[1]
     return change.kind, change.path, first, second, change.note
 
 
-def _placed(value: Any, where: str | None) -> str:
-    return _brief(value) + (f"  ({where})" if where else "")
-
-
 def _brief(value: Any) -> str:
-    """Return a value on one line; for a term, the name of its target and its weight or mode."""
+    """Return a config value on one line; for a term, the name of its target and its weight or mode."""
     if isinstance(value, Mapping) and "_target_" in value:
         fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
         return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *fields])

@@ -32,11 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; return 0 without findings, 1 with findings, 2 for wrong input.
-
-    Raises:
-        WheellegError: the robot cannot be read, the config has mistakes, or the picture cannot be drawn.
-    """
+    """Print the findings about a robot; return status 0 without findings, 1 with findings, 2 for wrong input."""
     if args.screenshot is not None:
         from wheelleg_exp.inspection.robot_picture import require_picture
 
@@ -70,7 +66,9 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
     if config_dirs:
-        raise UsageError("applies only to a task", key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
+        raise UsageError(
+            "the option applies only to a task", key="--config-dir", expected=f"'{words[0]}' alone, or task=…"
+        )
     return diagnose_file(Path(words[0]))
 
 

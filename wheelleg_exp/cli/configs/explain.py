@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, add_primary, primary_of, print_json, source_document
 from wheelleg_exp.cli.printing.terminal import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.provenance import Mount, Source
+from wheelleg_exp.config.composing.provenance import Mount
 from wheelleg_exp.config.explaining.explanation import Explanation, explain_key
 from wheelleg_exp.config.key_slots import section_of
 from wheelleg_exp.errors import EXIT_OK
 from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
-_LABEL = 14  # width of a label with its indent
-_SHOWN = 24  # the most values or keys of a list; further ones are counted
+_LABEL = 14
+_SHOWN = 24  # A list of values or keys is printed up to this length.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,33 +29,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain the key."""
-    key, overrides = _asked([args.key, *args.overrides])
-    composed = compose(overrides, primary=primary_of(args, key), config_dirs=args.config_dirs)
-    explained = explain_key(composed, key)
+    """Explain a config key, which can be at any place among the overrides."""
+    words = [args.key, *args.overrides]
+    keys = [index for index, word in enumerate(words) if not is_override(word)]
+    key = words.pop(keys[0] if len(keys) == 1 else 0)
+    args.overrides = words
+    explained = explain_key(compose(words, primary=primary_of(args, key), config_dirs=args.config_dirs), key)
     if args.json:
         print_json(document(explained))
-    else:
-        for line in text(explained):
-            print(_fitting(line))
+        return EXIT_OK
+    for line in text(explained):
+        blanks = len(line) - len(line.lstrip())
+        # The lines of a wrapped text are indented to the column after its label.
+        indent = {0: 4, 2: _LABEL}.get(blanks, blanks + 4)
+        print(hanging(line, indent) if len(line) > screen_width() else line)
     return EXIT_OK
 
 
-def _asked(words: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the key and the overrides. The key can be at any place among them."""
-    keys = [index for index, word in enumerate(words) if not is_override(word)]
-    place = keys[0] if len(keys) == 1 else 0
-    return words[place], [*words[:place], *words[place + 1 :]]
-
-
-def _fitting(line: str) -> str:
-    """Wrap a line to the width of the screen. The text after a label stays in its column."""
-    blanks = len(line) - len(line.lstrip())
-    return hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line
-
-
 def text(explained: Explanation) -> Iterator[str]:
-    """Yield the explanation as lines of text."""
+    """Yield the explanation of a config key as printed lines."""
     yield _headline(explained)
     if not explained.is_read:
         yield "  warning     nothing reads this key"
@@ -65,9 +57,16 @@ def text(explained: Explanation) -> Iterator[str]:
         label = "meaning" if note.about == "key" else "term"
         yield f"  {label:<11} {note.text}  [{note.where}]"
     yield from _allowed(explained)
-    yield from _references(explained)
+    if explained.raw is not None:
+        yield f"  written     {shown(explained.raw)}"
+    for reference in explained.references:
+        written = f", written {shown(reference.raw)}" if reference.raw is not None else ""
+        yield f"  refers to   {reference.path} = {shown(reference.value)}{written}  ({reference.where})"
     yield from _sources(explained)
-    yield from _children(explained)
+    for name, node in explained.children:
+        inner = node.get("_target_", "{...}") if isinstance(node, Mapping) else shown(node)
+        gone = node is None and section_of((*split_path(explained.key), name)) is not None
+        yield f"    {name}: {'removed' if gone else inner}"
     if explained.mount is not None:
         yield from _mount(explained, explained.mount)
 
@@ -101,14 +100,6 @@ def _allowed(explained: Explanation) -> Iterator[str]:
         yield f"  default     {shown(other.default)}"
 
 
-def _references(explained: Explanation) -> Iterator[str]:
-    if explained.raw is not None:
-        yield f"  written     {shown(explained.raw)}"
-    for reference in explained.references:
-        written = f", written {shown(reference.raw)}" if reference.raw is not None else ""
-        yield f"  refers to   {reference.path} = {shown(reference.value)}{written}  ({reference.where})"
-
-
 def _sources(explained: Explanation) -> Iterator[str]:
     if not explained.sources:
         return
@@ -116,19 +107,8 @@ def _sources(explained: Explanation) -> Iterator[str]:
     width = max(len(source.where) for source in explained.sources)
     for source in explained.sources:
         other = f"  ({source.path})" if source.path != explained.key else ""
-        yield f"    {source.where:<{width}}  {_value_of(source, explained)}{other}"
-
-
-def _value_of(source: Source, explained: Explanation) -> str:
-    last = source is explained.sources[-1]
-    return "removed" if explained.kind == "removed" and last else shown(source.value)
-
-
-def _children(explained: Explanation) -> Iterator[str]:
-    for name, node in explained.children:
-        inner = node.get("_target_", "{...}") if isinstance(node, Mapping) else shown(node)
-        gone = node is None and section_of((*split_path(explained.key), name)) is not None
-        yield f"    {name}: {'removed' if gone else inner}"
+        removed = explained.kind == "removed" and source is explained.sources[-1]
+        yield f"    {source.where:<{width}}  {'removed' if removed else shown(source.value)}{other}"
 
 
 def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
@@ -147,7 +127,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return overrides that change the selection."""
+    """Return example overrides that select the remaining options of a config group."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]
@@ -164,8 +144,17 @@ def _cut(values: list[str]) -> str:
 
 
 def document(explained: Explanation) -> dict[str, Any]:
-    """Return the JSON document."""
-    other, mount = explained.alternatives, explained.mount
+    """Return the JSON document of the explanation of a config key."""
+    other, mount, group = explained.alternatives, explained.mount, None
+    if mount is not None:
+        group = {
+            "name": mount.name,
+            "package": mount.package,
+            "option": explained.option,
+            "selected": list(mount.selected),
+            "options": list(mount.options),
+            "choices": [vars(choice) for choice in mount.choices],
+        }
     return {
         "key": explained.key,
         "kind": explained.kind,
@@ -182,16 +171,5 @@ def document(explained: Explanation) -> dict[str, Any]:
         "default": other.default if other.has_default else None,
         "required": not other.has_default if other.type else None,
         "not_set": dict(other.keys),
-        "group": None if mount is None else _mount_document(mount, explained.option),
-    }
-
-
-def _mount_document(mount: Mount, option: str | None) -> dict[str, Any]:
-    return {
-        "name": mount.name,
-        "package": mount.package,
-        "option": option,
-        "selected": list(mount.selected),
-        "options": list(mount.options),
-        "choices": [vars(choice) for choice in mount.choices],
+        "group": group,
     }

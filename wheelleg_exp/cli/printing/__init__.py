@@ -1,4 +1,4 @@
-"""Print to a terminal or a pipe.
+"""Print text, tables, and progress to a terminal or a pipe.
 
 | module | contents |
 |---|---|

@@ -1,4 +1,4 @@
-"""Print the result of ``wheelleg convert``, readable for two joints and for three thousand."""
+"""Print the result of ``wheelleg convert``, readable for a robot with 2 joints and for one with 3,000 joints."""
 
 from __future__ import annotations
 
@@ -16,26 +16,30 @@ from wheelleg_exp.errors import printable
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
-    from wheelleg_exp.asset.robot_description import Dof, RobotDescription
+    from wheelleg_exp.asset.robot_description import Dof
 
 
-ROWS = 15  # the most rows of a table or a list; further rows are counted
-JOINTS = 40  # the most rows of the table of joints
-WIDTH = 60  # the most characters of a cell
-NAMED = 6  # the most kinds of items that are listed as left out
-VERDICTS = {
-    "good": "converted without doubts",
-    "check": "converted, check the result:",
-    "doubtful": "DOUBTFUL:",
-}
+ROWS = 15  # At most this number of rows of a table or list is printed.
+JOINTS = 40  # At most this number of joints is printed.
+WIDTH = 60  # A cell of a table has at most this number of characters.
+NAMED = 6  # A list on one line has at most this number of names.
+LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
+VERDICTS = {"good": "converted without doubts", "check": "converted, check the result:", "doubtful": "DOUBTFUL:"}
 
 
 def show(conversion: Conversion, scene: Path | None) -> None:
-    """Print the verdict, warnings, summary, joints, assumptions, left-out items, and the next commands."""
+    """Print a conversion's verdict, warnings, summary, joints, assumptions, left-out items, and the next commands."""
     report = conversion.report
-    verdict = f"{VERDICTS[report.verdict.level]} {'; '.join(_reasons(report))}".strip()
+    count, reasons = len(report.warnings), list(report.verdict.reasons)
+    if report.verdict.level == "check" and count:
+        reasons.append("1 warning" if count == 1 else f"{count} warnings")
+    verdict = f"{VERDICTS[report.verdict.level]} {'; '.join(reasons)}".strip()
     print(hanging(f"{printable(report.source)}: {verdict}", 4))
-    _warnings(report.warnings)
+    groups = _grouped(report.warnings)
+    for text in groups[:ROWS]:
+        print(hanging(printable(text), 9, "warning:"))
+    if len(groups) > ROWS:
+        print(f"and {len(groups) - ROWS} more warnings; --json lists them all")
     print()
     for title, value in _summary(report):
         print(hanging(printable(value), 20, title))
@@ -44,7 +48,9 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
     used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
     _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
-    _orders(report)
+    order = report.dof_order  # The printed table lists the joints in MuJoCo's order.
+    if order.physx and order.physx != order.mujoco:
+        print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
     _section("Assumed", ("rule", "value", "where"), _assumed(report))
     _left_out(report)
     output = shown(conversion.output.resolve())
@@ -55,20 +61,6 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     print(f"View it: python -m mujoco.viewer --mjcf={shlex.quote(str(viewed))}")
     print("Train with it: set env.robot.asset to the source, which is then converted and cached automatically")
     print("Every number, and the conversion of every attribute: the same command with --json")
-
-
-def _reasons(report: Report) -> list[str]:
-    level, count = report.verdict.level, len(report.warnings)
-    warned = ["1 warning" if count == 1 else f"{count} warnings"] if level == "check" and count else []
-    return [*report.verdict.reasons, *warned]
-
-
-def _warnings(warnings: Sequence[str]) -> None:
-    groups = _grouped(warnings)
-    for text in groups[:ROWS]:
-        print(hanging(printable(text), 9, "warning:"))
-    if len(groups) > ROWS:
-        print(f"and {len(groups) - ROWS} more warnings; --json lists them all")
 
 
 def _summary(report: Report) -> list[tuple[str, str]]:
@@ -94,28 +86,34 @@ def _summary(report: Report) -> list[tuple[str, str]]:
         rows.append(("variants", ", ".join(f"{name}={value}" for name, value in report.variants.items())))
     layers = [name for name in report.layers if name != report.source]
     if layers:
-        few = ", ".join(layers[:NAMED]) + (f" and {len(layers) - NAMED} more" if len(layers) > NAMED else "")
-        rows.append(("made of", f"{report.source}, {few}"))
+        rows.append(("made of", f"{report.source}, {_few(layers)}"))
     return rows
 
 
-# ---------------------------------------------------------------- joints
+def _few(names: Sequence[str], most: int = NAMED, more: str = "") -> str:
+    return ", ".join(names[:most]) + ((more or f" and {len(names) - most} more") if len(names) > most else "")
+
+
 def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a row for each degree of freedom, in MuJoCo's order and SI units, and the file's values if they differ."""
+    """Return a table row in SI units for each degree of freedom, with the robot file's values if they differ."""
     from wheelleg_exp.asset.robot_values import effort_of
 
     report, robot = conversion.report, conversion.description
-    acting = _acting(robot)
+    # Find the joints that an actuator of the MJCF file drives.
+    acting = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
     rows: list[tuple[str, ...]] = []
     for dof in robot.dofs:
-        drive, unit = dof.drive, "N" if dof.kind == "slide" else "N m"
+        drive, (unit, unit_of_range) = dof.drive, ("N", "m") if dof.kind == "slide" else ("N m", "rad")
         effort = effort_of(dof)
         force = "motor" if drive else acting.get(dof.name, "")
+        limits = "unlimited"
+        if dof.range is not None:
+            limits = f"{dof.range[0]:.4g} to {dof.range[1]:.4g} {unit_of_range}"
         rows.append(
             (
                 dof.name,
                 dof.kind,
-                _range(dof),
+                limits,
                 f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
                 f"{drive.damping:.4g}" if drive and drive.damping else "",
                 "none" if effort is None else f"{effort:.4g} {unit}",
@@ -125,20 +123,8 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
     return rows
 
 
-def _range(dof: Dof) -> str:
-    if dof.range is None:
-        return "unlimited"
-    low, high = dof.range
-    return f"{low:.4g} to {high:.4g} {'m' if dof.kind == 'slide' else 'rad'}"
-
-
-def _acting(robot: RobotDescription) -> dict[str, str]:
-    """Return the joints that MuJoCo's own actuators drive, with a text for each."""
-    return {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
-
-
 def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
-    """Return a joint's limits and gains in the file's own units; empty if they equal those of the model."""
+    """Return a joint's limits and gains in the units of the robot file, or nothing if the model has equal values."""
     by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
     low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
     usd = any(":" in name for name in authored)
@@ -158,22 +144,10 @@ def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
-LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
-
-
 def _shortly(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
 
 
-def _orders(report: Report) -> None:
-    """Print the order of the joints in PhysX, if it differs from MuJoCo's order, which the table uses."""
-    order = report.dof_order
-    if order.physx and order.physx != order.mujoco:
-        few = ", ".join(order.physx[:JOINTS]) + (", ..." if len(order.physx) > JOINTS else "")
-        print(hanging(f"order in PhysX: {few}", 4))
-
-
-# ---------------------------------------------------------------- what was assumed and left out
 def _assumed(report: Report) -> list[tuple[str, str, str]]:
     """Return a row for each rule of assumption: its value, and the places where it was used."""
     rules: dict[str, dict[str, str]] = {}
@@ -188,17 +162,13 @@ def _assumed(report: Report) -> list[tuple[str, str, str]]:
 
 
 def _left_out(report: Report) -> None:
-    """Print the kinds of items that were left out. The JSON contains the reasons and the places."""
-    kinds = dict.fromkeys(item.name for item in sorted(report.left_out, key=lambda item: _is_note(item.reason)))
-    if kinds:
-        few = ", ".join(list(kinds)[:NAMED]) + (f" and {len(kinds) - NAMED} more" if len(kinds) > NAMED else "")
+    # Items that were left out for these reasons do not affect the robot's motion, so print them last.
+    harmless = ("declared without", "a note of", "there is one")
+    items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
+    if items:
+        names = list(dict.fromkeys(item.name for item in items))
         print()
-        print(hanging(printable(f"Left out: {few}; --json contains the reasons"), 4))
-
-
-def _is_note(reason: str) -> bool:
-    """Return whether a left-out item does not affect how the robot moves. Such items are printed last."""
-    return reason.startswith(("declared without", "a note of", "there is one"))
+        print(hanging(printable(f"Left out: {_few(names)}; --json contains the reasons"), 4))
 
 
 def _places(paths: Iterable[str]) -> str:
@@ -211,7 +181,7 @@ def _short(text: str) -> str:
 
 
 def _grouped(warnings: Sequence[str]) -> list[str]:
-    """Return the warnings; warnings that differ only in places, names and numbers are combined."""
+    """Merge the warnings of a conversion that differ only in places, names and numbers."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for warning in warnings:
         path, colon, text = warning.partition(": ")

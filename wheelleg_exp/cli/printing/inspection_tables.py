@@ -20,7 +20,7 @@ from wheelleg_exp.definitions import (
 )
 from wheelleg_exp.inspection.compare_recordings import NumberDifference, RecordingComparison
 from wheelleg_exp.inspection.condition_query import Hit
-from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, NumberEntry, Statistics
+from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, Statistics
 from wheelleg_exp.inspection.recording_summary import Summary
 from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.layout import DOCUMENTS, SIM_TIME, unit
@@ -34,32 +34,28 @@ Row = Sequence[str | None]
 
 
 def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) -> None:
-    """Print the statistics of numbers, with one column for each number."""
-    several = len({moment.env_id for s in found.values() for moment in (s.first_at, s.last_at) if moment}) > 1
+    """Print a table of statistics with one column for each recorded number."""
+    all_found = found.values()
+    several = len({moment.env_id for s in all_found for moment in (s.first_at, s.last_at) if moment}) > 1
     rows: list[tuple[str, ...]] = [
-        ("from", *(when(s.first_at, several) for s in found.values())),
-        ("to", *(when(s.last_at, several) for s in found.values())),
-        ("count", *(str(s.count) for s in found.values())),
-        ("NaN", *(str(s.nan) for s in found.values())),
-        *(
-            (("infinite", *(str(s.infinite) for s in found.values())),)
-            if any(s.infinite for s in found.values())
-            else ()
-        ),
-        *((word, *(number(getattr(s, word)) for s in found.values())) for word in ("mean", "std", "rms", "minimum")),
-        ("  at", *(when(s.minimum_at) for s in found.values())),
+        ("from", *(when(s.first_at, several) for s in all_found)),
+        ("to", *(when(s.last_at, several) for s in all_found)),
+        ("count", *(str(s.count) for s in all_found)),
+        ("NaN", *(str(s.nan) for s in all_found)),
     ]
-    shares = sorted({share for s in found.values() for share in s.quantiles})
-    rows += [(f"{share:.0%}", *(number(s.quantiles.get(share)) for s in found.values())) for share in shares]
-    rows += [
-        ("maximum", *(number(s.maximum) for s in found.values())),
-        ("  at", *(when(s.maximum_at) for s in found.values())),
-    ]
+    if any(s.infinite for s in all_found):
+        rows.append(("infinite", *(str(s.infinite) for s in all_found)))
+    rows += [(word, *(number(getattr(s, word)) for s in all_found)) for word in ("mean", "std", "rms", "minimum")]
+    rows.append(("  at", *(when(s.minimum_at) for s in all_found)))
+    for part in sorted({part for s in all_found for part in s.quantiles}):
+        rows.append((f"{part:.0%}", *(number(s.quantiles.get(part)) for s in all_found)))
+    rows.append(("maximum", *(number(s.maximum) for s in all_found)))
+    rows.append(("  at", *(when(s.maximum_at) for s in all_found)))
     print_table(("statistic", *(_named(name, units) for name in found)), rows)
 
 
 def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> None:
-    """Print the times at which a condition is true, and the rows around each time."""
+    """Print the times at which a condition on recorded numbers is true, and the rows around each time."""
     several = len({hit.first.env_id for hit in hits}) > 1
     print(f"the condition becomes true {len(hits)} times" if len(hits) != 1 else "the condition becomes true once")
     if not limit:
@@ -76,7 +72,7 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
 
 
 def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
-    """Print how many entities are equal and different, and the first difference of each number."""
+    """Print how many entities of two recordings are equal, and the first difference of each recorded number."""
     print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
     if found.is_equal:
         print(f"equal to the last bit: {len(found.equal)} entities")
@@ -90,24 +86,19 @@ def print_comparison(found: RecordingComparison, first: Recording, second: Recor
     if found.numbers:
         print("\nnumbers that differ, ordered by their first difference")
         columns = ("number", "differs at", "a", "b", "largest difference", "mean a", "mean b", "std a", "std b")
-        print_table(columns, [_difference(number) for number in found.numbers[:limit]])
+        print_table(columns, list(map(_difference, found.numbers[:limit])))
         if len(found.numbers) > limit:
             print(f"… and {len(found.numbers) - limit} more (--limit)")
 
 
 def print_repaired(done: Repaired) -> None:
-    """Print what is lost, and where the repaired file is."""
+    """Print which data a damaged recording has lost, and the path of its repaired copy."""
     if done.output is None:
         print(f"{shown(done.path.absolute())} is complete; nothing was written")
         return
     for line in done.health.lines()[1:]:
         print(line)
     print(f"repaired: {shown(done.output.absolute())}\nopen it: {tool('rerun')} {shown(done.output.absolute())}")
-
-
-def print_names(found: Sequence[NumberEntry]) -> None:
-    """Print the names of recorded numbers, and their numbers of rows."""
-    print_table(("number", "rows"), [(entry.name, str(entry.rows)) for entry in found])
 
 
 def _difference(found: NumberDifference) -> Row:
@@ -118,25 +109,18 @@ def _difference(found: NumberDifference) -> Row:
 
 
 def _print_rows(hit: Hit, units: Mapping[str, str]) -> None:
-    frames = hit.around
-    if frames is None:
-        return
-    columns = frames.table.column_names
-    first, last = hit.first.step, hit.last.step
-    rows = [
-        ("*" if _inside(frames, row, first, last) else "", *(_cell(frames, name, row) for name in columns))
-        for row in range(len(frames))
-    ]
+    frames, rows = hit.around, []
+    assert frames is not None
+    columns, first, last = frames.table.column_names, hit.first.step, hit.last.step
+    for row in range(len(frames)):
+        step = frames.moment(row).step
+        inside = step is not None and first is not None and last is not None and first <= step <= last
+        rows.append(("*" if inside else "", *(_cell(frames, name, row) for name in columns)))
     print_table(("", *(_named(name, units) for name in columns)), rows)
 
 
 def _named(name: str, units: Mapping[str, str]) -> str:
     return f"{name} ({units[name]})" if name in units else name
-
-
-def _inside(frames: Frames, row: int, first: int | None, last: int | None) -> bool:
-    step = frames.moment(row).step
-    return step is not None and first is not None and last is not None and first <= step <= last
 
 
 def _cell(frames: Frames, name: str, row: int) -> str:
@@ -168,21 +152,18 @@ def _some(names: Iterable[str]) -> str:
 
 
 def number(value: float | None) -> str:
-    """Return a number with four significant digits; a dash for None."""
+    """Format a number with four significant digits; return a dash for None."""
     return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
 
 
-_NOTES = 3  # how many of the recording's last notes are printed
+_NOTES = 3  # At most this number of a recording's last notes is printed.
 
 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print the contents of a recording, and its figures as tables.
 
-    Args:
-        summary: the summary.
-        others: the other recordings of the run.
-        selection: the rows that the figures cover.
-        status: the status of the run whose training was recorded; None for another recording.
+    The argument ``others`` contains the run's remaining recordings, and ``selection`` the rows that the figures cover.
+    The argument ``status`` is the run's status for a training recording, and None for a play recording.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
@@ -191,9 +172,8 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
             ("entities below", "count", "rows"), [(p.name, f"{p.entities}", f"{p.rows}") for p in summary.parts]
         )
         return
-    _section(
-        f"training, iteration {_last_iteration(summary)}, with exploration", ("figure", "value", "of"), _last(summary)
-    )
+    title = f"training, iteration {_last_iteration(summary)}, with exploration"
+    _section(title, ("figure", "value", "of"), _last(summary))
     environments = f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
     _section("samples of whole episodes" + environments, recorded_headings("samples"), _samples(summary))
     if summary.frames is not None:
@@ -206,13 +186,15 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
         ("body", *recorded_headings("contact forces")),
         _forces(summary),
     )
-    _section("efforts", ("joint", *recorded_headings("efforts")), _efforts(summary))
-    _section("rewards", ("term", *recorded_headings("rewards")), _rewards(summary))
-    _section(
-        "events",
-        ("event", *recorded_headings("events")),
-        [(name, f"{count}") for name, count in summary.events.items()],
-    )
+    efforts: list[Row] = [
+        (e.joint, *map(number, (e.rms, e.largest, e.limit)), _share(e.saturated_share)) for e in summary.efforts
+    ]
+    _section("efforts", ("joint", *recorded_headings("efforts")), efforts)
+    ordered = sorted(summary.rewards, key=lambda reward: -(reward.share or 0.0))
+    rewards: list[Row] = [(r.term, number(r.weight), number(r.mean), _share(r.share)) for r in ordered]
+    _section("rewards", ("term", *recorded_headings("rewards")), rewards)
+    events: list[Row] = [(name, f"{count}") for name, count in summary.events.items()]
+    _section("events", ("event", *recorded_headings("events")), events)
     _section("training, by iteration", ("scalar", *recorded_headings("training")), _training(summary))
     if others:
         print("\n" + hanging("other recordings of this run: " + ", ".join(shown(path) for path in others), 4))
@@ -257,7 +239,6 @@ def _last_iteration(summary: Summary) -> int:
 
 
 def _last(summary: Summary) -> list[Row]:
-    """Return the last values of the scalars that describe the result of a training."""
     envs = summary.properties.get("wheelleg", {}).get("num_envs")
     found = []
     for trend in summary.training:
@@ -279,7 +260,7 @@ def _valued(value: float, word: str, step_dt: float | None) -> str:
 
 
 def _scope(summary: Summary, selection: Selection) -> str:
-    """Return a text for the frames that the figures cover."""
+    """Return a text that names the recorded frames on which the figures are based."""
     frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
     if summary.sample is None:
         return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"
@@ -305,75 +286,45 @@ def _episodes(summary: Summary) -> list[Row]:
 
 
 def _samples(summary: Summary) -> list[Row]:
-    return [
-        (
-            f"{s.iteration} to {s.last_iteration}",
-            f"{s.episodes}",
-            f"{s.cut}",
-            "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes),
-            "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}",
-            number(s.mean_reward),
-        )
-        for s in summary.samples
-    ]
+    rows: list[Row] = []
+    for s in summary.samples:
+        survival = "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes)
+        duration = "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}"
+        counts = (f"{s.iteration} to {s.last_iteration}", f"{s.episodes}", f"{s.cut}")
+        rows.append((*counts, survival, duration, number(s.mean_reward)))
+    return rows
 
 
 def _base(summary: Summary) -> list[Row]:
-    return [
-        (
-            f"{name} ({unit(f'base/{name}')})",
-            *(number(value) for value in (s.mean, s.std, s.rms, s.minimum, s.maximum)),
-            when(s.maximum_at),
-        )
-        for name, s in summary.base.items()
-    ]
+    rows: list[Row] = []
+    for name, s in summary.base.items():
+        values = (s.mean, s.std, s.rms, s.minimum, s.maximum)
+        rows.append((f"{name} ({unit(f'base/{name}')})", *map(number, values), when(s.maximum_at)))
+    return rows
 
 
 def _tracking(summary: Summary) -> list[Row]:
-    return [
-        (
-            f"{t.command}.{t.name} ({unit(f'base/{t.name}')})",
-            *(number(value) for value in (t.rmse, t.mean, t.largest, t.mean_command)),
-        )
-        for t in summary.tracking
-    ]
+    rows: list[Row] = []
+    for t in summary.tracking:
+        values = map(number, (t.rmse, t.mean, t.largest, t.mean_command))
+        rows.append((f"{t.command}.{t.name} ({unit(f'base/{t.name}')})", *values))
+    return rows
 
 
 def _forces(summary: Summary) -> list[Row]:
-    return [
-        (
-            f"{f.sensor}.{f.body}",
-            number(f.largest_n),
-            when(f.at) if f.largest_n else "",
-            number(f.mean_n),
-            _share(f.contact_share),
-        )
-        for f in summary.forces
-    ]
-
-
-def _efforts(summary: Summary) -> list[Row]:
-    return [
-        (e.joint, number(e.rms), number(e.largest), number(e.limit), _share(e.saturated_share)) for e in summary.efforts
-    ]
-
-
-def _rewards(summary: Summary) -> list[Row]:
-    ordered = sorted(summary.rewards, key=lambda reward: -(reward.share or 0.0))
-    return [(r.term, number(r.weight), number(r.mean), _share(r.share)) for r in ordered]
+    rows: list[Row] = []
+    for f in summary.forces:
+        largest = (number(f.largest_n), when(f.at) if f.largest_n else "")
+        rows.append((f"{f.sensor}.{f.body}", *largest, number(f.mean_n), _share(f.contact_share)))
+    return rows
 
 
 def _training(summary: Summary) -> list[Row]:
-    return [
-        (
-            t.name,
-            number(t.first),
-            number(t.last),
-            f"{number(t.lowest)} at {t.lowest_at}",
-            f"{number(t.highest)} at {t.highest_at}",
-        )
-        for t in summary.training
-    ]
+    rows: list[Row] = []
+    for t in summary.training:
+        lowest, highest = f"{number(t.lowest)} at {t.lowest_at}", f"{number(t.highest)} at {t.highest_at}"
+        rows.append((t.name, number(t.first), number(t.last), lowest, highest))
+    return rows
 
 
 def _with_unit(value: float | None, word: str) -> str:

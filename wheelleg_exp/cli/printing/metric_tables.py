@@ -17,7 +17,12 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
 
-_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")  # do not cover the settling time
+_SETTLED = (
+    "height_rmse_m",
+    "height_mean_m",
+    "pitch_rms_deg",
+    "pitch_mean_deg",
+)  # These figures do not cover the settling time at the start of an episode.
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
     "drift_m": lambda value: f"{1e3 * value:.1f} mm",
@@ -31,11 +36,11 @@ _MOTION: Mapping[str, Callable[[float], str]] = {
 
 
 def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
-    """Print the figures of standing and moving, each with the steps or episodes that it covers."""
+    """Print the figures of a play, each with the number of steps or episodes on which it is based."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {
-        "survival": _share(figures.survival),
+        "survival": "-" if figures.survival is None else percent(figures.survival),
         "height_rmse_m": _millimetres(figures.height_rmse_m),
         "height_mean_m": _millimetres(figures.height_mean_m),
         "pitch_rms_deg": _degrees(figures.pitch_rms_deg),
@@ -55,7 +60,7 @@ def print_figures(figures: StandFigures, motion: MotionFigures | None = None) ->
 
 
 def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
-    """Print the contact force on each link while the robot stood."""
+    """Print the contact force on each link of the robot while the robot stood still."""
     from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
@@ -75,7 +80,7 @@ def print_recording(path: Path | None) -> None:
 
 
 def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for each figure of motion, and one for each actuator group if the figure has several values."""
+    """Yield a table row for each figure of motion, or for each actuator group if a figure has a value per group."""
     ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
     found = motion.as_dict()
     for key, form in _MOTION.items():
@@ -97,10 +102,6 @@ def _counted(count: int, one: str) -> str:
     return f"{count} {one}" if count == 1 else f"{count} {one}s"
 
 
-def _share(value: float | None) -> str:
-    return "-" if value is None else percent(value)
-
-
 def _millimetres(value: float | None) -> str:
     return "-" if value is None or math.isnan(value) else f"{1e3 * value:.2f} mm"
 
@@ -108,8 +109,6 @@ def _millimetres(value: float | None) -> str:
 def _degrees(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f} deg"
 
-
-# --- evaluations ---
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
@@ -129,7 +128,6 @@ def print_evaluation(content: Mapping[str, Any]) -> None:
 
 
 def _print_unmeasured(names: Sequence[str]) -> None:
-    """Print the metrics without a value, such as the drift if every robot fell immediately."""
     if names:
         print(hanging(f"no episode has a value for: {', '.join(names)}", 4))
 
@@ -150,23 +148,19 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
     for number, run in enumerate(runs, start=1):
         print(f"run {number}: {display_name(run)}")
     several = len(runs) > 1
-    heads = [f"run {number}" for number in range(1, len(runs) + 1)]
-    over = ["mean", "95 % interval", "noise floor"] if several else []
-    columns = ["metric", "unit", *heads, *over, *(["reference"] if reference is not None else [])]
+    columns = ["metric", "unit", *(f"run {number}" for number in range(1, len(runs) + 1))]
+    columns += ["mean", "95 % interval", "noise floor"] if several else []
+    columns += ["reference"] if reference is not None else []
     rows, unmeasured = [], []
     for row in made.seeds:
         factor, unit = _scale(row.unit)
-        cells = [_difference_number(value, factor) for value in row.values]
+        cells = [_number(value, factor) for value in row.values]
         if several:
             mean = row.mean
-            cells += [
-                _difference_number(mean.value, factor),
-                _between(mean.low, mean.high, factor),
-                _difference_number(mean.floor, factor),
-            ]
+            cells += [_number(mean.value, factor), _between(mean.low, mean.high, factor), _number(mean.floor, factor)]
         if reference is not None:
             figure = reference.evaluation.metrics.get(row.metric)
-            cells.append("-" if figure is None else _difference_number(figure.value, factor))
+            cells.append("-" if figure is None else _number(figure.value, factor))
         if set(cells) == {"-"}:
             unmeasured.append(row.metric)
         else:
@@ -178,7 +172,7 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
 
 
 def print_differences(made: Compared) -> None:
-    """Print the differences between the runs and the opposite runs, metric by metric, and the verdict."""
+    """Print the differences between two groups of runs for each metric, and the verdict."""
     rows = [_difference(row) for row in made.differences if row.better and math.isfinite(row.interval.value)]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
@@ -191,11 +185,7 @@ def _difference(row: Difference) -> tuple[str, ...]:
     factor, unit = _scale(row.unit)
     value = row.interval
     test = ("", "") if row.test is None or row.p is None else (row.test.test, f"{row.p:.2g}")
-    numbers = (
-        _difference_number(row.first, factor),
-        _difference_number(row.second, factor),
-        _difference_number(value.value, factor),
-    )
+    numbers = (_number(x, factor) for x in (row.first, row.second, value.value))
     return row.metric, unit, *numbers, _between(value.low, value.high, factor), *test, row.outcome or "-"
 
 
@@ -204,9 +194,9 @@ def _scale(unit: str) -> tuple[float, str]:
 
 
 def _between(low: float, high: float, factor: float) -> str:
-    ends = _difference_number(low, factor), _difference_number(high, factor)
+    ends = _number(low, factor), _number(high, factor)
     return "-" if "-" in ends else " to ".join(ends)
 
 
-def _difference_number(value: float, factor: float) -> str:
+def _number(value: float, factor: float) -> str:
     return f"{value * factor:.3g}" if math.isfinite(value) else "-"

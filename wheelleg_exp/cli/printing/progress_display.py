@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -32,8 +31,7 @@ PLAIN_EVERY_S = 10.0
 class LiveLines:
     """Progress on standard error: live lines on a terminal, plain lines elsewhere.
 
-    Args:
-        columns: the columns between the count and the figures of a live line.
+    The argument ``columns`` contains extra columns of the progress bar, between the count and the figures.
     """
 
     def __init__(self, *columns: ProgressColumn) -> None:
@@ -49,23 +47,23 @@ class LiveLines:
             transient=True,
         )
 
+    def say(self, text: str) -> None:
+        self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+
     def __enter__(self) -> Self:
         if self._live:
             self._progress.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._live:
             self._progress.stop()
 
 
 class ConsoleDisplay(LiveLines):
-    """Shows the progress of a job on standard error. Standard output contains only the result.
+    """Show the progress of a job on standard error, because standard output contains only the result.
 
-    Args:
-        quiet: whether to leave out the managers' tables.
+    If the attribute ``quiet`` is true, the tables of the managers are not shown.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -79,20 +77,18 @@ class ConsoleDisplay(LiveLines):
         self._listening.enter_context(progress_to(self._work))
         return super().__enter__()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        super().__exit__(kind, error, trace)
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
         self._listening.close()
 
     def environment(self, description: str) -> None:
         """Show the managers' tables."""
         if not self._quiet:
-            self._console.print(printable(description), highlight=False, markup=False, soft_wrap=True)
+            self.say(description)
 
     def note(self, text: str) -> None:
         """Show one line."""
-        self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+        self.say(text)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
         """Show the progress of a training."""
@@ -103,7 +99,7 @@ class ConsoleDisplay(LiveLines):
         self._advance("playing", done, total, "")
 
     def _work(self, what: str, done: int, total: int) -> None:
-        """Show the progress of the preparation of a job. As plain lines, only show slow work."""
+        """Show the progress of the preparation of a job, in plain lines only if the preparation is slow."""
         if self._live:
             self._advance(what, done, total, "")
             if done == total and self._task is not None:
@@ -125,7 +121,6 @@ class ConsoleDisplay(LiveLines):
             self.note(f"{what} {done}/{total}  {figures}".rstrip())
 
     def _is_due(self) -> bool:
-        """Return whether the next plain line is due."""
         now = time.monotonic()
         due = now - self._last_plain >= PLAIN_EVERY_S
         self._last_plain = now if due else self._last_plain
@@ -133,7 +128,7 @@ class ConsoleDisplay(LiveLines):
 
 
 def figures(scalars: Mapping[str, float]) -> str:
-    """Return a training iteration's figures as text, the same figures as in the list of runs."""
+    """Return a training iteration's figures as text: those that ``wheelleg list`` also shows."""
     forms: tuple[tuple[str, Callable[[float], str]], ...] = (
         ("Train/mean_reward", "return {:.2f}".format),
         ("Train/mean_episode_length", "episode {:.0f} steps".format),
@@ -144,7 +139,7 @@ def figures(scalars: Mapping[str, float]) -> str:
 
 
 class ConsoleSweepDisplay(LiveLines):
-    """Shows the progress of a sweep on standard error. A note that several jobs repeat is shown once."""
+    """Show the progress of a sweep on standard error; a note that several jobs repeat is shown once."""
 
     def __init__(self) -> None:
         super().__init__(TimeElapsedColumn())
@@ -153,12 +148,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._tasks: dict[int, TaskID] = {}
         self._all: TaskID | None = None
 
-    def say(self, text: str) -> None:
-        """Show one line about the sweep itself."""
-        self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
-
     def checking(self, done: int, total: int) -> None:
-        """Show the number of checked jobs."""
         if not self._live:
             return
         if self._all is None:
@@ -166,12 +156,10 @@ class ConsoleSweepDisplay(LiveLines):
         self._progress.update(self._all, completed=done)
 
     def checked(self) -> None:
-        """Show the number of ended jobs from now on."""
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 
     def started(self, job: Mapping[str, Any]) -> None:
-        """Show that a job has started."""
         number = job["number"]
         self._last_plain[number] = time.monotonic()
         if self._live:
@@ -180,7 +168,6 @@ class ConsoleSweepDisplay(LiveLines):
             self.say(f"{_title(job)} started")
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show the progress of a job's training."""
         number, now = job["number"], time.monotonic()
         if self._live:
             self._progress.update(self._tasks[number], completed=done, total=total, figures=figures(scalars))
@@ -192,7 +179,7 @@ class ConsoleSweepDisplay(LiveLines):
         """Show how a job ended."""
         if self._live:
             task = self._tasks.pop(job["number"], None)
-            if task is not None:  # None if the job was never started
+            if task is not None:  # The index records no task for a sweep job that was never started.
                 self._progress.remove_task(task)
             if self._all is not None:
                 self._progress.advance(self._all)
@@ -200,7 +187,6 @@ class ConsoleSweepDisplay(LiveLines):
         self.say(f"{_title(job)} {job['status']}{why}")
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show one line about a job, unless an equal line was shown before."""
         if text not in self._shown:
             self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))

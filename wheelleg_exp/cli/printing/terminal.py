@@ -1,7 +1,7 @@
 """Write text and tables to the terminal, or to a pipe.
 
-Tables and blocks of text fit the screen: the terminal's width, otherwise 100 columns. A reader of standard output
-or standard error can disappear; then the command continues, and its output is dropped.
+Tables and blocks of text fit the screen: the terminal's width, otherwise 100 columns. If the reader of standard output
+or standard error closes the pipe, the command continues without output.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,43 +22,38 @@ from wheelleg_exp.errors import printable
 class LastingStream:
     """A text stream that ignores writes after its reader has disappeared.
 
-    Args:
-        stream: the wrapped stream.
-        losses: the errors that mean that the reader has disappeared.
-        styled: whether the text can contain escape sequences; otherwise control characters are written as text.
+    The argument ``losses`` contains the exception types that mean that the reader has closed the stream. In a
+    ``styled`` stream, text can contain escape sequences; otherwise control characters are written as text.
     """
 
     def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:
         self._stream, self._losses, self._styled = stream, losses, styled
 
     def styled(self) -> LastingStream:
-        """Return the stream for colours and moving lines. The caller must escape untrusted text."""
+        """Return the stream without escaping, for colours and moving lines; the caller must escape untrusted text."""
         return LastingStream(self._stream, *self._losses, styled=True)
 
     def write(self, text: str) -> int:
-        """Write a text, and return its length."""
+        """Write a text, with question marks for the characters that the encoding lacks, and return its length."""
+        shown = text if self._styled else printable(text)
         try:
-            self._write(text if self._styled else printable(text))
+            try:
+                self._stream.write(shown)
+            except UnicodeEncodeError as error:
+                self._stream.write(shown.encode(error.encoding, "replace").decode(error.encoding))
         except self._losses:
             self._redirect()
         return len(text)
 
-    def _write(self, text: str) -> None:
-        """Write a text. A character that the encoding lacks, such as ° in ASCII, becomes a question mark."""
-        try:
-            self._stream.write(text)
-        except UnicodeEncodeError as error:
-            self._stream.write(text.encode(error.encoding, "replace").decode(error.encoding))
-
     def flush(self) -> None:
-        """Flush the stream, unless its reader has disappeared."""
+        """Flush the text stream, unless its reader has disappeared."""
         try:
             self._stream.flush()
         except self._losses:
             self._redirect()
 
     def _redirect(self) -> None:
-        """Redirect the stream to the null device, so that the interpreter's last flush succeeds."""
+        """Redirect the stream to the null device, so that Python's flush at the end of the process succeeds."""
         with suppress(OSError, ValueError):
             descriptor = self._stream.fileno()
             null = os.open(os.devnull, os.O_WRONLY)
@@ -78,7 +74,7 @@ def lasting_streams() -> Iterator[None]:
     """Inside the block, ignore a closed pipe on standard output, and every write error on standard error.
 
     A closed terminal, or a full disk behind standard error, must not stop a training. Standard output is the result of
-    the command, so other write errors there are raised.
+    the command, so its other write errors are raised.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -96,15 +92,15 @@ def tool(name: str) -> str:
 
 
 def shown(path: Path) -> str:
-    """Return a path relative to the current folder, if it is inside."""
+    """Return a path relative to the current folder, or unchanged if the path is outside the current folder."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 PLAIN_WIDTH = 100
-_GAP = 2  # spaces between two columns
-_LEAST_WRAPPED = 12  # the least width of a wrapped cell
-_MOST_LINES = 3  # the most lines of a cell in a table
+_GAP = 2  # The number of spaces between two columns.
+_LEAST_WRAPPED = 12  # A table cell is not wrapped to fewer characters per line.
+_MOST_LINES = 3  # A cell of a table is wrapped to at most this number of lines.
 _INDENT = "    "
 
 Row = Sequence[object]
@@ -116,9 +112,10 @@ def screen_width() -> int:
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """Wrap a text into lines of at most ``width`` characters. A longer word breaks after ``/``, ``.``, ``,`` and ``_``.
+    """Wrap a text into lines of at most ``width`` characters.
 
-    A longer word without such characters stays whole, so that it can be copied.
+    A word that is longer than a line breaks after ``/``, ``.``, ``,`` and ``_``. A word without these characters is not
+    broken, so that users can copy it.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):
@@ -147,10 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the screen, with a hanging indent.
 
-    Args:
-        text: the text.
-        indent: spaces before every line but the first.
-        first: a label before the first line, padded to the indent; without a label, the first line is not indented.
+    The argument ``first`` is a label before the first line, padded with spaces to the indent. If ``first`` is empty,
+    the first line of the text is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
@@ -164,13 +159,10 @@ def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
-    """Print a table. If it is too wide, wrap its widest columns, or print each row as a block.
+    """Print a table; if it is wider than the screen, wrap the widest columns, or print each row as a block of lines.
 
-    Args:
-        columns: titles.
-        rows: cells; None is empty.
-        heads: number of cells that form the heading of a row's block.
-        lines: whether to draw lines between cells on a terminal.
+    The first ``heads`` cells form the heading of a row's block. If ``lines`` is true, lines are drawn between cells on
+    a terminal.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
@@ -186,9 +178,9 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Return column widths that fit into ``room``; None if a cell would need too many lines.
+    """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines.
 
-    Titles are wrapped first, then the widest columns.
+    The columns with long titles are narrowed first, then the widest columns.
     """
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
@@ -225,15 +217,9 @@ def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[int]:
 
 def _print_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int]) -> None:
     for row in (columns, *rows):
-        for line in _lines(row, widths):
+        parts = [wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
+        for line in zip_longest(*parts, fillvalue=""):
             print((" " * _GAP).join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
-
-
-def _lines(row: Sequence[str], widths: Sequence[int]) -> Iterator[list[str]]:
-    """Yield the lines of one row, whose cells are wrapped."""
-    parts = [wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
-    for number in range(max(map(len, parts))):
-        yield [part[number] if number < len(part) else "" for part in parts]
 
 
 def _print_framed(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
@@ -16,9 +17,9 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# Keys with a dotted name that rsl_rl imports and calls.
+# rsl_rl imports and calls the dotted names in the values of these keys.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# Parameters with a name that rsl_rl resolves, and the function of rsl_rl.utils that resolves it.
+# Parameters whose value is a name, and the function of rsl_rl.utils that looks up the name.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
@@ -26,13 +27,7 @@ _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
-    """Return the mistakes in the agent section.
-
-    Args:
-        agent: the section.
-        groups: names of the observation groups, which ``obs_groups`` refers to.
-        num_envs: number of environments. It determines the number of samples in an iteration.
-    """
+    """Return the mistakes in the ``agent`` section; ``groups`` are the names of the observation groups."""
     if not isinstance(agent, Mapping):
         return []
     errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
@@ -52,23 +47,20 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
     for name, members in sets.items() if isinstance(sets, Mapping) and groups else ():
         key, listed = f"agent.obs_groups.{name}", members if isinstance(members, list) else []
         if members == []:
-            empty.append(ConfigError("names no group", key=key, expected="some of " + ", ".join(groups)))
+            message, expected = "the set names no observation group", "some of " + ", ".join(groups)
+            empty.append(ConfigError(message, key=key, expected=expected))
         if len({str(group) for group in listed}) < len(listed):
-            empty.append(ConfigError("names a group twice", key=key, expected="each group once"))
+            empty.append(ConfigError("the set names a group twice", key=key, expected="each group once"))
         if name not in _SETS:
-            expected, nearest = "one of " + ", ".join(_SETS), nearest_name(str(name), _SETS)
-            unread.append(ConfigError("no network reads this set", key=key, expected=expected, nearest=nearest))
+            unread.append(not_one_of("no network reads this set", name, _SETS, key=key))
         for group in listed:
             if group not in groups:
-                message, expected = f"there is no observation group '{group}'", "one of " + ", ".join(groups)
-                unknown.append(
-                    ConfigError(message, key=key, expected=expected, nearest=nearest_name(str(group), groups))
-                )
+                unknown.append(not_one_of(f"there is no observation group '{group}'", group, groups, key=key))
     return empty + unread + unknown
 
 
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
-    """Reject a class that is not defined in rsl_rl or an allowed package. Only modules of these are imported."""
+    # Classes of other packages are rejected without an import, because an import runs code.
     packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
@@ -84,34 +76,30 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     if found is None:
         nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # An allowed module can import any function. Check where the object is defined, not only its name.
-    own = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
-    return [] if own else [refused]
+    # Check the module that defines the object, because an allowed module can import any function.
+    defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
+    return [] if defined_there else [refused]
 
 
 def _check_constructor(path: str, node: Any) -> list[ConfigError]:
-    """Check a section's keys against the constructor of the section's class."""
     if not isinstance(node, Mapping):
         return []
     if "class_name" not in node:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # _check_class_name reports it
+        return []  # The function _check_class_name reports the unknown class.
     errors = _check_parameters(path, node, found)
-    draws = (
-        path in ("agent.actor", "agent.student")
-        and not _takes_any(found)
-        and _DISTRIBUTION in class_slots(found, "actor")
-    )
-    if draws and node.get(_DISTRIBUTION) is None:  # rsl_rl accepts an actor without a distribution, but cannot train it
+    # rsl_rl accepts an actor without a distribution, but cannot train such an actor.
+    is_actor = path in ("agent.actor", "agent.student")
+    draws = is_actor and not _takes_any(found) and _DISTRIBUTION in class_slots(found, "actor")
+    if draws and node.get(_DISTRIBUTION) is None:
         expected = "the distribution of the actions, such as {class_name: GaussianDistribution}"
         errors.append(MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected))
     return errors
 
 
 def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
-    """Check the sections of random network distillation and of symmetry."""
     algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
     errors: list[ConfigError] = []
     for name in EXTENSIONS:
@@ -120,10 +108,9 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
             continue
         path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
         errors += _check_parameters(path, node, found)
-        needed = [n for n, slot in class_slots(found, name).items() if slot.default is REQUIRED and n not in node]
-        errors += [
-            MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs") for key in needed
-        ]
+        for key, slot in class_slots(found, name).items():
+            if slot.default is REQUIRED and key not in node:
+                errors.append(MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs"))
         if name == "symmetry_cfg" and node.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
             expected = "joint_pairs, which name the mirror image of each joint"
             errors.append(MissingValue(key="agent.symmetry", expected=expected))
@@ -153,19 +140,14 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
         if name == "class_name":
             continue
         if name not in accepted:
-            errors.append(
-                ConfigError(
-                    f"'{node.get('class_name', found.__name__)}' takes no parameter '{name}'",
-                    key=key,
-                    expected="one of " + ", ".join(accepted),
-                    nearest=nearest_name(str(name), accepted),
-                )
-            )
+            message = f"'{node.get('class_name', found.__name__)}' takes no parameter '{name}'"
+            errors.append(not_one_of(message, name, accepted, key=key))
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
-        elif name not in PARAMETERS:  # parameter_errors checks the values of PARAMETERS
+        elif name not in PARAMETERS:  # The function parameter_errors checks the values in PARAMETERS.
             wrong = value_errors(key, value, accepted[name].annotation)
-            errors += wrong or (_check_word(key, name, value) if name in RESOLVERS else [])
+            words = known_words(name, value) if name in RESOLVERS and not wrong else None
+            errors += wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
     return errors
 
 
@@ -173,7 +155,7 @@ def _takes_any(found: Any) -> bool:
     from rsl_rl.algorithms import Distillation
 
     parameters = inspect.signature(found.__init__).parameters.values()
-    # Distillation accepts any keyword, but ignores unknown ones.
+    # rsl_rl's Distillation accepts any keyword, but ignores unknown keywords.
     return found is not Distillation and any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
 
 
@@ -186,14 +168,6 @@ def known_words(name: str, value: Any = "?") -> list[str] | None:
     except ValueError as error:
         return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
     return None
-
-
-def _check_word(path: str, name: str, value: Any) -> list[ConfigError]:
-    words = known_words(name, value)
-    if words is None:
-        return []
-    expected, nearest = "one of " + ", ".join(words), nearest_name(str(value), words)
-    return [ConfigError(f"'{value}' is not known", key=path, expected=expected, nearest=nearest)]
 
 
 def _library_names() -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
 from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
 from wheelleg_exp.config.composing.hydra_errors import place_of_option, where_of
-from wheelleg_exp.config.config_tree import at, defaults_entries, leaves, line_table, section_at, self_before_others
+from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table, section_at, self_before_others
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import dotted, split_path
@@ -25,12 +25,8 @@ _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
 class MountedFile:
     """One config file, mounted at a key of the tree.
 
-    Attributes:
-        config_path: the file as Hydra names it, ``reward/alive``.
-        package: the key below which the file's content is mounted; empty for the top.
-        file: the file.
-        content: the content of the file.
-        parent: the config whose defaults list selects the file.
+    ``config_path`` is Hydra's name of the file, ``reward/alive``. ``package`` is the key below which the content of the
+    file is mounted; it is empty at the top of the tree. ``parent`` is the config whose defaults list selects the file.
     """
 
     config_path: str
@@ -41,17 +37,17 @@ class MountedFile:
 
     @property
     def group(self) -> str:
-        """The group, ``reward``."""
+        """The config group of the file, such as ``reward``."""
         return self.config_path.rpartition("/")[0]
 
     @property
     def name(self) -> str:
-        """The option, ``alive``."""
+        """The option of the group, such as ``alive``."""
         return self.config_path.rpartition("/")[2]
 
 
 def mounted_files(composed: Composed) -> list[MountedFile]:
-    """Return every file of a composed config, in the order in which Hydra merged them."""
+    """Return every file of a composed config, in the order in which Hydra merged the files."""
     loaded = composed.loader.repository_used.loaded
     found = []
     for default in composed.loader.merged:
@@ -63,7 +59,7 @@ def mounted_files(composed: Composed) -> list[MountedFile]:
 
 
 def mount_place(composed: Composed, mounted: MountedFile) -> str:
-    """Return the override, or the file and line, that mounted a file at its package."""
+    """Return the override, or the file and line, that mounts a file at its package."""
     for override in reversed(composed.parsed):
         value = override.value()
         names = value if isinstance(value, list) else [value]
@@ -75,8 +71,8 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 
 
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find files whose package line is missing, so that their content is at the wrong key."""
-    # A package in a defaults list overrides the file's own line. Such a file needs no line.
+    """Find files without a package line, whose content is therefore at a wrong key."""
+    # A config file needs no `# @package` line if a defaults list mounts the file with `group@package`.
     misplaced = {
         file.config_path for file in files if file.package in (file.group.replace("/", "."), package_header(file.file))
     }
@@ -85,13 +81,13 @@ def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[Conf
 
 
 def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term files that do not contain a term with the file's own name. Each file is reported once."""
+    """Find term files that do not contain a term with the name of the file."""
     wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
 def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term files whose term has no target, neither in the file nor in a file that is merged with it."""
+    """Find term files whose composed term has no target."""
     errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -104,13 +100,14 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
                 where = show_file(file.file, lines.get((file.name,), 1))
                 errors.append(ConfigError(message, key=key, where=where, expected=expected))
             except ConfigError:
-                continue  # check_terms reports a misspelled _target_
+                continue  # The module check_terms reports a misspelled _target_.
     return errors
 
 
 def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find terms that are mounted in an observation group itself, instead of its ``terms``."""
-    astray = [file for file in files if _OBSERVATION_GROUP.fullmatch(file.package) and _holds_term(file)]
+    """Find terms that are mounted in an observation group, instead of in the ``terms`` of the group."""
+    terms = [file for file in files if TARGET in section_at(file.content, (file.name,))]
+    astray = [file for file in terms if _OBSERVATION_GROUP.fullmatch(file.package)]
     return [
         ConfigError(
             f"terms are mounted at '{file.package}', which is not a list of terms",
@@ -123,11 +120,6 @@ def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[
     ]
 
 
-def _holds_term(file: MountedFile) -> bool:
-    term = file.content.get(file.name)
-    return isinstance(term, Mapping) and TARGET in term
-
-
 def _is_term_list(package: str) -> bool:
     keys = package.split(".")
     if keys[0] != "env" or len(keys) < 2 or keys[1] not in RESERVED:
@@ -136,9 +128,7 @@ def _is_term_list(package: str) -> bool:
 
 
 def _term_file_error(file: MountedFile) -> ConfigError:
-    lines = line_table(file.file)
-    names = [str(key) for key in file.content]
-    first = min((lines.get((name,), 1) for name in names), default=1)
+    lines, names = line_table(file.file), [str(key) for key in file.content]
     if not names:
         message = f"this file is empty, and does not contain the term '{file.name}'"
     elif TARGET in file.content:
@@ -146,17 +136,13 @@ def _term_file_error(file: MountedFile) -> ConfigError:
     else:
         message = f"this file contains the term '{names[0]}', not '{file.name}'"
     expected = f"'{file.name}:' at the top, and the term's settings below it"
-    return ConfigError(
-        message,
-        key=f"{file.package}.{file.name}",
-        where=show_file(file.file, first),
-        expected=expected,
-        nearest=file.name if nearest_name(file.name, names) else None,
-    )
+    where = show_file(file.file, min((lines.get((name,), 1) for name in names), default=1))
+    nearest = file.name if nearest_name(file.name, names) else None
+    return ConfigError(message, key=f"{file.package}.{file.name}", where=where, expected=expected, nearest=nearest)
 
 
 def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
-    """Return the config without the settings that term files without their term's name put among the terms."""
+    """Return the config without the settings that wrong term files put directly into a section of terms."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
         section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
@@ -167,9 +153,9 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """If a key is unread only because files were mounted at the wrong key, change its error to blame the mount.
+    """Blame the mount in the error for an unread key, if the files at that key were mounted at a wrong key.
 
-    Settings for the terms in these files are not reported.
+    The result contains no errors for settings of the terms in wrongly mounted files.
     """
     astray: set[str] = set()
     for error in errors:
@@ -178,14 +164,15 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
             error.where = mount_place(composed, brought[0])
             error.message = f"nothing reads the options of '{brought[0].group}' here"
             packages = {file.package for file in files if file.group == brought[0].group} - {brought[0].package}
-            usual = sorted(packages) or [_section_of(brought[0].group)]
-            error.nearest = f"{brought[0].group}@{usual[0]}" if usual[0] else error.nearest
+            sections = [f"env.{name}" for name in RESERVED if name.startswith(brought[0].group.split("/")[0])]
+            usual = [*sorted(packages), *sections]
+            error.nearest = f"{brought[0].group}@{usual[0]}" if usual else error.nearest
             astray |= {file.name for file in brought}
     return [e for e in errors if not (isinstance(e, NotSelected) and str(e.key).rpartition(".")[2] in astray)]
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the files mounted at an unread key, if no other file or override sets anything below it."""
+    """Return the files mounted at an unread key, unless another file or override sets a key below."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -204,45 +191,34 @@ def emptied_by(composed: Composed, key: str) -> str | None:
     return None
 
 
-def _section_of(group: str) -> str:
-    names = [name for name in RESERVED if name.startswith(group.split("/")[0])]
-    return f"env.{names[0]}" if names else ""
-
-
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
-    """Find terms that a list, or a list and its parent's list, contains more than once.
+    """Find terms that a defaults list, or a list and its parent's list, contains twice.
 
-    Only one term results, and its file overwrites the parent's settings for it. After null has removed a term, it can
-    be listed again.
+    The second file would overwrite the parent's settings for the term. A term that null has removed can be listed
+    again.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
     for index, file in enumerate(files):
-        place = (file.package, file.config_path)
-        key = f"{file.package}.{file.name}"
-        if _is_term_list(file.package) and place in seen:
-            between = files[seen[place] : index]
-            if not any(_sets_null(other, key) for other in between):
-                where = _last_choice(composed, file)
-                errors.append(ConfigError("is listed twice", key=key, where=where, expected="each term once"))
+        place, key = (file.package, file.config_path), f"{file.package}.{file.name}"
+        again = _is_term_list(file.package) and place in seen
+        if again and not any(_sets_null(other, key) for other in files[seen[place] : index]):
+            where = _last_choice(composed, file)
+            errors.append(ConfigError("the term is listed twice", key=key, where=where, expected="each term once"))
         seen[place] = index
     return errors
 
 
 def _last_choice(composed: Composed, file: MountedFile) -> str:
-    """Return the override, or the file and line, of the last list that contains a file."""
     mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
     choices = [choice for mount in mounts for choice in mount.choices]
-    lists = [
-        choice
-        for choice in choices
-        if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value])
-    ]
-    return lists[-1].where if lists else mount_place(composed, file)
+    for choice in reversed(choices):
+        if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
+            return choice.where
+    return mount_place(composed, file)
 
 
 def _sets_null(file: MountedFile, key: str) -> bool:
-    """Return whether a file sets the term at ``key`` to null."""
     below = key.removeprefix(f"{file.package}.") if file.package else key
     *above, name = below.split(".")
     node = section_at(file.content, tuple(above))
@@ -250,9 +226,9 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values of a file that its parents overwrite, because ``_self_`` is before them in the defaults list.
+    """Find values in a file that its parents overwrite, because ``_self_`` is not the last entry of the defaults list.
 
-    Values of the primary config, and values that stay equal, are not reported.
+    The primary config is skipped.
     """
     loaded = composed.loader.repository_used.loaded
     early = {item.file for name, item in loaded.items() if name != composed.primary and self_before_others(item.file)}
@@ -272,7 +248,8 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find term lists whose order differs from the order of the composed terms.
 
-    The order changes if a file sets a parameter of a term before the term is mounted: the key is created there.
+    The order of terms changes if a file sets a parameter of a term before the term is mounted, because that creates the
+    key.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -307,10 +284,7 @@ def _order_error(
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each of Hydra's own settings in files that nothing reads, not even a sweep.
-
-    The primary config is left out: its settings stop Hydra from logging and from creating folders.
-    """
+    """Return an error for each ignored setting of Hydra in the config files, except for the primary config."""
     errors = []
     for mounted in files:
         if mounted.config_path == primary:

@@ -1,4 +1,4 @@
-"""Check the names of joints, bodies, sensors, and terms in a config against the robot and the config itself."""
+"""Check the names of joints, bodies, and sensors in a config against the robot and the scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
-from wheelleg_exp.errors import AssetError, ConfigError, nearest_name
+from wheelleg_exp.config.config_errors import not_one_of
+from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
 from wheelleg_exp.terms.key_syntax import dotted, split_path
@@ -22,21 +23,16 @@ ASSET_KEY = "env.robot.asset"
 
 @dataclass(frozen=True)
 class RobotNames:
-    """Names of joints and bodies, breadth first: the robot's default order."""
+    """The names of a robot's joints and bodies, breadth first, which is the robot's default order."""
 
     joints: list[str]
     bodies: list[str]
 
 
 def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
-    """Convert a robot, or take it from the cache, and return its MJCF.
+    """Return the MJCF of the robot in the ``env`` section, from the cache or a new conversion.
 
-    Args:
-        env: the ``env`` section.
-        asset_roots: folders of the user's assets.
-
-    Raises:
-        ConfigError: the file is missing, or does not contain a robot.
+    A missing file, or a file without a robot, raises ConfigError.
     """
     from wheelleg_exp.asset import convert_cached
     from wheelleg_exp.asset.conversion_cache import find_beside
@@ -52,15 +48,17 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
 
 
 def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
-    """Return the names of a robot; see ``converted``."""
+    """Return the names of the joints and bodies of the robot in the ``env`` section."""
     return names_in_mjcf(converted(env, asset_roots))
 
 
 def names_in_mjcf(file: Path) -> RobotNames:
-    """Return the names of joints and bodies in the robot's tree of a converted MJCF, breadth first."""
+    """Return the names of joints and bodies of the robot in a converted MJCF, breadth first."""
     world = ElementTree.parse(file).getroot().find("worldbody")
     roots = world.findall("body") if world is not None else []
-    queue = deque(body for body in roots if body.find("body") is not None or _joints(body) or _is_free(body))
+    # A body without children and without joints is a part of the scene, not of the robot.
+    parts = ("body", "joint", "freejoint")
+    queue = deque(body for body in roots if any(body.find(part) is not None for part in parts))
     joints: list[str] = []
     bodies: list[str] = []
     while queue:
@@ -75,13 +73,9 @@ def _joints(body: ElementTree.Element) -> list[str]:
     return [joint.get("name", "") for joint in body.findall("joint") if joint.get("type") != "free"]
 
 
-def _is_free(body: ElementTree.Element) -> bool:
-    return body.find("freejoint") is not None or any(j.get("type") == "free" for j in body.findall("joint"))
-
-
 ROBOT = "robot"
 _KINDS = {"joint_names": "joint", "body_names": "body"}
-# Values by joint expression, of action terms and of actuators.
+# The parameters of action terms and actuators that can be mappings from joint expressions to values.
 _BY_JOINT = {
     "actions": ("scale", "offset", "clip"),
     "actuators": ("stiffness", "damping", "effort_limit", "velocity_limit", "armature"),
@@ -90,28 +84,26 @@ _BY_JOINT = {
 
 @dataclass(frozen=True)
 class Members:
-    """The names of joints and bodies of each member of the scene, in the member's order; None if unknown."""
+    """The joint names and body names of each member of the scene, in the order of the model; None if unknown."""
 
     joints: dict[str, list[str]]
     bodies: dict[str, list[str] | None]
 
 
 def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigError]:
-    """Return the mistakes in every joint and body expression, and every name that is not a member of the scene.
-
-    Args:
-        config: the composed tree.
-        names: the robot's names, breadth first.
-    """
+    """Return the mistakes in all joint and body expressions of a config, and all unknown members of the scene."""
     robot, sensors = config["env"]["robot"], config["env"]["scene"].get("sensors")
-    joints, errors = _joint_order(robot.get("joint_order"), names.joints)
+    order = robot.get("joint_order")
+    errors = order_errors(order, names.joints) if isinstance(order, list) else []
+    joints = list(order) if isinstance(order, list) and not errors else names.joints
     errors += _initial_state(robot.get("init_state"), joints) + _actuators(robot.get("actuators"), joints)
     bodies: dict[str, list[str] | None] = {ROBOT: names.bodies, "terrain": []}
     for name, node in sensors.items() if isinstance(sensors, Mapping) else ():
         if node is None:
             continue
         own = node if isinstance(node, Mapping) else {}
-        word = "body_name" if "body_name" in own else "body_names"  # a sensor is mounted on one body, or senses several
+        # A sensor is mounted on one body, or it observes several bodies.
+        word = "body_name" if "body_name" in own else "body_names"
         listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found or None
@@ -125,10 +117,10 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
 
 
 def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tuple[list[str], list[ConfigError]]:
-    """Return the names that expressions match, in their own order, and each mistake in the expressions."""
+    """Return the names that the expressions match, in the order of ``names``, and the mistakes in the expressions."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
-        return [], []  # the check of types reports it
+        return [], []  # The check of types reports an expression that is not a string.
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
     if errors:
@@ -142,14 +134,6 @@ def _match_error(expressions: list[str], names: Sequence[str], key: str, what: s
     except ConfigError as error:
         return [error]
     return []
-
-
-def _joint_order(order: Any, joints: list[str]) -> tuple[list[str], list[ConfigError]]:
-    """Return the joints in the robot's order, and the mistakes in the config's ``joint_order``."""
-    if not isinstance(order, list):
-        return joints, []
-    errors = order_errors(order, joints)
-    return (joints if errors else list(order)), errors
 
 
 def _initial_state(state: Any, joints: list[str]) -> list[ConfigError]:
@@ -177,7 +161,7 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
 
 
 def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find joints for which two action terms set the same kind of target. Only the later term would have an effect."""
+    """Find joints with two action terms for the same target, because only the later term would have an effect."""
     from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
 
     claims = []
@@ -190,14 +174,13 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
 
 
 def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find actions on joints that no actuator drives. They would have no effect."""
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # the check of env.robot reports it
+        return []  # The check of env.robot reports a wrong section of actuators.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # one expression is wrong and reported, so the driven joints are unknown
+        return []  # The driven joints are unknown, because an expression is wrong. _actuators reports the expression.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -219,7 +202,7 @@ def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) 
 
 
 def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
-    """Return the mistakes in a mapping by joint expression, each with its own key."""
+    """Return the mistakes in a mapping from joint expressions to values, with the key of each expression."""
     keys = split_path(path)
     errors = [e for name in values for e in _match_error([str(name)], joints, dotted((*keys, str(name))), "joint")]
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
@@ -242,7 +225,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
-        return None  # the check of terms reports it
+        return None  # The check of terms reports an unknown target.
 
 
 def _is_entity(target: Callable[..., Any]) -> bool:
@@ -255,9 +238,7 @@ def _names(
     section: str, path: str, node: Mapping[str, Any], target: Callable[..., Any], member: str, members: Members
 ) -> list[ConfigError]:
     if member not in members.bodies:
-        scene = list(members.bodies)
-        message, nearest = f"the scene has no '{member}'", nearest_name(member, scene)
-        return [ConfigError(message, key=f"{path}.name", expected="one of " + ", ".join(scene), nearest=nearest)]
+        return [not_one_of(f"the scene has no '{member}'", member, members.bodies, key=f"{path}.name")]
     accepted = inspect.signature(target).parameters
     errors = []
     for name, kind in _KINDS.items():
@@ -270,7 +251,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # the member's own mistake is reported
+            continue  # An expression of the sensor is wrong, and check_robot reports the expression.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":
@@ -281,14 +262,9 @@ def _names(
 
 
 def _order(expressions: Any, found: list[str], key: str, what: str) -> list[ConfigError]:
-    """Reject a list of names whose order would be ignored."""
     written = match_names(expressions, found, key=key, what=what, preserve_order=True)[1]
     if written == found:
         return []
-    return [
-        ConfigError(
-            f"the order of this list is ignored: the term sees {', '.join(found)}",
-            key=key,
-            expected=f"preserve_order: true for {', '.join(written)}, or the robot's order in the list",
-        )
-    ]
+    message = f"the order of this list is ignored: the term sees {', '.join(found)}"
+    expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
+    return [ConfigError(message, key=key, expected=expected)]

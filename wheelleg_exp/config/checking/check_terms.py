@@ -1,7 +1,7 @@
 """Check the terms and the references between sections of the config.
 
-A term must be selected, its target must exist and be allowed, and its parameters must fit. A reference names a
-command, an action term, a reward, an observation group, or a folder, which must exist.
+A term must be selected, its target must exist and be allowed, and its parameters must have valid values. The command,
+action term, reward, or observation group that a parameter names must exist.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.config_errors import UnknownName
-from wheelleg_exp.config.config_tree import at, section_at
 from wheelleg_exp.config.explaining.catalog import LIBRARY, MODULES
 from wheelleg_exp.config.key_slots import named_section
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms.term_binding import (
@@ -30,13 +30,13 @@ from wheelleg_exp.terms.term_binding import (
 )
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# The base classes of the terms of some sections, and the arguments that the managers of some sections pass.
+# The base class of the terms of each section, and the first arguments that the managers pass to functions.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield ``(section, path, node)`` of every term in the tree."""
+    """Yield the section, the path, and the node of every term in the tree."""
     for section in RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":
@@ -49,7 +49,7 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in every term of the eight sections."""
+    """Return the mistakes in every term of the config."""
     errors = []
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
@@ -60,17 +60,13 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def _nearest_selected(config: Mapping[str, Any], path: str) -> str | None:
-    """Return the selected term in the same section whose name is most similar."""
     parent, _, name = path.rpartition(".")
-    nodes = [(where.rpartition("."), node) for _, where, node in term_nodes(config)]
-    names = [
-        term for (above, _, term), node in nodes if above == parent and isinstance(node, Mapping) and TARGET in node
-    ]
-    return nearest_name(name, names)
+    terms = section_at(config, parent).items()
+    return nearest_name(name, [str(term) for term, node in terms if isinstance(node, Mapping) and TARGET in node])
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
-    """Return the mistakes in one term: selection, target, the manager's fields, parameters."""
+    """Return the mistakes in one term: its selection, its target, its manager's fields, and its parameters."""
     try:
         term = split_node(section, path, node)
     except ConfigError as error:
@@ -80,20 +76,17 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # If the target cannot be a term of this section, mistakes in its parameters are irrelevant.
+    # Report the mistakes in the parameters only if the target can be a term of this section.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 
 
 def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
-    """Reject a target that the manager cannot build or call as a term."""
     if inspect.isclass(target):
         return _class_errors(section, term, target)
     if section in _CLASSES:
-        kind = _CLASSES[section]
-        return [
-            ConfigError(f"'{term.target}' is not a subclass of {kind}", key=term.path, expected=f"a subclass of {kind}")
-        ]
+        expected = f"a subclass of {_CLASSES[section]}"
+        return [ConfigError(f"'{term.target}' is not {expected}", key=term.path, expected=expected)]
     wanted = _ARGUMENTS.get(section, ("env",))
     parameters = inspect.signature(target).parameters.values()
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -119,7 +112,7 @@ def _class_errors(section: str, term: TermNode, target: type) -> list[ConfigErro
 
 
 def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
-    """Reject a stock term of another section, whose return value this section would misinterpret."""
+    """Reject a stock term of another section, because this section would misinterpret its return value."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
     if belongs is None or belongs == section:
@@ -138,11 +131,7 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
-    """Import an allowed target. If a module is misspelled, the error contains the nearest module.
-
-    Raises:
-        ConfigError: as ``resolve_target``.
-    """
+    """Import an allowed target. For a misspelled module, the error names the most similar module."""
     try:
         return resolve_target(target, path)
     except ConfigError as error:
@@ -153,7 +142,7 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
 
 
 def _nearest_target(target: str) -> str | None:
-    """Return the target with its first unknown module name replaced by the nearest one; None if no name is near."""
+    """Return the target with its first unknown module replaced by the most similar one; None without a similar one."""
     parts = target.split(".")
     for n in range(1, len(parts) - 1):
         try:
@@ -169,7 +158,7 @@ def _nearest_target(target: str) -> str | None:
 
 
 def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in every ``_target_`` node that is not a term: sensors, actuators, noise."""
+    """Return the mistakes in every ``_target_`` node that is not a term, such as a sensor, actuator, or noise."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
     for path, node in walk_nodes(config):
@@ -183,7 +172,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in parameters that name terms of other sections."""
+    """Return the mistakes in parameters that name a term of another section."""
     errors = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -207,15 +196,15 @@ def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> 
 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the observation groups that no network reads, and those without a term."""
+    """Find observation groups that no network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # check_agent reports a misspelled group
-    if at(config, "agent.teacher") is not None:  # a student's task has the groups of the teacher's critic, unused
-        used |= set(groups)
+        return []  # check_agent reports a misspelled observation group.
+    if at(config, "agent.teacher") is not None:
+        used |= set(groups)  # The task of a student also has the groups of the teacher's critic.
     unused = [
         ConfigError(
             f"no network reads the observation group '{name}'",
@@ -234,11 +223,11 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
-    """Return the mistake in ``recording.env_ids``, if an id is missing, repeated, or not in 0 to ``count`` - 1."""
+    """Return the mistake in ``recording.env_ids`` if an id is repeated or not in 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
-        return []  # reported as a mistake in env.num_envs
+        return []  # The check of types reports a wrong number in env.num_envs.
     if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
         return []
     expected = f"at least one environment, each once, from 0 to {count - 1}"
@@ -246,13 +235,13 @@ def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
 
 
 def require_recorded(config: Mapping[str, Any]) -> None:
-    """Raise ConfigError if ``recording.env_ids`` does not fit ``env.num_envs``. The config can be unchecked."""
+    """Raise ConfigError if ``recording.env_ids`` contains an environment that does not exist."""
     for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
         raise error
 
 
 def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the cameras that would draw more environments than their limit."""
+    """Find cameras that would draw more environments than their limit."""
     count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
     limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
     found = (
@@ -264,7 +253,7 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake in ``run.root``, if it cannot be a folder."""
+    """Find a ``run.root`` that cannot be a folder."""
     root = at(config, "run.root")
     if not isinstance(root, str):
         return []

@@ -1,7 +1,7 @@
 """Compose a config from files and overrides into one plain tree, and apply overrides to a recorded config.
 
-Every leaf of a composed config has a place: the file and line, or the override, that set it. Overrides of Hydra's
-own settings that have no effect here are errors.
+The source of each leaf is known: a file and line, or an override. An override of one of Hydra's own settings that has
+no effect in this program is an error.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
 from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, translate, unreadable
 from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
 from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
-from wheelleg_exp.config.config_tree import leaves, node_paths
+from wheelleg_exp.config.tree_lookup import leaves, node_paths
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, WheellegError
+from wheelleg_exp.packages import config_folder
 from wheelleg_exp.terms.key_syntax import dotted, split_path
 from wheelleg_exp.terms.term_binding import drop_removed
 
@@ -46,26 +47,27 @@ _ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath 
 
 
 def is_unread(key: str) -> bool:
-    """Return whether a key, a group or an override is one of Hydra's own settings that nothing reads."""
+    """Return whether a key, group, or override is one of Hydra's own settings, which this program ignores."""
     found = _KEY.match(key)
     return found is not None and not _READ.match(found[1])
 
 
 def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigError:
-    """Return the error for one of Hydra's own settings that nothing reads, with the setting to use instead."""
+    """Return the error for one of Hydra's own settings, with the setting to use instead."""
     instead = expected or _INSTEAD.get(_name(key), _ANY_SETTING)
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
 
-def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
-    """Return an error for each override that sets one of Hydra's own settings without effect on a single run."""
+def _unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
     errors = []
     for text in overrides:
         found = _KEY.match(text)
         key, where = found[1] if found else "", f"override {text}"
         if _name(key) in _OF_SWEEPS:
-            expected = "-m (--multirun) in addition, or neither"
-            message = "this is a setting of a sweep, and this is one run"
+            message, expected = (
+                "this is a setting of a sweep, and this is one run",
+                "-m (--multirun) in addition, or neither",
+            )
             errors.append(ConfigError(message, key=key, where=where, expected=expected))
         elif is_unread(text):
             errors.append(unread_setting(key, where))
@@ -73,7 +75,7 @@ def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
 
 
 def _name(key: str) -> str:
-    """Return the section of ``hydra`` that a key or a group belongs to, such as ``run``."""
+    """Return the section of ``hydra`` that contains a key or a group: ``run`` for ``hydra.run.dir``."""
     return re.split(r"[./]", key, maxsplit=2)[1] if re.match(r"hydra[./]", key) else ""
 
 
@@ -81,17 +83,9 @@ def _name(key: str) -> str:
 class Composed:
     """A composed config.
 
-    Attributes:
-        config: the resolved tree as plain mappings. Null terms are removed from the term sections. Every term section
-            exists, but can be empty.
-        raw: the tree as an OmegaConf config, with ``${...}`` unresolved and null terms; read-only.
-        overrides: the overrides as typed.
-        primary: name of the primary config.
-        config_dirs: the user's config folders, absolute.
-        removed_terms: paths of the terms that were set to null.
-        hydra: Hydra's own node.
-        loader: the loader that has composed the config.
-        parsed: the parsed overrides.
+    ``config`` is the resolved tree of plain mappings, without the terms that are null. ``raw`` is the read-only
+    OmegaConf tree with ``${...}`` unresolved and with null terms. ``removed_terms`` contains the paths of the null
+    terms. ``hydra`` is Hydra's own node of the tree.
     """
 
     config: dict[str, Any]
@@ -106,23 +100,23 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """The source of each leaf, computed on first use."""
+        """The source of each leaf. The provenance is computed on first use."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The mounted groups, without Hydra's own, computed on first use."""
+        """The mounted config groups, without Hydra's own config groups. The groups are computed on first use."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:
-        """The raw tree as plain mappings, to be read only."""
+        """The unresolved tree as plain mappings, which callers must not change."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Add the place of its key to every error that leaves the block."""
+        """Add the file and line, or the override, of the key to each error that leaves the block."""
         try:
             yield
         except Mistakes as error:
@@ -134,22 +128,23 @@ class Composed:
             raise
 
     def _place(self, error: WheellegError) -> None:
-        is_section = isinstance(self.config.get(error.key or ""), Mapping)  # a whole section has no single place
+        # A section has no single place, because several files set its keys.
+        is_section = isinstance(self.config.get(error.key or ""), Mapping)
         if error.where is None and error.key is not None and not is_section:
             error.where = self.provenance.where(error.key)
 
     @property
     def files(self) -> list[Path]:
-        """The stock files and user files that were read, in that order."""
+        """The config files that were read."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
     def asset_roots(self) -> tuple[Path, ...]:
-        """The folders in which ``paths.find_asset`` searches the user's assets."""
+        """The folders in which ``paths.find_asset`` searches the user's robot files."""
         return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
 
     def hydra_files(self) -> dict[str, str]:
-        """Return the texts of Hydra's three files, by name: config.yaml, hydra.yaml and overrides.yaml."""
+        """Return the texts of the files that Hydra writes for a run: config.yaml, hydra.yaml, and overrides.yaml."""
         return {
             "config.yaml": OmegaConf.to_yaml(self.raw),
             "hydra.yaml": OmegaConf.to_yaml(OmegaConf.create({"hydra": self.hydra})),
@@ -167,21 +162,15 @@ def compose(
 ) -> Composed:
     """Compose the primary config with overrides, as Hydra does.
 
-    Args:
-        overrides: Hydra overrides, such as ``task=walk`` or ``env.rewards.alive.weight=2``.
-        primary: name of the primary config.
-        config_dirs: the user's config folders, searched after the stock configs.
-        loader: makes the loader from the folders.
-        launching: whether the overrides may be those of a sweep's launcher.
-
-    Raises:
-        ConfigError: anything that is wrong with the files, the overrides or the interpolations.
+    A mistake in a file, an override, or an interpolation raises ConfigError. ``config_dirs`` are the user's config
+    folders. ``loader`` creates the Hydra loader for these folders. With ``launching``, overrides can contain settings
+    of a sweep's launcher.
     """
     texts = override_texts(overrides)
-    unread = [] if launching else unread_overrides(texts)
+    unread = [] if launching else _unread_overrides(texts)
     if unread:
         raise_all(unread)
-    folders = tuple(require_folder(folder) for folder in config_dirs)
+    folders = tuple(config_folder(folder) for folder in config_dirs)
     with hydra_globals():
         used = loader(folders)
         try:
@@ -200,17 +189,17 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list. A single text is one override, not a sequence of letters."""
+    """Return overrides as a list. A single string is treated as one override."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
-def _resolve(raw: DictConfig, provenance: Any) -> dict[str, Any]:
-    """Return the resolved plain tree, or raise one ConfigError with all missing values and bad interpolations."""
+def _resolve(raw: DictConfig, provenance: Callable[[], Provenance]) -> dict[str, Any]:
+    """Return the resolved tree. Raise one ConfigError for all missing values and bad interpolations."""
     try:
         resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
-        places = provenance()
-        raise_all(_unresolved(raw, places) or [ConfigError(_flat(error), key=_full_key(error))], error)
+        other = ConfigError(_flat(error), key=str(error.full_key) if error.full_key else None)
+        raise_all(_unresolved(raw, provenance()) or [other], error)
     return {str(key): value for key, value in resolved.items()} if isinstance(resolved, dict) else {}
 
 
@@ -238,7 +227,6 @@ def _interpolation_message(raw: DictConfig, path: str) -> str | None:
 
 
 def _dangling(raw: DictConfig, message: str, path: str, where: str | None) -> ConfigError:
-    """Return the error for a bad interpolation. If its key does not exist, the error contains the nearest key."""
     missing = re.match(r"Interpolation key '([^']+)' not found", message)
     if missing is None:
         return ConfigError(message, key=path, where=where)
@@ -252,25 +240,19 @@ def _flat(error: Exception) -> str:
     return re.sub(r'^\w+ raised while resolving interpolation: "?(.*?)"?$', r"\1", flat(error))
 
 
-def _full_key(error: OmegaConfBaseException) -> str | None:
-    return str(error.full_key) if error.full_key else None
-
-
 _ANOTHER_VALUE = "another value"
 
 
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    Groups cannot be selected here, because nothing is composed. A null term is removed, as in a composed config.
-
-    Raises:
-        ConfigError: an override cannot be parsed, names a missing key, or is one of Hydra's own settings.
+    Config groups cannot be selected, because no file is composed. Null terms are removed. An override of a missing key
+    or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
         _apply(changed, _parse(text), text)
-    if overrides:  # without overrides, a recorded tree stays unchanged
+    if overrides:  # If there are no overrides, return the recorded tree unchanged.
         drop_removed(changed)
     return changed
 
@@ -281,16 +263,11 @@ def require_read(
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError for all overrides that nothing reads.
+    """Raise ConfigError for the overrides that have no effect.
 
-    An override is read if its value, or any other value of its key, changes the result of ``read``. An override that
-    repeats the current value is therefore accepted.
-
-    Args:
-        recorded: the tree before the overrides.
-        overrides: the overrides, which must be valid for ``apply_overrides``.
-        read: returns the part of a tree that is read, comparable with ``==``.
-        instead: the text for the expected value of a key and the keys below it; ``""`` applies to all other keys.
+    An override has an effect if its value, or any other value of its key, changes the result of ``read(tree)``. So an
+    override that repeats the recorded value is accepted. ``instead`` maps a key to the text of what to write for the
+    keys below it; the key ``""`` applies to all other keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -305,8 +282,8 @@ def require_read(
         if read(after) == read(tree) == read(other):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
-            message = "this command ignores the key"
-            errors.append(UnreadKey(message, key=key, where=f"override {text}", expected=expected))
+            where = f"override {text}"
+            errors.append(UnreadKey("this command ignores the key", key=key, where=where, expected=expected))
         tree = after
     if errors:
         raise_all(errors)
@@ -314,7 +291,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Add the override of its key to every ConfigError without a place that leaves the block."""
+    """Add the override that set the key to each ConfigError without a place that leaves the block."""
     try:
         yield
     except ConfigError as error:
@@ -346,13 +323,13 @@ def _apply(tree: dict[str, Any], override: Override, text: str) -> None:
     if keys[0] == "hydra":
         raise unread_setting(dotted(keys), f"override {text}", "a key of the run's parameters")
     parent = _parent(tree, keys, text)
+    adds = override.is_add() or override.is_force_add()
+    if keys[-1] not in parent and not adds:
+        raise _unknown(tree, keys, text)
     if override.is_delete():
-        _require_present(tree, parent, keys, text)
         del parent[keys[-1]]
-        return
-    if not override.is_add() and not override.is_force_add():
-        _require_present(tree, parent, keys, text)
-    parent[keys[-1]] = override.value()
+    else:
+        parent[keys[-1]] = override.value()
 
 
 def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, Any]:
@@ -364,18 +341,9 @@ def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, A
     return node
 
 
-def _require_present(tree: dict[str, Any], parent: dict[str, Any], keys: Sequence[str], text: str) -> None:
-    if keys[-1] not in parent:
-        raise _unknown(tree, keys, text)
-
-
 def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigError:
-    known = [dotted(path) for path in node_paths(tree)]
     name = dotted(keys)
-    return ConfigError(
-        "there is no such key in the run's parameters",
-        key=name,
-        where=f"override {text}",
-        expected="an existing key; config groups can only be selected for a new run",
-        nearest=nearest_path(name, known),
-    )
+    message, where = "there is no such key in the run's parameters", f"override {text}"
+    expected = "an existing key; config groups can only be selected for a new run"
+    nearest = nearest_path(name, [dotted(path) for path in node_paths(tree)])
+    return ConfigError(message, key=name, where=where, expected=expected, nearest=nearest)

@@ -1,14 +1,14 @@
 """Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
 
-The module also lists the launchers that a sweep accepts, with the packages that each launcher needs and the number of
-jobs that it runs at once.
+The module also lists the launchers of a sweep. A launcher starts the jobs: one by one, in parallel processes, or in a
+queue.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,10 +24,11 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import Composed, compose, is_unread, override_texts, unread_setting
-from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
 from wheelleg_exp.config.composing.hydra_errors import translate, where_of
-from wheelleg_exp.config.config_errors import override_of, parts, raise_all
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.config.config_errors import not_one_of, override_of, parts, raise_all
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.packages import config_folder
 
 QUEUES = ("submitit_local", "submitit_slurm", "ray")
 LAUNCHERS = ("basic", "joblib", *QUEUES)
@@ -50,45 +51,33 @@ class _RayLauncher:
     ray: _Ray = field(default_factory=_Ray)
 
 
-def offer_ray() -> None:
-    """Register the settings of hydra-ray-launcher for ``hydra/launcher=ray``, if that package is not installed.
+def _offer_ray() -> None:
+    """Register the settings of hydra-ray-launcher in Hydra, if the package is not installed.
 
-    Only its settings are needed. The package itself conflicts with the version of cloudpickle that others require.
+    This program needs only the settings of hydra-ray-launcher. The package hydra-ray-launcher requires a version of
+    cloudpickle that conflicts with other packages.
     """
-    if not _is_there("hydra_plugins.hydra_ray_launcher"):
+    if not _is_installed("hydra_plugins.hydra_ray_launcher"):
         ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
 
 
-def not_installed(launcher: str) -> str | None:
-    """Return the command that installs a launcher's packages; None if they are installed."""
+def _install_command(launcher: str) -> str | None:
+    """Return the command that installs the packages of a launcher; None if they are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
-    return None if all(map(_is_there, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
+    return None if all(map(_is_installed, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
 
 
-def jobs_at_once(launcher: str, settings: Mapping[str, Any], jobs: int) -> int:
-    """Return how many jobs are submitted at once, as joblib counts.
-
-    Args:
-        launcher: one of ``LAUNCHERS``.
-        settings: the section ``hydra.launcher``.
-        jobs: the number of jobs.
-    """
-    if launcher == "joblib":
-        return int(settings["n_jobs"])
-    return jobs if launcher in QUEUES else 1  # the queue itself limits how many jobs run
-
-
-def _is_there(module: str) -> bool:
+def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # a parent package is missing
+    except ModuleNotFoundError:  # find_spec raises this error if the parent package is not installed.
         return False
 
 
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # the override that Hydra's -m adds
+_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m adds this override.
 
 Progress = Callable[[int, int], None]
 
@@ -97,11 +86,8 @@ Progress = Callable[[int, int], None]
 class SweepJob:
     """One job of a sweep.
 
-    Attributes:
-        overrides: the overrides with which ``wheelleg train`` trains this job alone.
-        swept: the overrides that differ between jobs.
-        config: the resolved config.
-        digest: digest of the composed config.
+    ``overrides`` are the overrides with which ``wheelleg train`` runs this job alone; ``swept`` are those of them that
+    differ between jobs. ``digest`` is the SHA-256 of the composed config.
     """
 
     overrides: tuple[str, ...]
@@ -114,12 +100,9 @@ class SweepJob:
 class Sweep:
     """The jobs of a sweep, in Hydra's order, and their launcher.
 
-    Attributes:
-        jobs: the jobs, at least one.
-        launcher: one of ``LAUNCHERS``.
-        n_jobs: how many jobs run at once, as joblib counts: -1 for one per core, -2 for one per core but one. For a
-            queue: how many jobs are submitted at once.
-        multirun: the config that Hydra composes for a multirun, including Hydra's own node.
+    ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less. For
+    a queue, ``n_jobs`` is the number of submitted jobs. ``multirun`` is the config that Hydra composes for the
+    multirun.
     """
 
     jobs: tuple[SweepJob, ...]
@@ -128,7 +111,7 @@ class Sweep:
     multirun: DictConfig = field(repr=False)
 
     def settings(self, folder: Path) -> dict[str, Any]:
-        """Return the launcher's settings as a plain mapping, for the folder of the sweep."""
+        """Return the launcher's settings as a plain mapping; ``folder`` is the folder of the sweep."""
         config = self.multirun.copy()
         with open_dict(config):
             config.hydra.sweep.dir = str(folder)
@@ -143,16 +126,11 @@ def compose_sweep(
 ) -> Sweep:
     """Expand the overrides like Hydra's basic sweeper, and compose and check every job.
 
-    Args:
-        overrides: Hydra overrides; ``a=1,2``, ``choice()``, ``range()`` and ``glob()`` expand to several jobs.
-        config_dirs: the user's config folders.
-        progress: called with the number of checked jobs and the number of all jobs.
-
-    Raises:
-        ConfigError: the mistakes in all jobs, each of them once.
+    All mistakes of all jobs raise one ConfigError, which lists each mistake once. ``progress`` is called with the
+    number of checked jobs and the number of all jobs.
     """
-    folders = tuple(require_folder(folder) for folder in config_dirs)
-    offer_ray()
+    folders = tuple(config_folder(folder) for folder in config_dirs)
+    _offer_ray()
     with hydra_globals():
         loader = Loader(folders)
         parsed, mistakes = _parse(override_texts(overrides), loader)
@@ -165,19 +143,26 @@ def compose_sweep(
         multirun = _compose_multirun(loader, accepted)
         if multirun is None:
             mistakes += _mistakes_of([o for o in accepted if o in own], folders)
-        jobs = _expand(_params(multirun, loader) + [o for o in accepted if o not in own])
+        params = (multirun.hydra.sweeper.get("params") or {}) if multirun is not None else {}
+        texts = [f"{key}={value}" for key, value in params.items()]
+        of_files = OverridesParser.create(config_loader=loader).parse_overrides(texts)
+        jobs = _expand(of_files + [o for o in accepted if o not in own])
         mistakes += [] if multirun is None else _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
-    if mistakes:  # a wrong key is reported once, not for each of its values
+    # Report a wrong key once, although each swept value of the key causes one mistake.
+    if mistakes:
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
         multirun = _compose_launcher(loader, own, parsed)
     launcher = str(multirun.hydra.runtime.choices["hydra/launcher"])
-    return Sweep(tuple(checked), launcher, jobs_at_once(launcher, multirun.hydra.launcher, len(checked)), multirun)
+    # A queue gets all jobs at once, because the queue itself limits how many jobs run.
+    n_jobs = len(checked) if launcher in QUEUES else 1
+    n_jobs = int(multirun.hydra.launcher["n_jobs"]) if launcher == "joblib" else n_jobs
+    return Sweep(tuple(checked), launcher, n_jobs, multirun)
 
 
 def digest_of(composed: Composed) -> str:
-    """Return the digest of a composed config, with interpolations as written."""
+    """Return the SHA-256 of a composed config, with unresolved interpolations."""
     return hashlib.sha256(composed.hydra_files()["config.yaml"].encode()).hexdigest()
 
 
@@ -194,21 +179,13 @@ def _parse(texts: Sequence[str], loader: Loader) -> tuple[list[Override], list[C
 
 
 def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
-    """Yield the mistakes in an override that are visible before anything is composed."""
     key, where = override.key_or_group, where_of(override)
     values = {"hydra/launcher": LAUNCHERS, "hydra/sweeper": _SWEEPERS}.get(key)
     if override.is_hydra_override() and override.is_sweep_override():
         yield ConfigError("Hydra's own settings cannot be swept", key=key, where=where, expected="one value")
     elif values is not None and override.value() not in values:
-        chosen = str(override.value())
-        yield ConfigError(
-            f"'{chosen}' is not supported",
-            key=key,
-            where=where,
-            expected="one of " + ", ".join(values),
-            nearest=nearest_name(chosen, values),
-        )
-    elif key == "hydra/launcher" and (absent := not_installed(str(override.value()))) is not None:
+        yield not_one_of(f"'{override.value()}' is not supported", override.value(), values, key=key, where=where)
+    elif key == "hydra/launcher" and (absent := _install_command(str(override.value()))) is not None:
         yield ConfigError(f"'{override.value()}' is not installed", key=key, where=where, expected=absent)
     elif launcher in QUEUES and key.startswith("hydra.launcher."):
         return
@@ -230,43 +207,37 @@ def _refuse_values(override: Override) -> Iterator[ConfigError]:
 
 
 def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dict[str, ConfigError]:
-    """Reject repeated keys. Hydra's sweeper silently uses the last one only.
+    """Reject repeated keys, because Hydra's sweeper ignores all overrides of a key but the last.
 
-    A repeated key is accepted if every override of it only replaces one value.
+    Several overrides that only replace one value are accepted: the last one counts, as in a single run.
     """
     by_key: dict[str, list[Override]] = {}
     for override in parsed:
         by_key.setdefault(override.get_key_element(), []).append(override)
+    message, expected = "this key is given several times", "one override of this key, with all values"
     return {
-        str(override.input_line): ConfigError(
-            "this key is given several times",
-            key=override.key_or_group,
-            where=where_of(override),
-            expected="one override of this key, with all values",
-        )
+        str(o.input_line): ConfigError(message, key=o.key_or_group, where=where_of(o), expected=expected)
         for several in by_key.values()
         if len(several) > 1 and not all(_replaces(override, groups) for override in several)
-        for override in several
+        for o in several
     }
 
 
 def _replaces(override: Override, groups: Collection[str]) -> bool:
-    """Return whether an override only replaces one value. Of several, the last one counts, as without a sweep."""
     plain = override.type is OverrideType.CHANGE and not override.is_sweep_override()
     return plain and not isinstance(override.value(), dict) and override.key_or_group not in groups
 
 
 def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig | None:
-    """Return the config that Hydra composes for the whole multirun; None if it cannot be composed."""
     texts = [*(str(override.input_line) for override in parsed), _MULTIRUN]
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # the mistakes of the jobs explain the reason
+        return None  # The mistakes of the separate jobs explain why the multirun does not compose.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose the multirun without the jobs' own overrides, which can name a key that only the swept tasks have."""
+    """Compose the multirun without the jobs' overrides, which can name keys that only the swept tasks have."""
     texts = [*(str(override.input_line) for override in own), _MULTIRUN]
     with hydra_globals():
         multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
@@ -275,12 +246,12 @@ def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[
 
 
 def _mistakes_of(own: Sequence[Override], folders: Sequence[Path]) -> list[ConfigError]:
-    """Return the mistakes in the settings of the launcher."""
-    chosen = _chosen(own)
-    used = [o for o in own if chosen != "basic" or not o.key_or_group.startswith("hydra.launcher.")]
-    errors = [_of_joblib(override) for override in own if override not in used]
+    message = "the basic launcher has no settings: it runs one job after the other"
+    expected = "hydra/launcher=joblib in addition"
+    unused = [o for o in own if _chosen(own) == "basic" and o.key_or_group.startswith("hydra.launcher.")]
+    errors = [ConfigError(message, key=o.key_or_group, where=where_of(o), expected=expected) for o in unused]
     try:
-        texts = [str(override.input_line) for override in used]
+        texts = [str(override.input_line) for override in own if override not in unused]
         compose(texts, primary=PRIMARY, config_dirs=folders, launching=True)
     except ConfigError as error:
         errors += parts(error)
@@ -291,17 +262,7 @@ def _chosen(own: Sequence[Override]) -> str:
     return next((str(o.value()) for o in own if o.key_or_group == "hydra/launcher"), "basic")
 
 
-def _of_joblib(override: Override) -> ConfigError:
-    return ConfigError(
-        "the basic launcher has no settings: it runs one job after the other",
-        key=override.key_or_group,
-        where=where_of(override),
-        expected="hydra/launcher=joblib in addition",
-    )
-
-
 def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
-    """Return the mistakes in the launcher and the sweeper that files and overrides together have selected."""
     errors = []
     choices = multirun.hydra.runtime.choices
     for group, known in (("hydra/launcher", LAUNCHERS), ("hydra/sweeper", _SWEEPERS)):
@@ -314,15 +275,8 @@ def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
     return errors
 
 
-def _params(multirun: DictConfig | None, loader: Loader) -> list[Override]:
-    """Return the overrides in ``hydra.sweeper.params`` of the config files."""
-    params = multirun.hydra.sweeper.get("params") if multirun is not None else None
-    texts = [f"{key}={value}" for key, value in (params or {}).items()]
-    return OverridesParser.create(config_loader=loader).parse_overrides(texts)
-
-
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return the overrides of every job. An override that is not swept stays as typed."""
+    """Return the overrides of each job. An override with one value stays as typed."""
     fixed = [override for override in parsed if not override.is_sweep_override()]
     typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
     (jobs,) = BasicSweeper.split_arguments(list(parsed), None)
@@ -332,7 +286,6 @@ def _expand(parsed: Sequence[Override]) -> list[list[str]]:
 def _check(
     jobs: Sequence[Sequence[str]], folders: Sequence[Path], progress: Progress | None, mistakes: list[ConfigError]
 ) -> list[SweepJob]:
-    """Compose and check every job, and append the mistakes, each once, to ``mistakes``."""
     checked: list[SweepJob] = []
     found: dict[str, tuple[ConfigError, list[int]]] = {}
     for index, overrides in enumerate(jobs):
@@ -354,7 +307,7 @@ def _swept(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> tuple[str
 
 
 def _in_job(error: ConfigError, indices: Sequence[int], jobs: Sequence[Sequence[str]]) -> ConfigError:
-    """Add the job's overrides to the message, unless every job has the mistake or its place is one of them."""
+    """Add the job's overrides to a mistake that not all jobs have, unless the mistake is in one of these overrides."""
     swept = _swept(jobs[indices[0]], jobs)
     if len(indices) == len(jobs) or override_of(error) in swept:
         return error

@@ -1,6 +1,6 @@
-"""Trace where each leaf and each selected group of a composed config comes from.
+"""Find the source of each leaf and of each selected group of a composed config.
 
-The source of a leaf is a file and line, or an override; a source also lists the values that it replaced.
+The source of a leaf is a file and line, or an override. A source also lists the earlier values that it replaced.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf._utils import split_key
 
 from wheelleg_exp.config.composing.config_loader import LoadedFile, Loader, hydra_globals
-from wheelleg_exp.config.config_tree import defaults_entries, leaves, line_table
+from wheelleg_exp.config.tree_lookup import defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 
@@ -23,16 +23,10 @@ MISSING = "???"
 
 @dataclass(frozen=True)
 class Source:
-    """One source of one leaf: a line of a file, or an override.
+    """The source of one leaf: a line of a file, or an override.
 
-    Attributes:
-        path: the leaf.
-        value: the raw value, with ``${...}`` as written.
-        file: the file, or None for an override.
-        line: the line in the file, from 1.
-        override: the override as typed, or None for a file.
-        package: the keys below which the file is mounted.
-        shadowed: the earlier sources whose values this source replaced, oldest first.
+    ``value`` is the raw value, with ``${...}`` unresolved. ``package`` contains the keys below which the file is
+    mounted. ``shadowed`` lists the earlier sources whose values this source replaced, oldest first.
     """
 
     path: str
@@ -45,14 +39,17 @@ class Source:
 
     @property
     def where(self) -> str:
-        """``file:line``, or the override."""
+        """The file and line of the value, or the override that set the value."""
         if self.override is not None:
             return f"override {self.override}"
         return show_file(self.file, self.line) if self.file is not None else "unknown"
 
 
 class Provenance(Mapping[str, Source]):
-    """The last source of each leaf, by dotted path; ``deleted`` contains the leaves that overrides removed."""
+    """The last source of each leaf of a config, by dotted path.
+
+    ``deleted`` contains the sources of the leaves that overrides removed.
+    """
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
         self._sources = sources
@@ -69,21 +66,25 @@ class Provenance(Mapping[str, Source]):
         return len(self._by_path)
 
     def below(self, path: str) -> list[Source]:
-        """Return the sources of the leaf at ``path``, or of every leaf below it."""
+        """Return the sources of the leaf at ``path``, or of all leaves below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return the leaves at or below ``path`` that overrides removed."""
+        """Return the removed leaves at or below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
-        """Return the place that set ``path``: of the leaf, of the first leaf below, or of the nearest key above."""
+        """Return the file and line, or the override, that set ``path``.
+
+        For a section, return the place of its first leaf. For a missing key, return the place of the nearest parent.
+        """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # A top-level key comes from many files, so its place does not help to find a missing key in it.
+        # Stop before the top-level key, because many files set this key, and the first of these places does not help
+        # the user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -92,28 +93,28 @@ class Provenance(Mapping[str, Source]):
 
 
 class _Replay:
-    """The sources of all leaves, during a replay of the composition."""
+    """The sources of all leaves. The replay applies the files and overrides of a composition one by one."""
 
     def __init__(self) -> None:
         self.sources: dict[Keys, Source] = {}
         self.deleted: dict[Keys, Source] = {}
 
     def write(self, keys: Keys, source: Source) -> None:
-        """Record the source of a leaf, and the earlier sources that it replaces."""
+        """Record the source of a leaf, and the earlier sources that the new source replaces."""
         below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
-        if source.value == {} and (below or isinstance(self._value(keys), dict)):
+        old_value = self.sources[keys].value if keys in self.sources else None
+        if source.value == {} and (below or isinstance(old_value, dict)):
             return
         absent = isinstance(source.value, str) and source.value == MISSING and source.override is None
         if absent and (below or keys in self.sources):
             return
         above = [keys[:n] for n in range(1, len(keys)) if keys[:n] in self.sources]
-        same = [keys] if keys in self.sources else []
-        hidden = [*above, *below, *same]
+        hidden = [*above, *below, *([keys] if keys in self.sources else [])]
         shadowed = tuple(entry for old in hidden for entry in _history(self.sources[old]))
         self._put(keys, replace(source, shadowed=shadowed), hidden)
 
     def delete(self, keys: Keys, override: str) -> None:
-        """Record that an override deleted a key and everything below it."""
+        """Record that an override deleted a key and all keys below it."""
         gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
         for leaf in gone:
             shadowed = _history(self.sources[leaf])
@@ -122,11 +123,12 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            self._gather(parent)  # so that the remaining leaves keep the parent's place in the order
+            # Move the remaining leaves of the section together, as they are in the composed mapping.
+            self._gather(parent)
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _gather(self, parent: Keys) -> None:
-        """Move all leaves of a section next to its first leaf. The order within each mapping stays the same."""
+        """Move all leaves of a section next to its first leaf, without a change of their order."""
         inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
         before: dict[Keys, Source] = {}
         for leaf, old in self.sources.items():
@@ -134,7 +136,7 @@ class _Replay:
         self.sources = before
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a leaf at the place of the first leaf that it replaces, because the order of terms matters."""
+        """Put a leaf at the place of the first leaf that it replaces, because the order of terms has an effect."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -142,24 +144,17 @@ class _Replay:
         entries = [(keys, source) if leaf == first else (leaf, old) for leaf, old in self.sources.items()]
         self.sources = {leaf: old for leaf, old in entries if leaf == keys or leaf not in gone}
 
-    def _value(self, keys: Keys) -> Any:
-        source = self.sources.get(keys)
-        return source.value if source is not None else None
-
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # A key that is added to an empty mapping does not replace it.
+    # A key that is added to an empty mapping does not replace the mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
 
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Replay the loader's last composition, and return the source of each leaf.
+    """Return the source of each leaf, from a replay of the loader's last ``load``.
 
-    Args:
-        loader: a loader whose ``load`` has run.
-        primary: name of the primary config.
-        parsed: the overrides of that ``load``.
+    ``primary`` and ``parsed`` are the primary config and the overrides of that ``load``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -198,7 +193,6 @@ def _write_override(replay: _Replay, override: Override) -> None:
 
 
 def _into_list(replay: _Replay, keys: Keys, value: Any) -> tuple[Keys, Any]:
-    """Convert an override of one list element into an override of the list."""
     for n in range(1, len(keys)):
         source = replay.sources.get(keys[:n])
         if source is not None and isinstance(source.value, list):
@@ -218,12 +212,7 @@ def _with_element(node: Any, keys: Keys, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Choice:
-    """One selection of a group's options, by a file's defaults list or by an override.
-
-    Attributes:
-        value: the options, as written.
-        where: ``file:line``, or the override.
-    """
+    """The selection of options of a group, by a file's defaults list or by an override, at the place ``where``."""
 
     value: Any
     where: str
@@ -231,16 +220,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class Mount:
-    """A group at one place of the tree.
+    """A config group that is mounted at one key of the tree.
 
-    Attributes:
-        name: the group as an override names it: ``robot``, ``reward@env.rewards``.
-        group: the group.
-        package: the key below which the group's options are mounted; empty for the top.
-        selected: the selected options, in order.
-        options: all options of the group.
-        choices: every selection, in the order in which Hydra applies them. Each replaces the earlier ones, but ``+``
-            adds an option.
+    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the key of the mounted
+    options; it is empty at the top of the tree. ``choices`` lists all selections in the order in which Hydra applies
+    them; each selection replaces the earlier ones, except a ``+`` override, which adds an option.
     """
 
     name: str
@@ -252,25 +236,20 @@ class Mount:
 
     @property
     def several(self) -> bool:
-        """Whether the group takes a list of options."""
+        """Whether the group accepts a list of options."""
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
 def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
-    """Return the groups that a composed config mounts, without Hydra's own groups.
-
-    Args:
-        loader: the loader that has composed the config.
-        parsed: the overrides.
-    """
-    found = loader.merged
+    """Return the mounted groups of a composed config, without Hydra's own groups."""
     with hydra_globals():
-        return [_mount(loader, name, choices, found) for name, choices in _written(loader, parsed, found).items()]
+        return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader, parsed).items()]
 
 
-def _mount(loader: Loader, name: str, choices: list[Choice], found: Sequence[Any]) -> Mount:
+def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
-    mine = [d for d in found if str(d.config_path).rpartition("/")[0] == group and not _nested(d, group)]
+    # Skip an option whose parent is in the same group: a task extends its parent task, but only one task is selected.
+    mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
     if package:
         mine = [d for d in mine if d.package == package]
     elif mine:
@@ -279,24 +258,23 @@ def _mount(loader: Loader, name: str, choices: list[Choice], found: Sequence[Any
     return Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices))
 
 
-def _nested(default: Any, group: str) -> bool:
-    """Return whether another option of the group extends this one, as a task extends its parent task."""
-    return str(default.parent).rpartition("/")[0] == group
+def _group_of(config_path: str | None) -> str:
+    return str(config_path).rpartition("/")[0]
 
 
-def _written(loader: Loader, parsed: Sequence[Override], defaults: Sequence[Any]) -> dict[str, list[Choice]]:
-    """Return the selections of every mount: of files, then of ``override`` entries in files, then as typed."""
+def _choices_by_mount(loader: Loader, parsed: Sequence[Override]) -> dict[str, list[Choice]]:
+    """Return the selections of each mounted group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     loaded = loader.repository_used.loaded
-    # Hydra applies the files in the order of the defaults list: parents first.
-    for path in dict.fromkeys(str(default.config_path) for default in defaults):
+    # Hydra applies the files in the order of the defaults list, parents before their children.
+    for path in dict.fromkeys(str(default.config_path) for default in loader.merged):
         for name, choice, override in _in_file(path, loaded[path].file) if path in loaded else ():
             (replacing if override else plain).setdefault(name, []).append(choice)
     found = {name: [*plain.get(name, []), *replacing.get(name, [])] for name in {**plain, **replacing}}
     for override in parsed:
         name = override.get_key_element().lstrip("+~")
-        if name in found or _is_group(loader, override):
+        if name in found or loader.repository_used.group_exists(override.key_or_group):
             found.setdefault(name, []).append(Choice(override.value(), f"override {override.input_line}"))
     return {name: choices for name, choices in found.items() if not name.startswith("hydra/")}
 
@@ -309,12 +287,8 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
         yield f"{absolute}{at}{package}", Choice(entry.value, show_file(file, entry.line)), entry.override
 
 
-def _is_group(loader: Loader, override: Override) -> bool:
-    return bool(loader.repository_used.group_exists(override.key_or_group))
-
-
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the mount that contains the node at ``keys``: the one with the longest package."""
+    """Return the mounted group with the longest package that contains the node at ``keys``."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 

@@ -1,7 +1,7 @@
 """List the values that a key accepts, for ``explain`` and for shell completion.
 
-Completion must be quick, so this module imports no torch. A completion candidate is the whole word; a candidate
-that ends in ``.``, ``=``, ``,`` or ``[`` is not complete.
+Shell completion must be fast, so this module does not import torch. A completion candidate is a whole word. If a
+candidate ends in ``.``, ``=``, ``,``, or ``[``, the user continues to type after it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import Any
 import wheelleg_exp
 from wheelleg_exp.config import key_slots
 from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
-from wheelleg_exp.config.config_tree import at, section_at
 from wheelleg_exp.config.explaining.key_documentation import is_own
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.paths import cache_dir, configs_dir
 from wheelleg_exp.terms.config_values import limit_words, options_in, type_words
@@ -34,15 +34,10 @@ from wheelleg_exp.user_exceptions import importing
 
 @dataclass(frozen=True)
 class Alternatives:
-    """The values that a key accepts.
+    """The values that a key accepts, as text and as a list.
 
-    Attributes:
-        type: the type as text; empty if every value fits.
-        limits: the bounds as text.
-        values: all valid values, if they can be listed.
-        has_default: whether the key has a default and can be left out.
-        default: the default.
-        keys: the keys below this key that are not set, with their defaults.
+    ``values`` is empty if the values cannot be listed. ``keys`` contains the keys below that are not set, with
+    defaults.
     """
 
     type: str = ""
@@ -73,7 +68,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
 
 
 def _plain(value: Any) -> Any:
-    """Return a default as YAML would contain it; an object, such as a default entity, as its text."""
+    """Return a default value as YAML would contain it. An object becomes its text."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, (tuple, list)):
@@ -99,7 +94,7 @@ def _known_values(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot) -> 
 
 
 def literal_values(annotation: Any) -> list[Any]:
-    """Return the values that an annotation lists: literals, members of an enum, true and false."""
+    """Return the values of an annotation that lists its values: a Literal, an enum, or a bool."""
     options = list(options_in(annotation))
     found = [value for option in options for value in _listed(option)]
     return [*found, None] if found and type(None) in options else found
@@ -114,12 +109,12 @@ def _listed(option: Any) -> list[Any]:
 
 
 def siblings(target: str) -> list[str]:
-    """Return the public functions and classes of the target's module, including the target."""
+    """Return the public functions and classes in the module of a target."""
     module_name = target.rpartition(".")[0]
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # `check` reports why the module cannot be imported
+    except Exception:  # `wheelleg check` reports why the module cannot be imported.
         return []
     return [
         f"{module_name}.{name}"
@@ -132,17 +127,14 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # cached views; storing another one deletes the oldest
+_MOST_VIEWS = 32  # The maximum number of config views in the cache. The cache deletes the oldest views.
 
 
 @dataclass(frozen=True)
 class CompletionView:
     """The parts of a composed config that completion needs.
 
-    Attributes:
-        tree: the raw tree.
-        mounts: the selected groups, by the names that overrides use; true if the group takes a list of options.
-        groups: the options of every group.
+    ``mounts`` maps each mounted group, as overrides name it, to whether the group takes a list of options.
     """
 
     tree: dict[str, Any]
@@ -151,9 +143,10 @@ class CompletionView:
 
 
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    """Compose some overrides and return the view of the config, from the cache if possible.
+    """Compose the overrides and return the view of the config, from the cache if possible.
 
-    If the overrides do not compose, use only ``task=…``, then none. Return None if the primary config does not compose.
+    If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
+    even the primary config composes.
     """
     file = cache_dir() / "completion" / f"{_digest(before, config_dirs, primary)}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
@@ -166,7 +159,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 
 
 def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> str:
-    """Return the digest of a view's inputs: the overrides, and the names, sizes and times of all config files."""
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     files = [
         (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
@@ -201,14 +193,7 @@ def _store(file: Path, text: str) -> None:
 def complete_override(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the overrides that start with ``word``.
-
-    Args:
-        word: the typed part of the override.
-        before: the other overrides of the command line. If they do not compose, fewer of them are used.
-        config_dirs: the user's config folders.
-        primary: the primary config.
-    """
+    """Return the overrides that start with ``word``; ``before`` contains the other overrides of the command line."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -216,7 +201,12 @@ def complete_override(
     text = word[len(sign) :]
     if "=" in text:
         name, _, value = text.partition("=")
-        return [f"{sign}{name}={found}" for found in _completed_values(seen, name, value)]
+        options = seen.groups.get(name.partition("@")[0])
+        if options is not None:
+            found = _selections(options, value, several=seen.mounts.get(name, False))
+        else:
+            found = [leaf for leaf in _leaf_values(seen.tree, split_path(name)) if leaf.startswith(value)]
+        return [f"{sign}{name}={text}" for text in found]
     if sign == "~":
         return [sign + found for found in _keys(seen.tree, text, removable=True)]
     groups = [f"{name}=" for name, several in seen.mounts.items() if (several or sign != "+") and name.startswith(text)]
@@ -227,7 +217,7 @@ def complete_override(
 def complete_key(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the sections, leaves, and groups that start with ``word``."""
+    """Return the sections, leaves, and groups whose names start with ``word``."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -236,7 +226,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the next level of keys: ``env.``, ``env.decimation=``. With ``removable``, also ``env``, without ``=``."""
+    """Return the keys of the next level: ``env.`` and ``env.decimation=``; with ``removable`` also ``env``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []
@@ -248,15 +238,7 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
     return [path for path in found if path.startswith(text)]
 
 
-def _completed_values(seen: CompletionView, name: str, value: str) -> list[str]:
-    options = seen.groups.get(name.partition("@")[0])
-    if options is not None:
-        return _selections(options, value, several=seen.mounts.get(name, False))
-    return [found for found in _leaf_values(seen.tree, split_path(name)) if found.startswith(value)]
-
-
 def _selections(options: Sequence[str], value: str, *, several: bool) -> list[str]:
-    """Return the option names that complete ``value``. If ``value`` is the start of a list, complete its last name."""
     if not value.startswith("["):
         found = [option for option in options if option.startswith(value)]
         return [*found, "["] if several and not value else found
@@ -268,7 +250,7 @@ def _selections(options: Sequence[str], value: str, *, several: bool) -> list[st
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
-    """Return the values that are known without importing a term: literals, true and false, and the current value."""
+    """Return the valid values of a leaf that are known without an import of a term."""
     now = at(tree, path)
     inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
     slot = None if inside_target or path[:1] == ("agent",) else key_slots.slot(tree, path)

@@ -13,16 +13,17 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from wheelleg_exp.config.composing.config_loader import Loader, chosen_file, hydra_globals
-from wheelleg_exp.config.config_tree import file_text
+from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.explaining.key_documentation import headline, is_own
+from wheelleg_exp.config.tree_lookup import file_text
 from wheelleg_exp.constraints import NotEmpty
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.plain_data import yaml_tree
 from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
-# Module of the library -> the section of its terms.
+# The section of the terms of each module of the library.
 MODULES = {
     "actions": "actions",
     "commands": "commands",
@@ -38,14 +39,9 @@ LIBRARY = "wheelleg_exp.mdp"
 
 @dataclass(frozen=True)
 class LibraryTerm:
-    """A term that a config can select.
+    """A stock term that a config can select.
 
-    Attributes:
-        section: the section of the term.
-        target: the dotted name of the term.
-        signature: the parameters that a config sets, with their defaults.
-        help: the first line of the term's docstring.
-        limits: the types and bounds of parameters with bounds, as text, by name.
+    ``help`` is the first line of the docstring. ``limits`` contains the types and bounds of parameters, as text.
     """
 
     section: str
@@ -56,7 +52,7 @@ class LibraryTerm:
 
 
 def library() -> list[LibraryTerm]:
-    """Return the public terms, section by section, in the order of the library's modules."""
+    """Return the public stock terms, section by section."""
     return [
         term for module, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{module}"))
     ]
@@ -75,28 +71,22 @@ def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
 
 
 def is_term(section: str, found: Any) -> bool:
-    """Return whether an object of a library module is a term, and not a helper.
-
-    A term is a class without abstract methods, or a function whose first parameter is the environment.
-    """
+    """Return whether an object of a library module is a term: a concrete class, or a function of the environment."""
     if inspect.isclass(found):
         from wheelleg_exp.managers import TermBase
 
-        return issubclass(found, TermBase) and not _leaves_methods_open(found)
+        methods = [getattr(found, name) for name in dir(found) if not name.startswith("__")]
+        codes = [method.__code__ for method in methods if inspect.isfunction(method)]
+        abstract = any(code.co_names == (NotImplementedError.__name__,) for code in codes)
+        return issubclass(found, TermBase) and not abstract
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # Events change the environment and return None. Helpers in the same module return a value.
+    # An event term returns None. Other functions in the module of the event terms are helper functions.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
-def _leaves_methods_open(kind: type) -> bool:
-    methods = [getattr(kind, name) for name in dir(kind) if not name.startswith("__")]
-    codes = [method.__code__ for method in methods if inspect.isfunction(method)]
-    return any(code.co_names == (NotImplementedError.__name__,) for code in codes)
-
-
 def limits_of(target: Any) -> dict[str, str]:
-    """Return the types and bounds of a target's parameters that have bounds, as text, by name."""
+    """Return the type and bounds of each parameter with bounds, as text."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
         name: describe(hint)
@@ -106,7 +96,7 @@ def limits_of(target: Any) -> dict[str, str]:
 
 
 def signature_of(target: Any) -> str:
-    """Return the parameters that a config can set, as ``name, name=default``."""
+    """Return the parameters of a target that a config can set, as ``name, name=default``."""
     parts = []
     for name, parameter in signature_parameters(target).items():
         default = parameter.default
@@ -121,14 +111,10 @@ TASK_GROUP = "task"
 
 @dataclass(frozen=True)
 class Entry:
-    """One option of a group.
+    """One option of a config group.
 
-    Attributes:
-        group: the config group.
-        name: the option, as written in an override.
-        help: a description of one line; empty if the file has none.
-        file: the YAML file.
-        target: the term's target; None if the option is not a term.
+    ``help`` is a description of one line; empty if the file has no comment. ``target`` is None if the option is not a
+    term.
     """
 
     group: str
@@ -139,22 +125,18 @@ class Entry:
 
 
 def tasks(config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the tasks, each with the comment at the top of its file."""
+    """Return the tasks, described by the comments at the top of their files."""
     return options(TASK_GROUP, config_dirs)
 
 
 def groups(config_dirs: Sequence[Path] = ()) -> list[str]:
-    """Return the config groups."""
+    """Return the names of the config groups."""
     with hydra_globals():
         return Loader(config_dirs).groups()
 
 
 def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the options of a group, each with the comment at the top of its file.
-
-    Raises:
-        ConfigError: there is no such group.
-    """
+    """Return the options of a group, described by the comments at the top of their files."""
     with hydra_globals():
         loader = Loader(config_dirs)
         _require_group(group, loader.groups())
@@ -162,11 +144,7 @@ def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
 
 
 def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the terms of a group, or of all groups, each with the first line of its target's docstring.
-
-    Raises:
-        ConfigError: there is no such group.
-    """
+    """Return the terms of a group, or of all groups, described by the docstrings of their targets."""
     with hydra_globals():
         loader = Loader(config_dirs)
         names = loader.groups()
@@ -174,31 +152,22 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
             _require_group(group, names)
         chosen = [group] if group is not None else names
         entries = [_entry(loader, name, option) for name in chosen for option in loader.options(name)]
+    # Some groups without terms, such as the group of sensors, also have nodes with targets.
+    term_groups = {section.removesuffix("s") for section in RESERVED}
     found = [entry for entry in entries if entry.target is not None]
-    return [_with_docstring(entry) for entry in found if group is not None or _is_term_group(entry.group)]
-
-
-def _is_term_group(group: str) -> bool:
-    # Other groups, such as sensors, also have nodes with targets.
-    singular = {section.removesuffix("s") for section in RESERVED}
-    return group.split("/")[0] in singular
+    return [_with_docstring(e) for e in found if group is not None or e.group.split("/")[0] in term_groups]
 
 
 def _require_group(group: str, names: Sequence[str]) -> None:
     if group not in names:
-        raise ConfigError(
-            "there is no such config group",
-            key=group,
-            expected="one of " + ", ".join(names),
-            nearest=nearest_name(group, names),
-        )
+        raise not_one_of("there is no such config group", group, names, key=group)
 
 
 def _entry(loader: Loader, group: str, name: str) -> Entry:
     file = _file(loader, f"{group}/{name}")
     try:
         text = file_text(file)
-    except (OSError, UnicodeDecodeError):  # reported when the file is used
+    except (OSError, UnicodeDecodeError):  # The error is raised when the file is composed.
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
 
@@ -208,18 +177,18 @@ def _file(loader: Loader, config_path: str) -> Path:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         return chosen_file(config_path, found)
-    except ConfigError:  # reported when the file is used
+    except ConfigError:  # The error is raised when the file is composed.
         return found[0]
     except IndexError:
         return Path(f"{config_path}.yaml")
 
 
 def _target(text: str, name: str) -> str | None:
-    """Return the target of the term with the file's own name, or of the file's only node; None without a target."""
+    """Return the target of the term in a file: of the node with the name of the file, or of the only node."""
     try:
         yaml_tree(text)
         content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception:  # mistakes in the file are reported when the file is used
+    except Exception:  # The error is raised when the file is composed.
         return None
     nodes = content if isinstance(content, dict) else {}
     node = nodes.get(name) or (next(iter(nodes.values())) if len(nodes) == 1 else None)
@@ -228,7 +197,7 @@ def _target(text: str, name: str) -> str | None:
 
 
 def leading_comment(text: str) -> str:
-    """Return the first line of the comment at the top of a YAML file, after its package line."""
+    """Return the first line of the comment at the top of a YAML file, below its package line."""
     for line in text.splitlines():
         words = line.strip()
         if words and not words.startswith("#"):

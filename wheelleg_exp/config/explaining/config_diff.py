@@ -1,4 +1,4 @@
-"""Compare two configs: plain trees leaf by leaf, and runs or tasks by meaning (terms, their order, parameters)."""
+"""Compare two plain trees leaf by leaf, and two runs or tasks by the meaning of their configs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 from wheelleg_exp.config import key_slots
-from wheelleg_exp.config.config_tree import at
+from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.terms.key_syntax import Keys, dotted
 from wheelleg_exp.terms.term_binding import TARGET, signature_parameters
 
@@ -31,19 +31,12 @@ class Change:
 
     @property
     def key(self) -> str:
-        """The dotted key."""
+        """The dotted key of the leaf."""
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
 def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) -> Iterator[Change]:
-    """Yield the leaves in which two trees differ: first in the order of A, then the leaves that only B has.
-
-    Args:
-        a: the first tree.
-        b: the second tree.
-        alike: returns whether two leaves are equal.
-        keys: the keys of both trees in a larger tree.
-    """
+    """Yield the leaves in which two trees differ: first in the order of A, then the leaves that only B has."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for name in dict.fromkeys([*a, *b]):
             yield from changes(a.get(name, ABSENT), b.get(name, ABSENT), alike, (*keys, str(name)))
@@ -52,7 +45,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values are equal. 1 equals 1.0, NaN equals NaN, and True does not equal 1."""
+    """Return whether two plain values are equal. The value 1 equals 1.0, NaN equals NaN, but True differs from 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if _is_list(a) and _is_list(b):
@@ -70,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# Sections in which the order of terms matters, and the effect of a different order.
+# The effect of a different order of terms, for the sections in which the order has an effect.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -85,11 +78,8 @@ _LAID_OUT = ("actions", "observations")
 class Side:
     """One of the two configs of a comparison.
 
-    Attributes:
-        label: the name of the config in messages.
-        tree: the resolved config, as plain mappings.
-        where: returns the file and line, or the override, that set or removed a key; None if unknown.
-        facts: the facts of a run, by section: code, versions, hardware, threads, variables, asset.
+    ``where`` returns the file and line, or the override, that set or removed a key. ``facts`` contains facts about a
+    run by section, such as code, versions, and hardware.
     """
 
     label: str
@@ -102,15 +92,7 @@ class Side:
 class PlacedChange:
     """One difference between two configs, with the place of each value.
 
-    Attributes:
-        kind: the change from A to B.
-        path: the key.
-        is_term: whether a whole term differs, or the order of a section's terms.
-        a: the value in A; None if A has no value.
-        b: the value in B; None if B has no value.
-        where_a: the file and line, or the override, that set or removed the value in A.
-        where_b: the same for B.
-        note: the effect of the difference.
+    ``is_term`` is true if a whole term or the order of terms differs. ``note`` states the effect of the difference.
     """
 
     kind: Kind
@@ -135,19 +117,18 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences between two configs; false if there are none."""
+    """All differences between two configs. The comparison is false if the configs are equal."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
     facts: tuple[FactChange, ...]
 
     def __bool__(self) -> bool:
-        """Return whether there is any difference."""
         return bool(self.terms or self.parameters or self.facts)
 
 
 def compare(a: Side, b: Side) -> Difference:
-    """Return the differences between two configs. Top-level sections that one config lacks are left out."""
+    """Return the differences between two configs, without the top-level sections that only one config has."""
     changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
     terms = tuple(change for change in changes if change.is_term)
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
@@ -159,7 +140,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # not None if the children of this node are terms
+    section = key_slots.section_of((*keys, "any"))  # The value is None if the children of the node are not terms.
     if section is not None:
         yield from _order(a, b, keys, section)
     for name in dict.fromkeys([*map(str, one), *map(str, other)]):
@@ -167,7 +148,9 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if name in one and name in other:
             yield from _walk(a, b, inner)
         elif not _is_default(a, b, inner):
-            yield _one_sided(a, b, inner, section)
+            kind: Kind = "added" if name in other else "removed"
+            note = ORDER[section] if section in _LAID_OUT else ""
+            yield _change(kind, a, b, inner, at(a.tree, inner), at(b.tree, inner), note)
 
 
 def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
@@ -175,13 +158,6 @@ def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note
     return PlacedChange(
         kind, path, key_slots.section_of(keys) is not None, one, other, a.where(path), b.where(path), note
     )
-
-
-def _one_sided(a: Side, b: Side, keys: Keys, section: str | None) -> PlacedChange:
-    one, other = at(a.tree, keys), at(b.tree, keys)
-    in_b = keys[-1] in at(b.tree, keys[:-1])
-    note = ORDER[section] if section in _LAID_OUT else ""
-    return _change("added" if in_b else "removed", a, b, keys, one, other, note)
 
 
 def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]:
@@ -193,7 +169,7 @@ def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
-    """Return whether the key is missing in one config and has its default value in the other."""
+    """Return whether a key is missing in one config and has its default value in the other config."""
     parents = [at(side.tree, keys[:-1]) for side in (a, b)]
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
@@ -203,7 +179,7 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a value equals a default. The default can be an object, and the value the node that builds it."""
+    """Return whether a value equals a default, also if the value is the node from which the default object is built."""
     target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)
@@ -216,7 +192,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # the files are equal, even if the commits differ
+            continue  # Equal git trees contain equal files, even if their commits differ.
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

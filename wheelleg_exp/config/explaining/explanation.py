@@ -11,9 +11,9 @@ from wheelleg_exp.config import key_slots
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Mount, Source, mount_of, option_of
-from wheelleg_exp.config.config_tree import at, line_table, node_paths
 from wheelleg_exp.config.explaining.alternatives import Alternatives, alternatives
 from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment, meaning_of, summary, unit_in
+from wheelleg_exp.config.tree_lookup import at, line_table, node_paths
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -22,12 +22,10 @@ from wheelleg_exp.terms.term_binding import TARGET
 
 @dataclass(frozen=True)
 class Meaning:
-    """One text about a key, and its place.
+    """A description of a key, and the place of the description.
 
-    Attributes:
-        text: the text.
-        where: ``file:line`` of a comment, or the dotted name of the function or class with the docstring.
-        about: ``key``, or ``term`` if the text describes the whole term that contains the key.
+    ``where`` is the file and line of a comment, or the dotted name of an object with a docstring. ``about`` is ``key``,
+    or ``term`` if the text describes the term that contains the key.
     """
 
     text: str
@@ -38,14 +36,7 @@ class Meaning:
 def meanings(
     tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
-    """Return the comments and docstrings about a key, the nearest first.
-
-    Args:
-        tree: the raw tree.
-        keys: the key.
-        slot: the slot of the key.
-        sources: the places that set the key, oldest first.
-    """
+    """Return the comments and docstrings about a key, the most specific first; ``sources`` set the key."""
     found: dict[str, Meaning] = {}
     for note in (*_comments(keys, sources), *_docstrings(tree, keys, slot)):
         found.setdefault(note.text, note)
@@ -53,20 +44,20 @@ def meanings(
 
 
 def unit_of(notes: Sequence[Meaning], keys: Keys) -> str | None:
-    """Return the unit in the first text about the key itself that names one."""
+    """Return the unit of a key: the first unit that a text about the key names."""
     if keys[-1] in ("weight", TARGET):
         return None
     return next((unit for note in notes if note.about == "key" and (unit := unit_in(note.text))), None)
 
 
 def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
-    """Yield the comments on or above the key's line, in every file that sets the key, the last file first."""
+    """Yield the comments at the lines that set the key. The comments of the file that Hydra merges last come first."""
     for source in reversed(sources):
         if source.file is None or source.line is None or len(keys) < len(source.package):
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # source.line is the line of a leaf. A mapping's comment is on the mapping's own line.
+            # source.line is the line of a leaf, but the comment of a mapping is at the line of the mapping.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -89,7 +80,7 @@ def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None
             return
 
 
-# An interpolation without inner ones that refers to a key. One with a colon calls a resolver instead.
+# An interpolation that refers to a key. An interpolation with a colon calls a resolver instead.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
@@ -97,11 +88,7 @@ _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 class Reference:
     """One key that an interpolation reads.
 
-    Attributes:
-        path: the key.
-        value: the resolved value of the key.
-        raw: the value as written if it is an interpolation itself, else None.
-        where: the file and line, or the override, that set the key.
+    ``raw`` is the unresolved value if it is an interpolation itself, otherwise None.
     """
 
     path: str
@@ -130,7 +117,7 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
 
 
 def _absolute(text: str, keys: Keys) -> Keys:
-    """Return the absolute keys of a reference in the value at ``keys``: ``.x`` is next to it, ``..x`` one level up."""
+    """Return the absolute keys of a reference in the value at ``keys``; ``.x`` names a sibling of the value."""
     dots = len(text) - len(text.lstrip("."))
     return split_path(text) if dots == 0 else (*keys[: len(keys) - dots], *split_path(text[dots:]))
 
@@ -142,21 +129,9 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 class Explanation:
     """The explanation of one key.
 
-    Attributes:
-        key: the key.
-        kind: the kind of the key.
-        value: the current value, resolved; the default if the key is not set.
-        raw: the value as written if it contains ``${...}``, else None.
-        has_value: whether there is a value. Then None means null.
-        unit: the unit, if known.
-        meanings: comments and docstrings about the key, the nearest first.
-        sources: the places that set the key, oldest first. The last one set the current value, or removed the key.
-        references: the keys that ``${...}`` refers to, in order.
-        alternatives: the values that the key accepts.
-        mount: the group that is selected at the key, or whose option contains the key.
-        option: for a term, the option that contains it.
-        children: the keys below this key, with their current values.
-        is_read: whether anything reads such a key.
+    ``value`` is the resolved value, or the default if the key is not set. ``raw`` is the unresolved value if it
+    contains ``${...}``, otherwise None. ``sources`` lists the places that set the key, oldest first; the last one can
+    also have removed the key. ``mount`` is the group at the key, or the group whose ``option`` contains the key.
     """
 
     key: str
@@ -176,14 +151,9 @@ class Explanation:
 
 
 def explain_key(composed: Composed, key: str) -> Explanation:
-    """Explain a key of a composed config, or a group.
+    """Explain a key or a group of a composed config. The key does not have to be set.
 
-    Args:
-        composed: the config.
-        key: a leaf, term or section, set or not; or a group such as ``robot`` or ``reward@env.rewards``.
-
-    Raises:
-        ConfigError: the key does not exist, and nothing reads a key of that name.
+    A key that does not exist and that nothing reads raises ConfigError.
     """
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts
@@ -203,7 +173,9 @@ def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[M
     if not keys or not _is_there(tree, keys):
         return None
     raw, value, slot = at(tree, keys), at(composed.config, keys), key_slots.slot(tree, keys)
-    notes = meanings(tree, keys, slot, _all_sources(composed, keys))
+    below = composed.provenance.below(dotted(keys))
+    sources = _sources(composed, keys) or [s for source in below for s in (*source.shadowed, source)]
+    notes = meanings(tree, keys, slot, sources)
     explained = Explanation(
         dotted(keys),
         "value",
@@ -241,7 +213,6 @@ def _is_there(tree: Any, keys: Keys) -> bool:
 
 
 def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanation | None:
-    """Explain a key that was removed: a term that is null, a key inside such a term, or a key that ``~key`` deleted."""
     path = dotted(keys)
     term = key_slots.term_keys(keys)
     if term is not None and dotted(term) in composed.removed_terms:
@@ -280,7 +251,7 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     if slot is None or not has_place or key_slots.section_of(keys) is not None or _is_misspelled(tree, keys):
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # a parent accepts any name, but no such name is set
+        return None  # The parent section accepts any key, but no config file sets the requested key.
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(
@@ -295,24 +266,19 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
 
 
 def _is_misspelled(tree: dict[str, Any], keys: Keys) -> bool:
-    """Return whether a mapping accepts any name, and a key in it is nearly equal to an existing one."""
+    """Return whether a key is similar to an existing key of a mapping that accepts any name."""
     node = at(tree, keys[:-1])
     named = key_slots.slots(tree, keys[:-1])
     return not named and isinstance(node, Mapping) and nearest_name(keys[-1], map(str, node)) is not None
 
 
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
-    """Return the sources of a leaf, oldest first. For an element of a list, return the sources of the list."""
+    """Return the sources of a leaf, oldest first. A list element has the sources of its list."""
     for length in range(len(keys), 0, -1):
         source = composed.provenance.get(dotted(keys[:length]))
         if source is not None:
             return (*source.shadowed, source)
     return ()
-
-
-def _all_sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
-    leaf = _sources(composed, keys)
-    return leaf or tuple(s for source in composed.provenance.below(dotted(keys)) for s in (*source.shadowed, source))
 
 
 def _unknown(tree: dict[str, Any], key: str, found: Sequence[Mount]) -> ConfigError:
@@ -323,9 +289,7 @@ def _unknown(tree: dict[str, Any], key: str, found: Sequence[Mount]) -> ConfigEr
     shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
     place = f" in {dotted(keys[:depth])}" if depth else ""
     names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]
-    return ConfigError(
-        "there is no such key, and nothing reads one of that name",
-        key=key,
-        expected=f"one of {shown}{place}" if shown else "a key or a group",
-        nearest=nearest_path(key, [*names, *(mount.name for mount in found)]),
-    )
+    expected = f"one of {shown}{place}" if shown else "a key or a group"
+    nearest = nearest_path(key, [*names, *(mount.name for mount in found)])
+    message = "there is no such key, and nothing reads one of that name"
+    return ConfigError(message, key=key, expected=expected, nearest=nearest)

@@ -11,9 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from wheelleg_exp.config.config_tree import yaml_node
+from wheelleg_exp.config.tree_lookup import yaml_node
 
-# The description and the default of the managers' own fields of a term; ... means that the field is required.
+# The description and default of each field that the managers read in a term. The default ... marks a required field.
 FIELDS: dict[str, tuple[str, Any]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
     "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),
@@ -30,7 +30,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
-# The description of the keys that no docstring describes; * matches one key.
+# The description of each key that no docstring describes. The character * matches one key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
     "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
@@ -98,7 +98,7 @@ KEYS: dict[str, str] = {
 
 
 def meaning_of(keys: tuple[str, ...]) -> str:
-    """Return the description of a key in the table ``KEYS``; empty if the table lacks the key."""
+    """Return the description of a key in the table ``KEYS``; empty if the table does not contain the key."""
     path = ".".join(keys)
     for pattern, text in KEYS.items():
         if pattern == path or (len(pattern.split(".")) == len(keys) and fnmatchcase(path, pattern)):
@@ -110,13 +110,10 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line, or the comment directly above it at the same indentation; empty without one.
+    """Return the comment on a line of a YAML file, or directly above the line at the same indentation.
 
-    The comment at the top of a file describes the whole file. It counts for a key only if the file has no other key.
-
-    Args:
-        file: the YAML file.
-        line: the key's line, from 1.
+    The comment at the top of a file describes the whole file. The comment describes a key only if the file has no other
+    key.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
@@ -126,7 +123,7 @@ def comment_at(file: Path, line: int) -> str:
 
 
 def file_comment(file: Path) -> str:
-    """Return the comment at the top of a file with a package line, which describes one section; empty without one."""
+    """Return the comment below the package line of a file, which describes a section; empty without a comment."""
     lines = _lines(file, file.stat().st_mtime_ns)
     if not lines or not _PACKAGE.match(lines[0]):
         return ""
@@ -144,7 +141,6 @@ def _lines(file: Path, _stamp: int) -> list[str]:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Split a line into YAML text and comment."""
     quote = ""
     for index, letter in enumerate(text):
         if quote:
@@ -163,14 +159,10 @@ def _above(file: Path, lines: list[str], index: int) -> str:
     while top > 0 and _is_comment(lines[top - 1]) and _indent(lines[top - 1]) == indent:
         top -= 1
         found.insert(0, _split(lines[top])[1])
-    if found and (top == 0) and not _single(file):
+    root = yaml_node(file)
+    if found and top == 0 and not (root is not None and len(root.value) == 1):
         return ""
     return " ".join(text for text in found if text and not text.startswith("@"))
-
-
-def _single(file: Path) -> bool:
-    root = yaml_node(file)
-    return root is not None and len(root.value) == 1
 
 
 def _is_comment(text: str) -> bool:
@@ -190,14 +182,14 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# Words that can follow a unit at the start of a line. Without them, the "N" of "N environments" would mean newtons.
+# One of these words must follow a unit at the start of a line. Otherwise "N environments" would mean newtons.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
 
 
 def unit_in(text: str) -> str | None:
-    """Return the unit in a comment or a docstring line: at its start, or after a comma; None without a unit."""
+    """Return the unit in a comment or a docstring line, at its start or after a comma; None without a unit."""
     for pattern in (_FIRST, _LATER):
         match = pattern.search(text)
         if match:
@@ -206,19 +198,19 @@ def unit_in(text: str) -> str | None:
 
 
 def summary(target: Any) -> str:
-    """Return the first paragraph of a docstring on one line; empty without a docstring."""
+    """Return the first paragraph of the docstring of an object, on one line."""
     text = inspect.getdoc(target) or ""
     return " ".join(text.strip().split("\n\n")[0].split())
 
 
 def headline(target: Any) -> str:
-    """Return the first line of a docstring; empty without a docstring."""
+    """Return the first line of the docstring of an object."""
     text = (inspect.getdoc(target) or "").strip()
     return text.splitlines()[0] if text else ""
 
 
 def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
-    """Return the description of each parameter in a target's docstring; for a class, its base classes count, too."""
+    """Return the description of each parameter in a target's docstring and in the docstrings of its base classes."""
     if not inspect.isclass(target):
         return parameters_in(inspect.getdoc(target) or "")
     found: dict[str, str] = {}
@@ -229,7 +221,7 @@ def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
 
 
 def parameters_in(text: str) -> dict[str, str]:
-    """Return the entries of the parameter sections of a Google-style docstring."""
+    """Return the description of each parameter in a Google-style docstring."""
     found: dict[str, str] = {}
     name, inside, indent = "", False, -1
     for line in text.splitlines():

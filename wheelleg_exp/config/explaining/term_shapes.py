@@ -17,15 +17,9 @@ if TYPE_CHECKING:
 class TermShape:
     """One term of an observation group, or of the actions.
 
-    Attributes:
-        name: the term.
-        target: the dotted name of the term's target.
-        width: components of one sample.
-        history: control steps in the history; 0: only the present.
-        shape: shape of the term in one environment.
-        start: first index in the joined vector; None if the term is not contiguous there.
-        stop: index after the last one.
-        joints: for an action, the joints that it drives, in the order of its components.
+    ``width`` is the number of components of one sample. ``history`` is the number of control steps in the history; 0
+    means only the present. ``start`` and ``stop`` are the term's indices in the joined vector; None for a term that is
+    not contiguous. ``joints`` are the joints that an action drives, in the order of its components.
     """
 
     name: str
@@ -42,9 +36,7 @@ class TermShape:
 class GroupShape:
     """An observation group, or all actions.
 
-    Attributes:
-        terms: the terms in order.
-        shape: shape of the vector of one environment; None if the terms are not joined.
+    ``shape`` is the shape of the vector of one environment; None if the terms are not joined.
     """
 
     terms: tuple[TermShape, ...]
@@ -53,13 +45,7 @@ class GroupShape:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The layout of a policy's inputs and outputs.
-
-    Attributes:
-        joints: the robot's joints, in the order in which a term without joint expressions uses them.
-        observations: the groups by name.
-        actions: the action vector.
-    """
+    """The layout of a policy's inputs and outputs. ``joints`` are in the robot's default order."""
 
     joints: tuple[str, ...]
     observations: dict[str, GroupShape]
@@ -67,11 +53,7 @@ class Shapes:
 
 
 def shapes(composed: Composed) -> Shapes:
-    """Return the layout of a config's observations and actions.
-
-    Raises:
-        WheellegError: the robot's file or the config is wrong.
-    """
+    """Return the layout of a config's observations and actions."""
     from wheelleg_exp.build import build_env
 
     config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}

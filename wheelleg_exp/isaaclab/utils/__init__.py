@@ -1,5 +1,3 @@
-"""What terms import of ``isaaclab.utils``: ``configclass``, mathematics and the matching of names."""
+"""The part of ``isaaclab.utils`` that terms import: ``configclass``, mathematics, and the matching of names."""
 
 from wheelleg_exp.isaaclab.utils.configclass import configclass
-
-__all__ = ["configclass"]

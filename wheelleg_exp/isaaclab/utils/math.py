@@ -1,7 +1,7 @@
 """Rotations, frames, cameras, and draws under the names of ``isaaclab.utils.math``.
 
-Quaternions are (w, x, y, z), angles are radians. Tensors may have any leading dimensions, which broadcast. Draws use
-torch's global generator, which is the term's own stream while a term of a user runs.
+Quaternions are (w, x, y, z), angles are radians. Tensors can have any leading dimensions, which broadcast. Draws use
+torch's global generator. While a user-defined term runs, torch's global generator is the random stream of this term.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
-SMALL = 1e-6  # rad: angles below use sin(x) = x
+SMALL = 1e-6  # rad; angles below this value use sin(x) = x
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -39,18 +39,14 @@ def quat_inv(q: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
 
 
 def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
-    """Return the Hamilton product: the rotation ``q2`` followed by ``q1``.
-
-    Raises:
-        ValueError: the shapes differ.
-    """
+    """Return the Hamilton product: the rotation ``q2`` followed by ``q1``."""
     if q1.shape != q2.shape:
         raise ValueError(f"quaternions of shapes {tuple(q1.shape)} and {tuple(q2.shape)} cannot be multiplied")
     return rotation.quat_mul(q1.reshape(-1, 4), q2.reshape(-1, 4)).view(q1.shape)
 
 
 def quat_unique(q: torch.Tensor) -> torch.Tensor:
-    """Return the same rotations with w >= 0."""
+    """Return quaternions with w >= 0 of the same rotations."""
     return torch.where(q[..., :1] < 0.0, -q, q)
 
 
@@ -128,18 +124,11 @@ def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
 
 
 def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
-    """Convert quaternions (tensor or array) between the orders xyzw and wxyz.
-
-    Raises:
-        ValueError: the last dimension is not 4, or ``to`` is unknown.
-    """
+    """Convert quaternions (tensor or array) between the orders xyzw and wxyz."""
     if quat.shape[-1] != 4 or to not in ("xyzw", "wxyz"):
         raise ValueError(f"expected quaternions (..., 4) and to='xyzw' or 'wxyz', not {tuple(quat.shape)} and {to!r}")
     shift = -1 if to == "xyzw" else 1
     return np.roll(quat, shift, axis=-1) if isinstance(quat, np.ndarray) else quat.roll(shift, dims=-1)
-
-
-# --- Euler angles and matrices ---
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
@@ -173,16 +162,11 @@ def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    # 4 q q^T, row by row: each row is the quaternion times four times its own component.
-    rows = torch.stack(
-        (
-            torch.stack((1.0 + xx + yy + zz, x, y, z), dim=-1),
-            torch.stack((x, 1.0 + xx - yy - zz, xy, xz), dim=-1),
-            torch.stack((y, xy, 1.0 - xx + yy - zz, yz), dim=-1),
-            torch.stack((z, xz, yz, 1.0 - xx - yy + zz), dim=-1),
-        ),
-        dim=-2,
-    )
+    # The matrix 4 q q^T: each row is the quaternion times four times one of its components. Taking the row of the
+    # largest component avoids a division by a small number.
+    w_row, x_row = (1.0 + xx + yy + zz, x, y, z), (x, 1.0 + xx - yy - zz, xy, xz)
+    y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
+    rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)
     largest = rows.diagonal(dim1=-2, dim2=-1).argmax(dim=-1)
     row = rows.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
     return normalize(row)
@@ -233,11 +217,7 @@ def compute_pose_error(
     q02: torch.Tensor,
     rot_error_type: Literal["quat", "axis_angle"] = "axis_angle",
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return position and rotation from frame 1 to frame 2; the rotation is a quaternion or a rotation vector.
-
-    Raises:
-        ValueError: ``rot_error_type`` is unknown.
-    """
+    """Return position and rotation from frame 1 to frame 2; the rotation is a quaternion or a rotation vector."""
     if rot_error_type not in ("quat", "axis_angle"):
         raise ValueError(f"rot_error_type is {rot_error_type!r}, expected 'quat' or 'axis_angle'")
     turn = quat_mul(q02, quat_inv(q01))
@@ -330,10 +310,8 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
 def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
     """Return the points (P, 3) or (N, P, 3) of pixels, m, axes x right, y down, z forward; column by column.
 
-    Args:
-        depth: distances, m: (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1).
-        intrinsics: px, (3, 3) or (N, 3, 3).
-        is_ortho: whether distances are along the axis; else along the pixels' rays.
+    Shapes are as in ``orthogonalize_perspective_depth``. ``is_ortho`` means distances along the camera's axis, m, not
+    along the rays of the pixels.
     """
     along = depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics)
     pictures = _pictures(along)
@@ -354,13 +332,11 @@ def project_points(points: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tens
 
 
 def _pictures(depth: torch.Tensor) -> torch.Tensor:
-    """Return distances as (N, H, W)."""
     flat = depth.squeeze(-1) if depth.dim() > 2 and depth.shape[-1] == 1 else depth
     return flat.unsqueeze(0) if flat.dim() == 2 else flat
 
 
 def _pixels(pictures: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Return the row and the column of each pixel, (H, W) each."""
     counts = (torch.arange(count, device=pictures.device, dtype=pictures.dtype) for count in pictures.shape[1:])
     return torch.meshgrid(*counts, indexing="ij")
 
@@ -385,7 +361,7 @@ def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> t
 
 
 def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return Gaussian draws; if the mean is a tensor, the result has its shape."""
+    """Return Gaussian draws; if the mean is a tensor, the result has the mean's shape."""
     shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
     return torch.randn(shape, device=device) * std + mean
 
@@ -404,7 +380,7 @@ def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, dev
 
 
 def default_orientation(num: int, device: Any) -> torch.Tensor:
-    """Return (1, 0, 0, 0), (num, 4)."""
+    """Return identity quaternions (1, 0, 0, 0), (num, 4)."""
     return torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(num, 1)
 
 

@@ -1,7 +1,7 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
-An axis is a component of a command that the task draws from a range. Keys, sliders, and scripts set values in any
-thread; the thread that drives takes them before each step.
+An axis is a component of a command that the task draws from a range. Keys, sliders, and scripts set command values from
+any thread. The simulation thread reads the values before each step.
 """
 
 from __future__ import annotations
@@ -19,14 +19,10 @@ from wheelleg_exp.sim.timers import forget
 
 @dataclass(frozen=True)
 class Axis:
-    """One component of a command.
+    """One component of a command term, with its range [low, high] in the component's unit.
 
-    Attributes:
-        name: the component's name in scripts and sliders, with the term's name as a prefix where two terms have it.
-        term: the command term.
-        component: its key in the term's ``ranges``.
-        low: lower end of the range, in the component's unit.
-        high: upper end.
+    Drive scripts and sliders use the axis's ``name``. If several command terms have the component, ``name`` starts with
+    the command term's name.
     """
 
     name: str
@@ -37,7 +33,7 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key of the range."""
+        """The config key of the axis's range."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
@@ -57,7 +53,7 @@ class Axis:
 
 
 def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
-    """Return the axes of all commands that are drawn from ranges, except empty ranges, in order."""
+    """Return the axes of all command terms that draw from ranges, in order, without axes whose range is empty."""
     found = [
         (term, component, float(pair[0]), float(pair[1]))
         for term in env.command_manager.active_terms
@@ -69,9 +65,10 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 
 
 class CommandHold:
-    """Holds an environment's commands at given values, through resets and redraws.
+    """Fixes an environment's commands at given values, even after resets and resampling.
 
-    It sets ranges to a single value, so that every draw gives this value and the command terms work unchanged.
+    Each command range is reduced to a single value, so that every sample has this value and the command terms work
+    unchanged.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -79,7 +76,7 @@ class CommandHold:
         self._held: dict[str, float] = {}
 
     def __call__(self, values: Mapping[str, float]) -> None:
-        """Set the commands (by axis name) for the observation that the next step returns."""
+        """Set the commands, by axis name, for the observation that the next control step returns."""
         changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
         for axis in changed:
             term = self._env.command_manager.get_term(axis.term)
@@ -92,12 +89,7 @@ class CommandHold:
 
 @dataclass(frozen=True)
 class Push:
-    """Add a velocity to the base's velocity, in its yaw frame.
-
-    Attributes:
-        x: forwards, m/s.
-        y: to the left, m/s.
-    """
+    """Add a velocity to the base's velocity, in its yaw frame: ``x`` forwards and ``y`` to the left, m/s."""
 
     x: float
     y: float = 0.0
@@ -110,11 +102,9 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """Drive another checkpoint, or on another ground; None keeps the present one.
+    """Request to drive another checkpoint, or on another ground; None means the current checkpoint or ground.
 
-    Attributes:
-        checkpoint: the checkpoint.
-        scene: option of the config group ``scene``, or ``own``.
+    ``scene`` is an option of the config group ``scene``, or ``own``.
     """
 
     checkpoint: Path | None = None
@@ -130,11 +120,11 @@ Request = Push | Reset | Choose | Finish
 
 
 class Controls:
-    """The requested commands, and the requests that wait for the next step. All methods are safe in any thread.
+    """The driver's commands, and the driver's requests that wait for the next control step.
 
-    Attributes:
-        paused: whether time stands still.
-        speed: simulated seconds per second of real time.
+    All methods are thread-safe.
+
+    ``speed`` is simulated seconds per second of real time.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
@@ -168,12 +158,12 @@ class Controls:
             self._values = {name: axis.rest for name, axis in self.axes.items()}
 
     def request(self, request: Request) -> None:
-        """Request an action before the next step."""
+        """Add a driver's request, which is carried out before the next control step."""
         with self._lock:
             self._requests.append(request)
 
     def take(self) -> list[Request]:
-        """Return the requests since the last call, in order."""
+        """Return the driver's requests since the last call of this method, in order."""
         with self._lock:
             taken, self._requests = self._requests, []
         return taken

@@ -17,7 +17,6 @@ from contextlib import ExitStack, contextmanager
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import mujoco
@@ -30,11 +29,9 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a port is free.
+    """Raise WheellegError unless a port is free; 0 means any free port.
 
-    Args:
-        port: the port; 0 means any free port.
-        use: the purpose, in words.
+    ``use`` describes the purpose of the port, for error messages.
     """
     try:
         with socket.socket() as probe:
@@ -70,7 +67,7 @@ KEYS_HELP = (
 
 
 def state_html(status: Status, controls: Controls, step_dt: float) -> str:
-    """Return time, commands, measured values, and height."""
+    """Return time, commands, measured values, and height of a drive as HTML."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
     lines = [
@@ -83,7 +80,7 @@ def state_html(status: Status, controls: Controls, step_dt: float) -> str:
 
 
 def reward_bars_html(values: Mapping[str, float]) -> str:
-    """Return a bar for each term: rewards to the right, penalties to the left, as long as their share."""
+    """Return an HTML bar for each reward term: rewards to the right, penalties to the left, as long as their share."""
     most = max((abs(value) for value in values.values()), default=0.0) or 1.0
     rows = []
     for name, value in values.items():
@@ -113,7 +110,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# By the browsers' names of key positions, which do not depend on the keyboard layout.
+# Browsers name the positions of keys, which do not depend on the keyboard layout.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -128,21 +125,18 @@ KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop"
 # Standard gamepad layout: left stick forwards is axis 1 at -1, right stick to the right is axis 2 at 1.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
 _BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
-_DEADZONE = 0.12  # values of an untouched stick
-SLOW = 0.25  # simulated seconds in one second of slow motion
+_DEADZONE = 0.12  # An untouched stick has values below this limit.
+SLOW = 0.25  # simulated seconds per second of real time, in slow motion
 _MAX_MESSAGE = 1024  # bytes of a message
 
 
 class InputServer:
-    """Receives keys and gamepads of a page on the loopback address; a page that disconnects releases all of its axes.
+    """Receives key and gamepad input of a web page on the loopback address.
 
-    Args:
-        controls: receive the commands.
-        origins: the accepted pages, such as ``http://127.0.0.1:8080``.
-        port: of the loopback address; 0 takes a free one.
+    A web page that disconnects releases all its axes.
 
-    Attributes:
-        push: the push of a key, m/s.
+    ``origins`` are the accepted web origins, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of a
+    push that a key requests, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -154,7 +148,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self) -> str:
-        """Return the script that the page runs."""
+        """Return the JavaScript of the page."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -171,14 +165,12 @@ class InputServer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._server.shutdown()
         self._thread.join()
 
     def press(self, name: str) -> None:
-        """Carry out the action of a key, by name; ignore unknown names."""
+        """Carry out the action of a keyboard key, by the key's name; ignore unknown names."""
         controls = self.controls
         if name == "pause":
             controls.paused = not controls.paused
@@ -215,21 +207,12 @@ class InputServer:
             self.press(said["press"])
 
 
-_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # relative to the base, in heights of the base
+_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # camera direction; multiple of the base height
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
 class DrivePage:
-    """A server of the page on the loopback address, running while entered.
-
-    Args:
-        port: of the page; keys and gamepads use the next one. 0 takes free ones.
-        scenes: the grounds that can be chosen.
-        checkpoints: the checkpoints that can be chosen.
-
-    Raises:
-        WheellegError: viser or mjviser is not installed, or the port is in use.
-    """
+    """A context manager that serves the drive page on the loopback address."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
         self._server_class, self._scene_class = _viewer()
@@ -253,9 +236,7 @@ class DrivePage:
         self._server.gui.configure_theme(show_share_button=False, control_width="large")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stack.close()
 
     @property
@@ -264,13 +245,13 @@ class DrivePage:
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a new drive with its robot, its ground, and its controls; return the page's address."""
+        """Show the robot, ground, and controls of a new drive; return the URL of the web page."""
         self._session, self._hands.push = session, push
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
-        model = copy.copy(session.env.scene.sim.model)  # the viewer changes colours in its model
+        model = copy.copy(session.env.scene.sim.model)  # mjviser's scene changes the colours of its MuJoCo model.
         self._scene = self._scene_class(self._server, model, num_envs=1)
         self._look_from()
         self._build(choice)
@@ -287,7 +268,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # changed by keys or a script, not by the slider itself
+                if self._mirrored.get(name) != value:  # Keys or a drive script changed the command.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
@@ -338,7 +319,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # moved by a user, not by ``show``
+            if event.client is not None:  # A user moved the slider; ``show`` did not.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 
@@ -364,7 +345,7 @@ class DrivePage:
 
 
 def _viewer() -> tuple[Any, Any]:
-    """Return the classes of the server, which never opens a tunnel to another machine, and of the scene."""
+    """Return viser's server class, without tunnels to other machines, and mjviser's scene class."""
     try:
         import viser
         from mjviser import ViserMujocoScene
@@ -385,7 +366,7 @@ def _viewer() -> tuple[Any, Any]:
 
 
 def _run_in_page(server: Any, source: str) -> None:
-    """Run a script in every page, open now or later, as viser itself does for its plots."""
+    """Run JavaScript in every open or future page, as viser does for its plots."""
     from viser._messages import RunJavascriptMessage
 
     server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
@@ -405,6 +386,6 @@ def _refuse_other_origins(server: Any, origins: Sequence[str]) -> None:
 
 @contextmanager
 def _without_output() -> Iterator[None]:
-    """Hide viser's output, because reports go to standard output."""
+    """Hide viser's console output, because the command's reports go to standard output."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -1,7 +1,8 @@
 """Read a drive script, and write a finished drive as a script that repeats it.
 
 A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts
-for ``for`` (default: 0), both in simulated seconds. An axis keeps its value until another entry names it.
+for ``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the
+axis.
 """
 
 from __future__ import annotations
@@ -22,18 +23,13 @@ from wheelleg_exp.plain_data import Unreadable, yaml_tree, yaml_value
 
 _TIMES = ("at", "for")
 _ACTIONS = ("push", "reset", "stop")
-_NUMBER = "a number"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """The commands and requests at one moment.
+    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s.
 
-    Attributes:
-        at: simulated time from the start, s.
-        values: commands by axis name.
-        requests: actions that happen once.
-        stops: whether every axis that ``values`` does not name goes to rest.
+    If ``stops`` is true, every axis that ``values`` does not name gets its rest value.
     """
 
     at: float
@@ -44,13 +40,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Script:
-    """A drive.
-
-    Attributes:
-        entries: in order of time.
-        duration_s: the end, s.
-        text: the file.
-    """
+    """A drive: entries in order of time, and the text of the file."""
 
     entries: list[Entry]
     duration_s: float
@@ -58,17 +48,18 @@ class Script:
 
 
 class ScriptPlayer:
-    """Sets the commands and requests of a script at the right control steps."""
+    """Applies the commands and requests of a drive script before the control steps at which they are due."""
 
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
-        # The first step at or after the moment. Rounding comes first, because 0.1 s / (1 / 60 s) must be step 6.
+        # An entry applies from the first control step at or after its time. Without rounding, float errors could add a
+        # step.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
 
     def before(self, step: int) -> None:
-        """Set what is due before a control step, counted from 0."""
+        """Apply the commands and requests that are due before a control step; the first step is 0."""
         due = bisect_left(self._steps, step + 1)
         for entry in self._script.entries[self._next : due]:
             if entry.stops:
@@ -81,38 +72,35 @@ class ScriptPlayer:
 
 
 def read_script(path: Path, axes: Sequence[Axis]) -> Script:
-    """Read a script.
-
-    Raises:
-        ConfigError: the file is not a list of entries, or an entry has an unknown key or a value out of range; the
-            error
-            names the line.
-        RunDirectoryError: the file cannot be read.
-    """
+    """Read a drive script. An unknown key or a value out of range raises ConfigError with its line."""
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
     except Unreadable as error:
         line = "" if error.line is None else f":{error.line}"
-        raise ConfigError(f"is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
+        raise ConfigError(f"the script is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
     if not isinstance(value, list) or not value or not isinstance(tree, yaml.SequenceNode):
-        raise ConfigError("is not a list of commands", key="--script", where=str(path), expected=_example(axes))
+        raise ConfigError(
+            "the script is not a list of commands", key="--script", where=str(path), expected=_example(axes)
+        )
     places = [_Place(path, node) for node in tree.value]
     entries: list[Entry] = []
     end = 0.0
     for index, (item, place) in enumerate(zip(value, places, strict=True)):
         if not isinstance(item, dict):
-            raise ConfigError("is not a command", key=f"[{index}]", where=place.of(), expected=_example(axes))
+            raise ConfigError(
+                "the script entry is not a command", key=f"[{index}]", where=place.of(), expected=_example(axes)
+            )
         entry, end = _entry(item, place, {axis.name: axis for axis in axes}, entries[-1].at if entries else 0.0, end)
         entries.append(entry)
     if "for" not in value[-1]:
-        raise ConfigError("does not give the end of the drive", where=places[-1].of(), key="for", expected="seconds")
+        raise ConfigError(
+            "the last entry does not give the end of the drive", where=places[-1].of(), key="for", expected="seconds"
+        )
     return Script(entries, end, text)
 
 
 class _Place:
-    """The lines of an entry's keys."""
-
     def __init__(self, path: Path, node: yaml.Node) -> None:
         self._path, self._line = path, node.start_mark.line + 1
         pairs = node.value if isinstance(node, yaml.MappingNode) else []
@@ -125,7 +113,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return an entry and its end; ``before`` and ``end`` are start and end of the previous entry."""
+    """Return a script entry and its end time; ``before`` and ``end`` are the times of the previous entry."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
@@ -155,12 +143,12 @@ def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float
 
 
 def _value(axis: Axis, value: Any, place: _Place) -> float:
-    expected = f"{_NUMBER} from {axis.low:g} to {axis.high:g} ({axis.key})"
+    expected = f"a number from {axis.low:g} to {axis.high:g} ({axis.key})"
     if not _is_number(value):
         raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
     if not axis.low <= value <= axis.high:
         raise ConfigError(
-            f"{value:g} is outside the range of the training",
+            f"{value:g} is outside the command range of the training",
             key=axis.name,
             where=place.of(axis.name),
             expected=expected,
@@ -197,7 +185,7 @@ def _example(axes: Sequence[Axis]) -> str:
 
 
 class DriveLog:
-    """Records changes of commands and requests, by control step."""
+    """Records the changed commands and the requests of a drive, by control step."""
 
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt
@@ -205,25 +193,23 @@ class DriveLog:
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Record the commands of a step."""
+        """Record the commands of a control step."""
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
-            self._note(step, changed)
+            self._entries.append((step, changed))
             self._values = dict(values)
 
     def asked(self, step: int, request: Reset | Push) -> None:
-        """Record a request before a step."""
-        self._note(step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True})
+        """Record a request that the driver made before a control step."""
+        deed = {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}
+        self._entries.append((step, deed))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
-        """Return the entries of a script with so many steps."""
+        """Return the entries of a drive script that repeats this drive of ``steps`` control steps."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
         last = self._entries[-1][0] if self._entries else 0
         entries[-1]["for"] = round(self._time(steps) - self._time(last), 6)
         return entries
-
-    def _note(self, step: int, deed: dict[str, Any]) -> None:
-        self._entries.append((step, deed))
 
     def _time(self, step: int) -> float:
         return round(step * self._step_dt, 6)

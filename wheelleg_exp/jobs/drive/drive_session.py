@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-# How an axis is measured from the robot's data; the first row is the driven robot.
+# These functions measure a command axis from the robot's data, whose first row belongs to the driven robot.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
     "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
     "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
@@ -29,11 +29,10 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 
 
 class DriveMeter:
-    """Sums the figures of a drive, step by step; see ``definitions.drive``.
+    """Computes the metrics of a drive, step by step; see ``definitions.drive``.
 
-    Attributes:
-        height_m: height of the root link's origin above the ground below it, in the last step.
-        measured: the measured value of each axis that can be measured, in the last step: m/s, rad/s, m and rad.
+    ``height_m`` is the height of the root link's origin above the ground below it, in the last step. ``measured`` holds
+    the measured value of each axis that can be measured: m/s, rad/s, m and rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -52,7 +51,7 @@ class DriveMeter:
         return sum(self._ended.values())
 
     def observe(self, commanded: Mapping[str, float]) -> None:
-        """Measure a step that was done under the given commands."""
+        """Measure a control step during which the given commands applied."""
         place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
         if self._place is not None:
             self._distance += float(torch.linalg.vector_norm(place - self._place))
@@ -65,7 +64,7 @@ class DriveMeter:
             self._squares[name] += (value - commanded[name]) ** 2
 
     def ended(self, by: str) -> None:
-        """Count the end of an episode, by its cause."""
+        """Count an ended episode, by the termination term that ended the episode."""
         self._ended[by] += 1
 
     def asked(self, request: Reset | Push) -> None:
@@ -77,7 +76,7 @@ class DriveMeter:
         self._place = None
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures as plain values."""
+        """Return the metrics of the drive as plain values."""
         count = max(self._steps, 1)
         return {
             "duration_s": self._steps * self._env.step_dt,
@@ -92,7 +91,10 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return height and measured values; only once per step, because ground rays query the engine."""
+        """Return height and measured values.
+
+        Call this method once per control step, because the height above ground needs ray casts.
+        """
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
@@ -106,16 +108,10 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """The state of a drive, in numbers of the host.
+    """The state of a drive, as Python numbers.
 
-    Attributes:
-        time_s: simulated time since the start of the drive.
-        commands: the commands, by axis.
-        measured: the measured values, for the axes that can be measured.
-        height_m: height of the root link's origin above the ground below it.
-        rewards: the weighted rewards of this step per second, by term.
-        falls: how often the robot has fallen.
-        fallen: what ended the episode; None while it runs.
+    ``time_s`` counts from the start of the drive. ``rewards`` are the weighted rewards per second of the last control
+    step, by reward term. ``fallen`` describes how the episode ended; None while the episode runs.
     """
 
     time_s: float
@@ -128,19 +124,10 @@ class Status:
 
 
 class DriveSession:
-    """A drive. Nothing is reset automatically: an episode that has ended waits for a reset.
+    """A drive of one robot. Nothing is reset automatically: an episode that has ended waits for a reset.
 
-    Attributes:
-        env: the environment.
-        axes: the axes that can be commanded.
-        controls: commands and requests.
-        driven: the log of commands and requests.
-        meter: figures of the drive.
-        steps: control steps since the start of the drive.
-        fallen: what ended the episode; None while it runs.
-
-    Raises:
-        ConfigError: there are several environments.
+    ``driven`` is the log of commands and requests. ``fallen`` describes how the episode ended; None while the episode
+    runs.
     """
 
     def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
@@ -165,11 +152,7 @@ class DriveSession:
         return self.steps * self.env.step_dt
 
     def step(self) -> None:
-        """Do one control step under the present commands.
-
-        Raises:
-            SimulationFailure: the policy's actions are not finite.
-        """
+        """Simulate one control step under the current commands."""
         values = self.controls.values
         self.driven.commanded(self.steps, values)
         self._hold(values)
@@ -184,7 +167,7 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: Reset | Push) -> None:
-        """Carry out a request; after a fall, only a reset."""
+        """Carry out a driver's request; after a fall, ignore every request except a reset."""
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()
@@ -197,7 +180,7 @@ class DriveSession:
             self.reset()
 
     def reset(self) -> None:
-        """Start a new episode under the present commands."""
+        """Start a new episode under the current commands."""
         self._hold(self.controls.values)
         self.env.reset()
         self.meter.began()

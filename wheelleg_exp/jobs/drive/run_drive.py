@@ -1,7 +1,7 @@
 """Drive a trained robot: in real time in the browser, or from a script as fast as it computes.
 
-The environment has one robot, on the run's own ground or another; no event acts unless the driver requests it.
-Each drive is recorded like a play and saved under the run.
+The environment has one robot, on the training's ground or another ground. Events happen only at the driver's request.
+Each drive is recorded, and saved in the run directory.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
 from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.play_policy import RunPolicy, Tree, prepare_policy
+from wheelleg_exp.jobs.play_policy import Tree, prepare_policy
 from wheelleg_exp.jobs.rollout_files import close_dataset, dated_folder
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -33,7 +33,7 @@ from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # the run's own ground
 _GROUP = "scene"
-_DISTURBANCES = ("interval", "step")  # modes of events that act during an episode
+_DISTURBANCES = ("interval", "step")  # Events of these modes act during an episode.
 
 
 def scenes() -> list[str]:
@@ -54,15 +54,11 @@ def require_scene(name: str) -> None:
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
-    """Return a play's tree for driving.
+    """Return the config tree of ``play`` with the changes for driving.
 
-    It has one robot, episodes of ``drive.episode_length_s``, only events at startup and reset, no curriculum, and
-    commands
-    without heading control or standing robots.
-
-    Args:
-        tree: the tree.
-        scene: option of ``scene`` that replaces the run's ground, or ``own``.
+    The tree has one robot, episodes of ``drive.episode_length_s``, only events at startup and reset, no curriculum, and
+    commands without heading control or standing robots. ``scene`` replaces the training's ground; ``own`` means the
+    training's ground.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -80,25 +76,18 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
 
 
 def _with_ground(own: Tree, name: str) -> Tree:
-    """Return a scene with another's ground; shared sensors are the other scene's, the remaining ones stay."""
+    """Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene."""
     other = compose([f"+{_GROUP}={name}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
     shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
     ground = {key: value for key, value in other.items() if key != "sensors"}
     return {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
 
 
-_MAX_DELAY_S = 0.1  # a longer delay is not made up: a slow machine shows slow motion
+_MAX_DELAY_S = 0.1  # The pacer does not catch up longer delays, so that a slow machine shows slow motion.
 
 
 class RealTimePacer:
-    """Waits between control steps, so that simulated time equals real time.
-
-    Args:
-        step_dt: control step, s.
-        frames_per_s: pictures per second of real time.
-        clock: returns real time, s.
-        sleep: waits so many seconds.
-    """
+    """Waits between control steps, so that simulated time equals real time."""
 
     def __init__(
         self,
@@ -112,14 +101,14 @@ class RealTimePacer:
         self._due = self._next_frame = clock()
 
     def wait(self, speed: float) -> None:
-        """Wait until the next step is due."""
+        """Wait until the next control step is due."""
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
         if left > 0.0:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether a picture is due, and count it as shown."""
+        """Return whether a picture is due; if so, schedule the next picture."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -141,14 +130,7 @@ class DriveView(Protocol):
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of a drive.
-
-    Attributes:
-        checkpoint: the checkpoint.
-        folder: the written folder below the run.
-        recording: the recording, or None.
-        figures: see ``definitions.drive``.
-    """
+    """The result of a drive; ``definitions.drive`` explains the figures."""
 
     checkpoint: Path
     folder: Path
@@ -158,16 +140,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """What to drive.
-
-    Attributes:
-        run: the run.
-        checkpoint: one of its checkpoints; None means the last.
-        overrides: changes to the run's parameters.
-        scene: option of the config group ``scene``; None or ``own`` is the run's own ground.
-        script: a file of commands, or None.
-        command: the command line, for the manifest.
-    """
+    """The policy and the ground to drive; defaults are the run's last checkpoint and the training's ground."""
 
     run: RunDirectory
     checkpoint: Path | None = None
@@ -178,19 +151,10 @@ class DriveRequest:
 
 
 def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
-    """Drive until the driver finishes; each chosen checkpoint or ground makes a new drive.
+    """Drive until the driver finishes. Each change of the checkpoint or the ground starts a new drive.
 
-    Without a view there must be a script, which runs as fast as it computes. With both, the script runs first, in real
-    time, and the driver continues.
-
-    Args:
-        request: what to drive.
-        display: receives progress.
-        view: shows the drive, or None.
-
-    Raises:
-        WheellegError: the run, a checkpoint, an override, or the script is wrong.
-        SimulationFailure: numbers are not finite, or the disk is full.
+    Without a view, a drive script is required and runs faster than real time. With a view, the drive script runs first,
+    in real time, and the driver continues.
     """
     drives: list[Drive] = []
     choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
@@ -211,7 +175,7 @@ def _drive_one(
     view: DriveView | None,
     stop: StopRequest,
 ) -> tuple[Drive, Choose | None]:
-    """Return the finished drive, and what to drive next."""
+    """Return the finished drive, and the driver's choice of the next checkpoint and ground, or None."""
     scene = choice.scene or OWN_GROUND
     require_scene(scene)
     prepared = prepare_policy(
@@ -220,42 +184,23 @@ def _drive_one(
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
     with dated_folder(request.run.play) as folder:
-        return _drive_recorded(request, choice, prepared, session, script, folder, display, view, stop)
-
-
-def _drive_recorded(
-    request: DriveRequest,
-    choice: Choose,
-    prepared: RunPolicy,
-    session: DriveSession,
-    script: Script | None,
-    folder: Path,
-    display: Display,
-    view: DriveView | None,
-    stop: StopRequest,
-) -> tuple[Drive, Choose | None]:
-    tree = prepared.tree
-    recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
-    with recording or nullcontext():
-        if view is not None:
-            where = view.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
-            display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
-        following = _Driver(session, script, tree["drive"], display, view, stop).run()
-        content = {
-            **prepared.about,
-            "seed": tree["seed"],
-            "overrides": list(request.overrides),
-            "scene": choice.scene or OWN_GROUND,
-        }
-        content |= session.meter.figures()
-        if recording is not None:
-            recording.figures(content)
-    driven = folder / "driven.yaml"
-    write_yaml(driven, session.driven.script(session.steps))
-    write_json(folder / "figures.json", content)
-    files = [*close_dataset(folder / "dataset", session.env), folder / "figures.json", driven]
-    files += [] if recording is None else [recording.path]
-    request.run.manifest().add("drive", files, content, command=request.command)
+        tree = prepared.tree
+        recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
+        with recording or nullcontext():
+            if view is not None:
+                where = view.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+                display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
+            following = _Driver(session, script, tree["drive"], display, view, stop).run()
+            content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
+            content |= session.meter.figures()
+            if recording is not None:
+                recording.figures(content)
+        driven = folder / "driven.yaml"
+        write_yaml(driven, session.driven.script(session.steps))
+        write_json(folder / "figures.json", content)
+        files = [*close_dataset(folder / "dataset", session.env), folder / "figures.json", driven]
+        files += [] if recording is None else [recording.path]
+        request.run.manifest().add("drive", files, content, command=request.command)
     made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
     if following is None:
         return made, None
@@ -263,7 +208,7 @@ def _drive_recorded(
 
 
 class _Driver:
-    """Steps until the script ends, or the driver finishes or chooses something else."""
+    """Simulates until the script ends, or the driver finishes or chooses another checkpoint or ground."""
 
     def __init__(
         self,
@@ -285,7 +230,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Return the driver's choice, or None at the end of the drive."""
+        """Return the driver's choice of a checkpoint and a ground, or None at the end of the drive."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):
@@ -314,7 +259,7 @@ class _Driver:
         return self._hand is None or self._session.steps >= self._hand.last_step
 
     def _stand_up(self) -> None:
-        """Reset a fallen robot after the fall was visible for a while."""
+        """Reset a fallen robot after the page has shown the fall for a moment."""
         now = time.monotonic()
         self._fallen_at = now if self._fallen_at is None else self._fallen_at
         if now - self._fallen_at >= self._shown_s:

@@ -1,4 +1,4 @@
-"""Record episodes of the training's simulation, and compare every policy that a bundle ships with them.
+"""Record episodes in the training's simulation, and compare every policy file of a bundle with the recorded steps.
 
 Each compared step starts from recorded values. A policy that is fed its own actions amplifies rounding errors.
 """
@@ -38,22 +38,12 @@ def recorded_episodes(
     clip_actions: float | None,
     steps: int,
 ) -> dict[str, np.ndarray]:
-    """Return what a policy saw and did in the first simulation, float32, one row per control step.
+    """Record observations and actions of a policy in the first environment, float32, one row per control step.
 
-    Args:
-        adapter: the environment.
-        policy: the mean action of observations, which is applied.
-        trained: the same in float32, as training computes it.
-        groups: the policy's observation groups.
-        names: the readings to record.
-        clip_actions: bound of the raw actions, or None.
-        steps: control steps.
-
-    Returns:
-        ``reset`` (T,) bool: an episode starts; ``reading:<name>`` (T, width); ``observations`` (T, O); ``actions`` (T,
-        A),
-        clipped, and ``actions_float32``, of ``trained``; ``targets`` (T, 3, J): positions, velocities, efforts of all
-        joints.
+    ``policy`` gives the applied mean action, and ``trained`` computes it in float32, as in training. The result:
+    ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width); ``observations`` (T, O);
+    ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions, velocities, efforts of all
+    joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}
@@ -72,14 +62,14 @@ def recorded_episodes(
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
-            env.reset()  # like a deployed runner: no history before the first reading
+            env.reset()  # A deployed runner has empty observation histories before its first reading.
     return {name: np.stack(values) for name, values in rows.items()}
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the joint targets (N, 3, J) that actions set in the first physics step, and change nothing.
+    """Return the joint targets (N, 3, J) that actions set in the first physics step, without a change of the state.
 
-    Positions are clipped to the joints' limits, as a runner clips them; training does not.
+    Target positions are clipped to the joint limits, as the bundle's runner does. Training does not clip them.
     """
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
@@ -92,7 +82,7 @@ def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     return found
 
 
-# Relative to the larger of 1 and the recorded number. Float32 sums depend on their order, float64 sums do not.
+# The tolerances are relative to max(1, |recorded|). Float32 sums depend on their order, float64 sums do not.
 TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _FLOAT64 = ("observations", "actions", "targets", "c_double")
 _COMPILERS = ("cc", "gcc", "clang")
@@ -128,14 +118,8 @@ int main(void) {
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
     """Return the largest differences of the policies from ``check.npz``, and the reason if the header was not compared.
 
-    Args:
-        folder: the bundle with the files of ``runner.py``.
-        torchscript: the content of ``policy.pt``.
-        onnx: the content of ``policy.onnx``.
-        header: the content of ``policy.h``.
-
-    Raises:
-        SimulationFailure: a difference is larger than its tolerance.
+    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. A
+    difference above its tolerance raises SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz"))
@@ -177,5 +161,5 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
 
 
 def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Return arrays (T, ...) side by side, float32 (T, sum of widths)."""
+    """Return arrays (T, ...) concatenated to one float32 array (T, sum of widths)."""
     return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

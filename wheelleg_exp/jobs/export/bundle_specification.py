@@ -36,12 +36,11 @@ _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 
 
 def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
-    """Return the actuator groups in order.
+    """Return the actuator groups of the robot in order.
 
-    ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (the same,
-    computed from the state before each physics step), ``dc_motor`` (with a motor's torque-speed line), or null: a law
-    that
-    only the training's simulation has.
+    ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (spring and
+    damper, computed from the state before each physics step), ``dc_motor`` (with a motor's torque-speed line), or null:
+    a law that only the training's simulation has.
     """
     found = []
     for name, group in env.scene.robot.actuators.items():
@@ -56,16 +55,16 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return the law by which a group turns targets into torques, or None for a law that no runner knows."""
+    """Return the law by which an actuator group turns targets into torques, or None for a law that no runner knows."""
     return _DRIVE_LAWS.get(type(group))
 
 
 def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
-    """Return gains, limits, and properties of every joint in the robot's order; joints without a drive have gains of 0.
+    """Return gains, limits, and properties of every joint, in the robot's joint order.
 
-    ``inertia`` is that of the parts about the joint's axis, without ``armature``. ``drive_rate`` (Hz) is the rate at
-    which
-    a drive must compute its torque: each physics step, and ten times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
+    Joints without a drive have gains of 0. ``inertia`` is the inertia of the parts about the joint's axis, without
+    ``armature``. ``drive_rate`` (Hz) is the rate at which a drive must compute its torque: each physics step, and ten
+    times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
     """
     robot = env.scene.robot
     count = len(robot.joint_names)
@@ -82,7 +81,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # inertia against a torque while all other joints are free
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # inertia while all joints are free
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -90,7 +89,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
 
 
 def finite(value: float) -> float | None:
-    """Return a number, or None if it is not finite, because JSON has no such numbers."""
+    """Return a number, or None if the number is not finite, because JSON has no inf."""
     return value if abs(value) < float("inf") else None
 
 
@@ -98,11 +97,7 @@ Spec = dict[str, Any]
 
 
 def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
-    """Return the action terms in order, each with its slice of the policy's output and its joints.
-
-    Raises:
-        ConfigError: a term does not come from this package.
-    """
+    """Return the action terms in order, each with its slice of the policy's output and its joints."""
     manager, start, found = env.action_manager, 0, []
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
         term, bound = manager.get_term(name), manager.get_term_cfg(name)
@@ -116,14 +111,14 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # A real robot has its own delay between policy and drives.
+        # The runner adds no delay, because a real robot has a real delay between policy and drives.
         found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
         start += width
     return found
 
 
 def _clip(term: Any) -> list[list[float | None]] | None:
-    """Return the bounds of each joint; null means no bound."""
+    """Return the clip bounds of each joint; null means no bound."""
     if term._low is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
@@ -140,10 +135,6 @@ def _to_limits(term: Any) -> Spec:
     return {"function": "to_limits", **scale, "rescale": term._rescale, **limits}
 
 
-def _ema(term: Any) -> Spec:
-    return {**_to_limits(term), "alpha": term._alpha.tolist()}
-
-
 def _binary(term: Any) -> Spec:
     threshold = {"threshold": 0.0, "strict": False, "opens_above": True}
     if isinstance(term, actions.AbsBinaryJointPositionAction):
@@ -157,7 +148,7 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
     actions.JointEffortAction: _affine,
     actions.RelativeJointPositionAction: lambda term: _affine(term, "relative"),
     actions.JointPositionToLimitsAction: _to_limits,
-    actions.EMAJointPositionToLimitsAction: _ema,
+    actions.EMAJointPositionToLimitsAction: lambda term: {**_to_limits(term), "alpha": term._alpha.tolist()},
     actions.BinaryJointPositionAction: _binary,
     actions.BinaryJointVelocityAction: _binary,
     actions.AbsBinaryJointPositionAction: _binary,
@@ -198,16 +189,7 @@ def require_perceptron(section: Mapping[str, Any], key: str) -> None:
 
 
 def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the description of a network, and its arrays by name: float32, the deviation float64.
-
-    Args:
-        policy: the trained network, a perceptron.
-        role: its section of the agent, ``actor`` or ``student``.
-
-    Raises:
-        ConfigError: a runner does not know an activation.
-    """
-    key = f"agent.{role}"
+    """Return the description of a perceptron, and its arrays by name: float32, the deviation float64."""
     arrays: dict[str, np.ndarray] = {}
     if policy.obs_normalization:
         normalizer = policy.obs_normalizer
@@ -219,17 +201,23 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
             arrays[f"weight_{len(activations)}"] = _array(layer.weight)
             arrays[f"bias_{len(activations)}"] = _array(layer.bias)
             activations.append("identity")
+        elif type(layer) in _ACTIVATIONS:
+            activations[-1] = _ACTIVATIONS[type(layer)]
         else:
-            activations[-1] = _activation(layer, key)
+            raise ConfigError(
+                f"a runner does not know the activation '{type(layer).__name__}'",
+                key=f"agent.{role}.activation",
+                expected="one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity",
+            )
     widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
     about = {"file": "policy.npz", "dtype": "float32", "widths": widths, "activations": activations}
     return about | {"normalized": bool(policy.obs_normalization)}, arrays
 
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
-    """Return the mean action (N, A) of a network as a function that computes in float64, and rounds at the end.
+    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32.
 
-    It has no order of sums that matters; in float32 two libraries differ by some 1e-6.
+    In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
     """
     precise = copy.deepcopy(policy).double()
 
@@ -237,17 +225,6 @@ def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
         return precise(observations.double()).float()
 
     return act
-
-
-def _activation(layer: torch.nn.Module, key: str) -> str:
-    name = _ACTIVATIONS.get(type(layer))
-    if name is None:
-        raise ConfigError(
-            f"a runner does not know the activation '{type(layer).__name__}'",
-            key=f"{key}.activation",
-            expected="one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity",
-        )
-    return name
 
 
 def _array(values: torch.Tensor) -> np.ndarray:
@@ -262,15 +239,9 @@ def specification(
 ) -> dict[str, Any]:
     """Return the whole ``policy.json`` of an environment and its agent, except the network.
 
-    Lists by joint are in the order of ``joint_names``; null means no limit. Names are Isaac Lab's where it has one.
-
-    Args:
-        env: the environment, with one simulation and without events, so that its numbers are the config's.
-        agent: the agent's section.
-        ranges: [low, high] of each command by component, at the end of training.
-
-    Raises:
-        ConfigError: a runner without the simulation cannot compute a term.
+    Lists by joint are in the order of ``joint_names``; null means no limit. Keys have Isaac Lab's names where Isaac Lab
+    has such a name. The environment must have one robot and no events, so that its numbers equal the numbers of the
+    config. ``ranges`` contains the [low, high] of each command component at the end of training.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
@@ -290,14 +261,19 @@ def specification(
         "joint_pos_limits": limits,
         "rolling_joints": [robot.joint_names[i] for i in _rolling(limits, by_joint["stiffness"], actions)],
         **by_joint,
-        "readings": {name: _reading(env, name) for name in names},
+        "readings": {
+            name: {"width": known.of(env).shape[1], "unit": known.unit, "meaning": known.meaning}
+            for name, known in ((name, reading(name)) for name in names)
+        },
         "commands": {
             name.removeprefix(COMMANDS): dict(ranges.get(name.removeprefix(COMMANDS), {}))
             for name in names
             if name.startswith(COMMANDS)
         },
         "command_accelerations": _accelerations(env, names),
-        "observation_width": sum(_width(term) for group in groups for term in group["terms"]),
+        "observation_width": sum(
+            int(term["width"]) * max(1, int(term["history_length"])) for group in groups for term in group["terms"]
+        ),
         "observations": groups,
         "action_width": env.action_manager.total_action_dim,
         "clip_actions": agent.get("clip_actions"),
@@ -324,7 +300,7 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
 
 
 def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
-    """Return the largest change of each command per second, m/s² and rad/s², for limited commands."""
+    """Return the acceleration limits of each command that has such limits, m/s² and rad/s²."""
     found = {}
     for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
         most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
@@ -334,19 +310,10 @@ def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
 
 
 def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
-    """Return the positions of the IMUs that are read."""
+    """Return the poses of the IMUs that the policy reads."""
     found = {}
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):
             place = {"pos": sensor._offset_pos.tolist(), "quat": sensor._offset_quat.tolist()}
             found[name] = {"body": sensor.body_names[0], **place}
     return found
-
-
-def _width(term: Mapping[str, Any]) -> int:
-    return int(term["width"]) * max(1, int(term["history_length"]))
-
-
-def _reading(env: ManagerBasedRLEnv, name: str) -> dict[str, Any]:
-    known = reading(name)
-    return {"width": known.of(env).shape[1], "unit": known.unit, "meaning": known.meaning}

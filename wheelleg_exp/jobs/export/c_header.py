@@ -17,7 +17,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the struct members of an observation term's memory."""
+    """Yield the C struct members of an observation term's memory."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
@@ -30,7 +30,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
 
 
 def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
-    """Yield the lines that sample an observation term into its history."""
+    """Yield the C lines that sample an observation term into its history."""
     yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
     width = term["width"]
@@ -44,16 +44,11 @@ def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
     yield f"policy_remember(s->history_{name}, v, {width}, {max(1, term['history_length'])}, first);"
 
 
-def action_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the struct members of an action term's memory."""
-    yield f"float processed_{name}[{len(term['joint_ids'])}];"
-
-
 def action_lines(name: str, term: Spec) -> Iterator[str]:
-    """Yield the lines that compute ``s->processed_<name>`` from an action term's part of the action."""
+    """Yield the C lines that compute ``s->processed_<name>`` from an action term's part of the action."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
-        if "alpha" in term:  # the average starts at the joint positions
+        if "alpha" in term:  # The moving average of the action starts at the joint positions.
             yield "{"
             yield f"    float last = first ? joint_pos[{joint}] - s->zero[{joint}] : {out};"
         yield from (f"    {line}" if "alpha" in term else line for line in _processed(out, term, i))
@@ -64,7 +59,10 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
 
 
 def number(value: float | None, missing: str = "FLT_MAX") -> str:
-    """Return a C float. Null becomes ``missing``, and inf the largest float, because -ffast-math has no inf."""
+    """Return a C float.
+
+    JSON's null becomes ``missing``. Infinity becomes the largest float, because -ffast-math does not support inf.
+    """
     return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 
@@ -142,7 +140,7 @@ def _travelled(name: str, term: Spec, dt: float) -> Iterator[str]:
 
 
 def _modified(name: str, modifier: Spec) -> str:
-    """Return the line that applies a modifier to ``v[i]``."""
+    """Return the C line that applies a modifier to ``v[i]``."""
     kind = modifier["kind"]
     if kind == "scale":
         return f"v[i] *= {number(modifier['multiplier'])};"
@@ -162,7 +160,7 @@ def _modified(name: str, modifier: Spec) -> str:
 
 
 def identifier(name: str) -> str:
-    """Return a valid C name."""
+    """Return a valid C identifier for a name."""
     return re.sub(r"\W", "_", name)
 
 
@@ -192,7 +190,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
     joints, about = len(spec["joint_names"]), spec["run"]
     memory = [line for name, term in terms for line in term_memory(name, term)]
-    memory += [line for name, term in actions for line in action_memory(name, term)]
+    memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
     processed = [line for name, term in actions for line in action_lines(name, term)]
     widths = spec["network"]["widths"]
@@ -247,13 +245,13 @@ def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Ite
 
 
 def _literal(word: str, kind: str) -> str:
-    """Return a C literal; ``1f`` would be invalid."""
+    """Return a C literal; a number without a decimal point gets one, because ``1f`` is invalid C."""
     point = "" if any(mark in word for mark in ".en") else ".0"
     return word + point + ("f" if kind == "float" else "")
 
 
 def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the lines that copy histories into the observation, group by group."""
+    """Yield the C lines that copy histories into the observation, group by group."""
     yield "next = s->observation;"
     for g, group in enumerate(spec["observations"]):
         lengths = [max(1, term["history_length"]) for term in group["terms"]]

@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-The bundle is written whole or not at all, and is compared with the simulation that trained the policy. The exported
-environment has no noise, delays, or events, because the real robot brings its own. ``policy.onnx`` carries
-``policy.json`` and mjlab's metadata.
+The bundle is written atomically, and its policies are compared with the simulation that trained the policy. The
+exported environment has no noise, delays, or events, because the real robot has real noise, delays, and disturbances.
+``policy.onnx`` carries ``policy.json`` and mjlab's metadata.
 """
 
 from __future__ import annotations
@@ -63,23 +63,18 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` section for one simulation without events and curriculum, which would change its numbers."""
+    """Return the ``env`` section of one environment, without events and curricula, which change exported numbers."""
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
     return found
 
 
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
-    """Return the ``env`` section for episodes that a runner can repeat from readings.
+    """Return the ``env`` section for episodes that the bundle's runner can reproduce from sensor readings.
 
-    Noise and delays are left out, because a real robot has its own. So are encoder errors, pushes between two readings,
-    and randomization of the robot. Resets stay, but rolling joints start at their defaults, because a runner counts
-    their
-    positions from there.
-
-    Args:
-        env: the run's section, plain; it is not changed.
-        rolling_joints: the joints whose positions count from the reset.
+    The ``env`` section has no noise and delays, because a real robot has real noise and delays. The ``env`` section
+    also has no encoder errors, pushes, and randomization of the robot. Rolling joints are reset to their default
+    positions, because a runner counts their positions from the reset.
     """
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
@@ -100,9 +95,7 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
 def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -> dict[str, Any]:
     """Return the ``env`` section of a scene with only the robot on level ground.
 
-    Args:
-        env: the run's section, plain; it is not changed.
-        friction: the ground's static and dynamic friction and its restitution.
+    ``friction`` is the ground's static and dynamic friction and its restitution.
     """
     found = as_configured(env)
     names = ("static_friction", "dynamic_friction", "restitution")
@@ -114,8 +107,8 @@ def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model that carries a bundle's specification.
 
-    Lists are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset`` exist if every action has
-    them, in the order of ``action_joint_names``.
+    Lists are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset``, in the order of
+    ``action_joint_names``, exist if every action term has a scale and an offset.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -154,12 +147,8 @@ _SKIPPED_FILES = (REPORT, "asset.json")
 class Exported:
     """The result of an export.
 
-    Attributes:
-        run: the run of the policy.
-        checkpoint: the checkpoint.
-        folder: the bundle.
-        differences: the largest differences of the exported policies from the training's simulation, step by step.
-        notes: what the bundle lacks, and why.
+    ``differences`` are the largest differences of the exported policies from the training's simulation, step by step.
+    ``notes`` name missing parts of the bundle, with reasons.
     """
 
     run: RunDirectory
@@ -170,18 +159,11 @@ class Exported:
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
-    """Write a run's policy as a bundle.
+    """Write a run's policy as a bundle, by default in ``exported/bundle`` of the run.
 
-    Args:
-        run: the run.
-        checkpoint: one of its checkpoints; None means the last.
-        output: the new folder; None means ``exported/bundle`` of the run, with a number if it exists.
-        command: the command line, for the manifest.
-
-    Raises:
-        ConfigError: a part of the policy needs the simulation; the message names it, and what would work.
-        RunDirectoryError: the run or the checkpoint is wrong, or the folder exists.
-        SimulationFailure: an exported policy differs from the simulation's records; nothing is written.
+    If this folder exists, a number is appended to the name of the new folder. Without ``checkpoint``, export the last
+    checkpoint. ConfigError names a part of the policy that needs the simulation. If an exported policy differs from the
+    simulation's records, raise SimulationFailure and write nothing.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
@@ -194,22 +176,17 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     if folder.is_relative_to(run.path):
         results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
         try:
-            _record(run, folder, results, command)
-        except BaseException:  # a folder that the manifest does not name must not stay in the run
+            files = sorted(path for path in folder.rglob("*") if path.is_file())
+            place = str(folder.relative_to(run.path))
+            run.manifest().add("export", files, {"folder": place, **results}, command=command)
+        except BaseException:  # The run directory must not contain a bundle that is missing in the manifest.
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)
 
 
-def _record(run: RunDirectory, folder: Path, results: Mapping[str, Any], command: Sequence[str]) -> None:
-    """Add a bundle below its run to the manifest."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    place = str(folder.relative_to(run.path))
-    run.manifest().add("export", files, {"folder": place, **results}, command=command)
-
-
 def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
-    """Rename a finished folder; an existing name gets a number, or is refused."""
+    """Rename a finished folder. If the target exists, append a number to its name, or raise an error."""
     number, place = 1, target
     while place.exists() or place.is_symlink():
         if not numbered:
@@ -222,7 +199,7 @@ def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write the bundle's files; return the differences of its policies and the notes on what it lacks."""
+    """Write the bundle's files; return the differences of its policies and the notes about missing parts."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
@@ -233,19 +210,18 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     _require_unchanged(state)
     spec = specification(plain, agent, _ranges(plain, state))
     steps = min(2 * plain.max_episode_length, _MOST_STEPS)
-    need = 4 * steps * spec["observation_width"]
-    require_memory(
-        need, f"env.observations.{groups[0]}", f"{steps} recorded steps of {spec['observation_width']:,} numbers"
-    )
+    width = spec["observation_width"]
+    require_memory(4 * steps * width, f"env.observations.{groups[0]}", f"{steps} recorded steps of {width:,} numbers")
     env = ManagerBasedRLEnv(as_checked(params, spec["rolling_joints"]), mjcf, seed)
     set_threads(agent, env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
     policy = load_policy(checkpoint, adapter, agent)
     network, arrays = network_arrays(policy, role)
-    recorded = recorded_episodes(
-        adapter, in_float64(policy), policy, groups, list(spec["readings"]), agent.get("clip_actions"), steps
-    )
-    spec = {"format_version": spec.pop("format_version"), "run": _provenance(run, checkpoint, state), **spec}
+    clip, names = agent.get("clip_actions"), list(spec["readings"])
+    recorded = recorded_episodes(adapter, in_float64(policy), policy, groups, names, clip, steps)
+    origin = {"id": run.id, "task": run.manifest().data.get("task"), "iteration": state["iter"]}
+    origin |= {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
+    spec = {"format_version": spec.pop("format_version"), "run": origin, **spec}
     about = {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32}
     spec |= {"network": network, "check": about}
     write_bytes(folder / "policy.npz", _npz(arrays))
@@ -267,11 +243,6 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     return differences, notes
 
 
-def _provenance(run: RunDirectory, checkpoint: Path, state: Mapping[str, Any]) -> dict[str, Any]:
-    about = {"id": run.id, "task": run.manifest().data.get("task"), "iteration": state["iter"]}
-    return about | {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
-
-
 def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
     """Return the ranges of each command at the end of training, because a curriculum can widen them."""
     found = {}
@@ -284,7 +255,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_unchanged(state: Mapping[str, Any]) -> None:
-    """Refuse a training that changed settings of actions or observations after its config was written."""
+    """Raise ConfigError if a curriculum changed settings of action or observation terms during training."""
     managers = state.get("env", {}).get("managers", {})
     terms = {f"env.actions.{name}": term for name, term in managers.get("actions", {}).get("terms", {}).items()}
     for group, found in managers.get("observations", {}).get("groups", {}).items():
@@ -307,7 +278,7 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
 def _write_robot(
     folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
 ) -> list[str]:
-    """Write the robot's files and its scene; return notes on what is missing."""
+    """Write the robot's files and its scene; return notes about parts that ``simulate.py`` cannot simulate."""
     with for_people(folder):
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain

@@ -1,4 +1,4 @@
-"""Describe observation terms and the sensor readings that they need, as numbers that a runner works with.
+"""Describe observation terms and their sensor readings as plain numbers for a bundle's runner.
 
 A term that a runner cannot compute raises a ``ConfigError`` with its name.
 """
@@ -25,13 +25,7 @@ COMMANDS = "commands."
 
 @dataclass(frozen=True)
 class Reading:
-    """A sensor reading.
-
-    Attributes:
-        unit: its unit.
-        meaning: what it measures, in which frame.
-        of: returns it from a simulation, (N, width).
-    """
+    """A sensor reading: its unit, its meaning, and a function that returns it from a simulation, (N, width)."""
 
     unit: str
     meaning: str
@@ -65,7 +59,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return a reading by name, also of a command (``commands.<term>``) or an IMU (``<sensor>.<quantity>``)."""
+    """Return a reading of the robot, a command (``commands.<term>``), or an IMU (``<sensor>.<quantity>``), by name."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):
@@ -81,15 +75,11 @@ def reading(name: str) -> Reading:
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the default sensor of terms
+_IMU = "imu"  # the default ``sensor_name`` of observation terms
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
-    """Return the observation groups of a policy, in order, each with its terms.
-
-    Raises:
-        ConfigError: a term needs a reading or a computation that a runner does not have.
-    """
+    """Return the observation groups of a policy, in order, each with its terms."""
     found: list[Spec] = []
     for group in groups:
         node = env.cfg["observations"][group]
@@ -100,7 +90,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 
 def readings_of(groups: list[Spec]) -> list[str]:
-    """Return the names of the readings that the terms need, each once, and always the joint positions."""
+    """Return the names of the readings that the observation terms need, and always the joint positions."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
         names += [term["reading"]] if "reading" in term else term.get("needs", [])
@@ -118,24 +108,17 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
         )
     clip, scale = fields.get("clip"), fields.get("scale")
     spec = {"name": bound.name, **known(env, bound), "width": term.width, "history_length": term.history_length}
+    parts = [part for name, part in term.parts().items() if name != "noise"]
     spec["modifiers"] = [
         _modifier(modifier, part, f"{bound.path}.modifiers[{number}]")
-        for number, (modifier, part) in enumerate(zip(node.get("modifiers") or [], _modifiers(term), strict=True))
+        for number, (modifier, part) in enumerate(zip(node.get("modifiers") or [], parts, strict=True))
     ]
     spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
     if scale is not None:
         spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
-    # Noise of the training. A real robot has its own noise.
-    noise = node.get("noise") if env.cfg["observations"][_group(bound)].get("enable_corruption") else None
+    # The runner adds no noise, because a real robot has real noise.
+    noise = node.get("noise") if env.cfg["observations"][bound.path.split(".")[2]].get("enable_corruption") else None
     return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
-
-
-def _group(term: Term) -> str:
-    return term.path.split(".")[2]
-
-
-def _modifiers(term: ObservationTerm) -> list[Any]:
-    return [part for name, part in term.parts().items() if name != "noise"]
 
 
 def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
@@ -155,18 +138,12 @@ def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
     return {"kind": kinds[type(part)], **{name: value for name, value in node.items() if name != TARGET}}
 
 
-def _joints(env: ManagerBasedRLEnv, term: Term) -> list[int]:
-    """Return the indices of a term's joints in the robot's order."""
-    entity = term.params.get("asset_cfg", _ROBOT)
-    return torch.arange(len(env.scene.robot.joint_names))[entity.joint_ids].tolist()
-
-
 def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     if term.params.get("measured") is False and name == "joint_pos":
         raise ConfigError(
-            "shows joint positions that encoders do not measure", key=term.path, expected="measured: true"
+            "the term shows joint positions that encoders do not measure", key=term.path, expected="measured: true"
         )
-    ids = _joints(env, term)
+    ids = torch.arange(len(env.scene.robot.joint_names))[term.params.get("asset_cfg", _ROBOT).joint_ids].tolist()
     return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
 
 

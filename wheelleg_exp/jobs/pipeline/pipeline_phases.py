@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -12,7 +13,7 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 
 @dataclass(frozen=True)
 class Gate:
-    """``pipeline.phases.<phase>.gate``: what a policy must achieve before the next phase.
+    """``pipeline.phases.<phase>.gate``: the evaluation that a policy must pass before the next phase.
 
     Attributes:
         protocol: a protocol of `wheelleg evaluate`; training never sees its scenarios.
@@ -63,13 +64,7 @@ class Pipeline:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict of a gate.
-
-    Attributes:
-        passed: whether all bounds hold.
-        values: the metrics of the gate.
-        why: the violated bounds, in words.
-    """
+    """The verdict of a gate: the values of its metrics, and the violated bounds in words."""
 
     passed: bool
     values: dict[str, float | None]
@@ -77,11 +72,7 @@ class Verdict:
 
 
 def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
-    """Compare metrics with the bounds of a gate; a value that is not finite never passes.
-
-    Raises:
-        ConfigError: the protocol has no such metric.
-    """
+    """Compare metrics with the bounds of a gate; a value that is not finite never passes."""
     bounds = [(name, bound, True) for name, bound in gate.at_least.items()]
     bounds += [(name, bound, False) for name, bound in gate.at_most.items()]
     values, why = {}, []
@@ -102,10 +93,5 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
 
 
 def streak(verdicts: list[bool]) -> int:
-    """Return how many of the last verdicts passed in a row."""
-    count = 0
-    for passed in reversed(verdicts):
-        if not passed:
-            break
-        count += 1
-    return count
+    """Return the number of consecutive passed verdicts at the end of the list."""
+    return len(list(takewhile(bool, reversed(verdicts))))

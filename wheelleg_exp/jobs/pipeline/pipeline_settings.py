@@ -21,18 +21,15 @@ from wheelleg_exp.terms.config_values import require_fit
 from wheelleg_exp.terms.key_syntax import PIPELINE as PRIMARY
 from wheelleg_exp.terms.key_syntax import split_path
 
-_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # keys that a pipeline sets itself
-_NAME = re.compile(r"[\w-]+")  # of a phase: a part of keys and folder names
+_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # A pipeline sets these keys itself.
+_NAME = re.compile(r"[\w-]+")  # The name of a phase is a part of keys and folder names.
 
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A composed pipeline.
+    """A composed pipeline: its plain config, and its phases by name.
 
-    Attributes:
-        tree: its plain config.
-        phases: its phases by name.
-        composed: the composed config, which knows the file and line of each key; None for a recorded pipeline.
+    ``composed`` knows the file and line of each key; it is None for a recorded pipeline.
     """
 
     tree: dict[str, Any]
@@ -41,33 +38,22 @@ class PipelineSettings:
 
 
 def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> PipelineSettings:
-    """Compose a pipeline.
-
-    Raises:
-        ConfigError: there is no such pipeline, or one of its settings is wrong.
-    """
+    """Compose a pipeline, and check its settings."""
     composed = compose(overrides, primary=PRIMARY, config_dirs=config_dirs)
     with composed.placing():
         return replace(read_pipeline(composed.config[PRIMARY]), composed=composed)
 
 
 def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
-    """Read the plain config of a pipeline.
-
-    Raises:
-        ConfigError: a setting is wrong.
-    """
+    """Read the plain config of a pipeline, and check its settings."""
     if errors := section_errors(PRIMARY, tree, Pipeline):
         raise_all(errors)
     named = read_section(Pipeline, tree, PRIMARY).phases
     phases = {str(name): phase for name, phase in named.items() if phase is not None}
     if not phases:
         raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
-    mistakes = [
-        error
-        for number, (name, phase) in enumerate(phases.items())
-        for error in _own_mistakes(name, phase, is_first=number == 0)
-    ]
+    first = next(iter(phases))
+    mistakes = [error for name, phase in phases.items() for error in _own_mistakes(name, phase, is_first=name == first)]
     if mistakes:
         raise_all(mistakes)
     nodes = {str(name): node for name, node in tree["phases"].items() if node is not None}
@@ -75,12 +61,9 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of a phase's training, without its initial policy and number of iterations.
+    """Return the overrides of a phase's training, without the phase's initial policy and number of iterations.
 
-    Args:
-        name: the phase's name, which its run gets.
-        phase: the phase.
-        overrides: of the command line, for all phases.
+    ``overrides`` are the command line's overrides, which apply to all phases.
     """
     return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
 
@@ -90,8 +73,7 @@ def compose_phases(
 ) -> dict[str, Composed]:
     """Compose and check every phase, and check that each policy fits the next phase.
 
-    Raises:
-        ConfigError: the mistakes of all phases, each with its phase; a mistake in all phases is reported once.
+    ConfigError names the mistakes of all phases, each with its phase. A mistake in all phases is reported once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
@@ -108,7 +90,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # the initial policy of the first phase exists and fits
+                pass  # The initial policy of the first phase exists and fits.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:
@@ -129,7 +111,7 @@ def _key(text: str) -> str:
 
 
 def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[ConfigError]:
-    """Yield the mistakes of a phase by itself; overrides must not replace what the phase itself sets."""
+    """Yield the mistakes of one phase, such as an override of a key that the phase itself sets."""
     key, gate = f"{PRIMARY}.phases.{name}", phase.gate
     if not _NAME.fullmatch(name):
         yield ConfigError(f"'{name}' is not a phase name", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
@@ -144,11 +126,7 @@ def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[Config
 
 
 def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose the protocol and the seed of a gate.
-
-    Raises:
-        ConfigError: there is no such protocol, or an override of it is wrong.
-    """
+    """Compose the protocol and the seed of a gate."""
     composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
     with composed.placing():
         require_fit("seed", composed.config["seed"], Seed)
@@ -156,36 +134,34 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Return a mistake of a phase at the phase's own key, whose file and line are known."""
+    """Return the error about a phase at the phase's own key, whose file and line are known."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
     if blamed == f"run.name={name}":
         return _at_key(error, key)
     if blamed in phase.overrides and blamed not in overrides:
-        return _at_key(error, f"{key}.overrides", f"{_with_key(error)}, in '{blamed}'")
+        return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
     return error
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Return a mistake of a gate at the gate's own key, whose file and line are known."""
+    """Return the error about a gate at the gate's own key, whose file and line are known."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
-        return _at_key(error, f"{key}.overrides", f"{_with_key(error)}, in '{blamed}'")
-    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # a wrong value that several overrides compute
-        return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", _with_key(error))
+        return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
+    # Several overrides together can compute a wrong value.
+    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
+        return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
-def _at_key(error: ConfigError, key: str, message: str | None = None) -> ConfigError:
-    return ConfigError(message or error.message, key=key, expected=error.expected, nearest=error.nearest)
-
-
-def _with_key(error: ConfigError) -> str:
-    """Return the message of an error with its key, for an error at another key."""
-    return f"{error.key}: {error.message}"
+def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
+    """Return the error at another key; if ``blamed`` names an override, the message names the error's old key."""
+    message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
+    return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 
 
 def _mistakes_by_phase(
@@ -216,10 +192,11 @@ def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")
         for error in [*found.mistakes, *found.suspects]:
             expected = f"the settings of phase '{before}', with whose policy it starts"
-            yield name_phase(ConfigError(_with_key(error), key=f"{PRIMARY}.phases.{name}", expected=expected), name)
+            message = f"{error.key}: {error.message}"
+            yield name_phase(ConfigError(message, key=f"{PRIMARY}.phases.{name}", expected=expected), name)
 
 
 def name_phase(error: ConfigError, name: str) -> ConfigError:
-    """Return a mistake with the name of its phase."""
+    """Return an error whose message starts with the name of the phase."""
     message = f"phase '{name}': {error.message}"
     return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)

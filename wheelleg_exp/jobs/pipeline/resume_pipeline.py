@@ -18,22 +18,17 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-_CHANGEABLE_LATER = ("max_iterations", "gate")  # settings that can change in a phase that has started
+_CHANGEABLE_LATER = ("max_iterations", "gate")  # A resume can change these settings of a started phase.
 
 
 def resume_pipeline(
     index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> PipelineSettings:
-    """Prepare a pipeline to resume, and return its settings.
+    """Check that a pipeline can resume, and return its settings.
 
-    Args:
-        index: its record.
-        overrides: changes to its phases, such as ``pipeline.phases.walk.max_iterations=600``.
-        command: the command line, for the record.
-        config_dirs: the user's config folders; if empty, the recorded ones, which must belong to the user.
-
-    Raises:
-        WheellegError: the pipeline is running or finished, or an override is wrong. The record has not changed then.
+    ``overrides`` change phases, such as ``pipeline.phases.walk.max_iterations=600``. Empty ``config_dirs`` mean the
+    recorded config folders. If the pipeline is running or finished, or an override is wrong, the pipeline's record does
+    not change.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         raise RunDirectoryError(
@@ -77,7 +72,10 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders to use; a pipeline needs all recorded ones, because it composes its phases again."""
+    """Return the config folders of the resumed pipeline.
+
+    A pipeline needs all recorded folders, because it composes its phases again.
+    """
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
@@ -111,16 +109,15 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     done = index.done(phase)
     if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < done:
         raise ConfigError(
-            f"is {change.b}, and phase '{name}' has done {done} iterations",
+            f"the number is {change.b}, and phase '{name}' has done {done} iterations",
             key=change.key,
             expected=f"at least {done}",
         )
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return the updated entry of a phase that did not pass its gate; another gate judges the same policy again."""
-    changed = any(change.keys[2] == phase["name"] for change in found)
-    if not changed:
+    """Return the updated entry of a phase that did not pass its gate; a changed gate judges the policy again."""
+    if not any(change.keys[2] == phase["name"] for change in found):
         raise ConfigError(
             f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}",
             key=f"{PIPELINE}.phases.{phase['name']}.max_iterations",

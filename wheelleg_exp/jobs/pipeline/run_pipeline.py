@@ -1,4 +1,4 @@
-"""Run the phases of a pipeline, each an ordinary run in its own process, and keep the record up to date.
+"""Run each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
 
 Before the first phase, ``require_metrics`` checks that the gates ask for metrics that their protocols measure.
 """
@@ -54,18 +54,14 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
     """Check that the protocols of the gates measure the metrics that the gates name.
 
-    An evaluation with NaN as actions gives the names: every episode ends after its first step.
-
-    Raises:
-        ConfigError: a gate asks for a metric that its protocol does not have, or the protocol is wrong.
+    A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
     """
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
             try:
-                mistakes += _unknown_metrics(
-                    f"{PIPELINE}.phases.{name}.gate", phase.gate, _metric_names(phase.gate, composed[name], folders)
-                )
+                names = _metric_names(phase.gate, composed[name], folders)
+                mistakes += _unknown_metrics(f"{PIPELINE}.phases.{name}.gate", phase.gate, names)
             except ConfigError as error:
                 mistakes += [name_phase(place_gate_error(part, name, phase.gate), name) for part in parts(error)]
     if mistakes:
@@ -85,10 +81,14 @@ def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[Con
 
 
 def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
+    def nan_policy(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
+        actions = torch.full((env.num_envs, env.action_manager.total_action_dim), torch.nan, device=env.device)
+        return lambda _: actions
+
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # as it will be; what follows only makes it short
+        read_section(Protocol, protocol, "protocol")  # Only the complete protocol is checked.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -96,25 +96,14 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     config = composed.config
     env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
     asset = prepare_asset(config, composed.asset_roots)
-    return list(evaluate(env, asset.output, _nan_policy, protocol).metrics)
-
-
-def _nan_policy(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
-    actions = torch.full((env.num_envs, env.action_manager.total_action_dim), torch.nan, device=env.device)
-    return lambda _: actions
+    return list(evaluate(env, asset.output, nan_policy, protocol).metrics)
 
 
 class PipelineRunner:
-    """Runs the remaining phases, until one does not pass its gate or a stop is requested.
+    """Runs the remaining phases of a pipeline, until a phase does not pass its gate or a stop is requested.
 
-    Each step (training up to a gate, resuming, evaluating) has its own process. So the run of a phase holds the same
-    bytes as ``wheelleg train`` with its overrides, and a killed step can be resumed.
-
-    Args:
-        index: the record of the pipeline, which this object keeps up to date.
-        settings: the phases.
-        display: receives what happens.
-        stop: requests a stop; a training stops at its next whole iteration, with a checkpoint.
+    Each step (training up to a gate, resuming, evaluating) has its own process. So the run of a phase equals, byte by
+    byte, a run of ``wheelleg train`` with the phase's overrides, and a killed step can be resumed.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
@@ -126,11 +115,7 @@ class PipelineRunner:
 
     @while_running()
     def run(self) -> PipelineStatus:
-        """Run the phases, and return the status of the pipeline.
-
-        Raises:
-            WheellegError: a phase failed; the record names the phase and the reason.
-        """
+        """Run the phases, and return the status of the pipeline."""
         status: PipelineStatus = "failed"
         why: str | None = None
         try:
@@ -161,7 +146,7 @@ class PipelineRunner:
         return "finished", None
 
     def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
-        """Train a phase up to one gate after the other; return why the pipeline must stop, or None."""
+        """Train one phase, and evaluate its gate at each interval; return why the pipeline must stop, or None."""
         while True:
             target = self._target(entry, phase)
             self._train(entry, phase, source, target)
@@ -172,29 +157,26 @@ class PipelineRunner:
             verdicts = [bool(found["passed"]) for found in entry["gates"]]
             in_a_row, last = streak(verdicts), target >= phase.max_iterations
             times = "once" if in_a_row == 1 else f"{in_a_row} times in a row"
-            if in_a_row >= phase.gate.passes and not last:
-                return self._end(entry, passed=True, why=f"the gate was passed {times}, after {target} iterations")
-            if last and verdicts[-1]:
-                return self._end(entry, passed=True, why=f"the gate was passed {times}, after training")
-            if last:
+            if last and not verdicts[-1]:
                 wrong = "; ".join(entry["gates"][-1]["why"])
                 return self._end(entry, passed=False, why=f"the gate is not passed after {target} iterations: {wrong}")
+            if last or in_a_row >= phase.gate.passes:
+                when = "training" if last else f"{target} iterations"
+                return self._end(entry, passed=True, why=f"the gate was passed {times}, after {when}")
 
     def _end(self, entry: dict[str, Any], *, passed: bool, why: str) -> str | None:
         self._index.update(entry, status="passed" if passed else "failed", why=why)
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
-        """Return the iteration up to which to train before the next evaluation."""
+        """Return the iteration at which the phase is evaluated next."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # A resume can change `every`, so that the phase may have trained past the next evaluation.
+        # A resume can change `every`, so the phase may be past its next evaluation.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
-
-    # --- training ---
 
     def _train(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> None:
         if entry["trained"] >= target:
@@ -203,9 +185,9 @@ class PipelineRunner:
         if run is None:
             self._perform(self._new(entry, phase, source, target), entry)
         elif _finished_iterations(run) < target:
-            override = [f"agent.max_iterations={target}"]
-            command = ["wheelleg", "resume", str(run), *override]
-            self._perform(self._request("resume", override, command, run=str(run)), entry)
+            override = f"agent.max_iterations={target}"
+            command = ["wheelleg", "resume", str(run), override]
+            self._perform(self._request("resume", [override], command, run=str(run)), entry)
         self._index.update(entry, trained=target)
 
     def _new(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> JobRequest:
@@ -224,8 +206,6 @@ class PipelineRunner:
         folders = [str(folder) for folder in self._folders]
         return JobRequest(kind, overrides, folders, command, root=str(self._index.root), **facts)
 
-    # --- judging ---
-
     def _judge(self, entry: dict[str, Any], gate: Gate, iteration: int, *, last: bool) -> None:
         run = self._index.run_of(entry)
         assert run is not None
@@ -241,15 +221,13 @@ class PipelineRunner:
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
         self._index.update(entry, gates=[*entry["gates"], {**facts, **made}])
-        # If the last gate fails, the pipeline stops and reports the reason itself.
+        # If the last gate is not passed, the pipeline stops and reports the reason.
         why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
         outcome = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
-    # --- steps ---
-
     def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
-        """Do a step in a child process; return the last event of each kind."""
+        """Run a pipeline step in a child process; return the last event of each kind."""
         last: dict[str, Event] = {}
         if self._stop.requested:
             raise Interrupted

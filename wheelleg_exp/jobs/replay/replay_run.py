@@ -1,11 +1,12 @@
 """Replay a run: restore its source, train again from its snapshot alone, and compare with the original.
 
-Only a run that has ended and whose snapshot is what its manifest recorded can be replayed.
+A run can be replayed if it has ended and its snapshot equals the digests in its manifest.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import tempfile
@@ -20,15 +21,15 @@ from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import for_people, read_text, sha256
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.replay import restored_imports
-from wheelleg_exp.jobs.replay.restored_source import RestoredSource, describe_code, restore_all
+from wheelleg_exp.jobs.replay.restore_all_sources import RestoredSource, describe_code, restore_all
 from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, Request
-from wheelleg_exp.jobs.train.source_roots import require_variables, shorten
+from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.environment import hardware, replay_environ, requested_variables, variables, versions
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.iteration_log import read_log
 from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
-from wheelleg_exp.run.run_config import OVERRIDES
+from wheelleg_exp.run.run_config import OVERRIDES, recorded_config
 from wheelleg_exp.run.run_directory import NEEDED, REPLAYS, RunDirectory
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.stop_request import StopRequest
@@ -40,34 +41,24 @@ _SNAPSHOT_FILES = (*NEEDED, OVERRIDES, "source/git.json")
 
 
 def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | None) -> int:
-    """Return how many iterations a replay trains: those of the run, or fewer.
-
-    Raises:
-        RunDirectoryError: the run still trains, has no iteration, or has fewer than requested.
-    """
+    """Return how many iterations a replay trains: those of the run, or fewer."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}):
         raise RunDirectoryError(f"run '{run.id}' is still running", expected="a run that has ended")
-    log = read_log(run.iterations)
-    there = len(log.lines)
+    there = len(read_log(run.iterations).lines)
     if not there:
         raise RunDirectoryError(f"run '{run.id}' has no whole iteration to compare with", where=str(run.iterations))
-    if wanted is None:
-        return there
-    if not 1 <= wanted <= there:
+    if wanted is not None and not 1 <= wanted <= there:
         raise RunDirectoryError(f"is {wanted}", key="--iterations", expected=f"from 1 to the {there} that the run has")
-    return wanted
+    return there if wanted is None else wanted
 
 
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Refuse a snapshot that differs from what the manifest recorded.
-
-    Raises:
-        RunDirectoryError: a file is missing, changed, or not in the manifest; the manifest was changed; or several
-            processes trained the run.
-    """
+    """Raise RunDirectoryError for a snapshot that differs from its manifest, and for a run of several processes."""
     if manifest.matches_digest() is False:
         raise RunDirectoryError(
-            "the manifest is not what the run wrote", where=str(run.path / MANIFEST_NAME), expected="an unchanged run"
+            "the manifest was changed after the run wrote it",
+            where=str(run.path / MANIFEST_NAME),
+            expected="an unchanged run",
         )
     processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if processes > 1:
@@ -102,21 +93,12 @@ KIND = "replay"
 
 @dataclass(frozen=True)
 class Replayed:
-    """The result of a replay.
+    """The result of a replay, with the comparison of the original run and the new run.
 
-    Attributes:
-        original: the run.
-        run: the new run.
-        iterations: how many iterations were trained and compared.
-        whole: whether these are all iterations of the original.
-        source: the restored source.
-        machine: how this machine differs from the original's.
-        composed: whether the recorded overrides compose to the snapshot with the restored configs: ``equal`` and
-            ``difference``.
-        asset: whether the robot was ``converted`` again, and a ``note`` if not.
-        notes: further remarks, one line each.
-        kept: the folder of the restored source; None if it was removed.
-        comparison: the comparison of both runs.
+    ``whole`` is true if all iterations were compared. ``composed`` says whether the recorded overrides compose to the
+    snapshot with the restored configs: ``equal`` and ``difference``. ``asset`` records whether the robot was
+    ``converted`` again, or a ``note`` with the reason why not. ``kept`` is the folder of the restored source, or None
+    if the folder was removed.
     """
 
     original: RunDirectory
@@ -132,7 +114,7 @@ class Replayed:
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as one JSON document."""
+        """Return the replay's result as one JSON document."""
         return {
             "run": str(self.original.path),
             "replay": str(self.run.path),
@@ -160,40 +142,31 @@ def replay(
     iterations: int | None = None,
     keep: bool = False,
 ) -> Replayed:
-    """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare.
+    """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare both runs.
 
-    The run, the user's repositories, and the working tree are only read.
-
-    Args:
-        run: the run.
-        command: the command line, for the new manifest.
-        display: receives progress.
-        stop: requests a stop.
-        root: the folder of runs for the new run.
-        repositories: clones that may hold the run's commits.
-        iterations: how many iterations to train; None means all of the run.
-        keep: whether the restored source stays.
-
-    Raises:
-        RunDirectoryError: the snapshot is damaged or incomplete, its source cannot be restored, or its config names an
-            unknown environment variable.
-        SimulationFailure: the training failed, or the disk is full.
-        KeyboardInterrupt: the replay was stopped.
+    The run, the user's repositories, and the working tree are only read. ``repositories`` are git clones that may
+    contain the run's commits. Without ``iterations``, train all iterations of the run. With ``keep``, the restored
+    source is not removed.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
-    require_variables(run, _recorded_variables(manifest))
+    _config(run, manifest)  # Composition errors must occur before the source is restored.
     total = iterations_to_train(run, manifest, iterations)
     display.note(describe_code(run))
     with _workplace(keep) as workplace:
         stop.check()
         source = _restored(run, workplace, repositories, stop)
-        notes, environ = [*_damage_notes(run), *_resume_notes(manifest), *source.notes], _environ(run, manifest)
-        machine = _differences(manifest, environ)
+        notes = [f"{name} {what}: a damaged file is never identical" for name, what in measure(run).damage.items()]
+        notes += [*_resume_notes(manifest), *source.notes]
+        environ = _environ(run, manifest)
+        now = {"versions": versions(), "hardware": hardware(), "environment_variables": variables(environ)}
+        machine = environment_differences(manifest.data, now, UNKNOWN_BEFORE_TORCH)
         _report(display, source, machine, notes)
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
-        folder = _working_folder(manifest, source, workplace)
+        folder = source.now(str(manifest.data.get("working_directory") or "/"))
+        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source may lack it.
+            folder = workplace / "here"
         events = _train(request, source, environ, folder, display, stop)
     new = RunDirectory.open(events["run"]["path"], root)
     comparison = compare_runs(run, new, iterations=total)
@@ -206,8 +179,8 @@ def replay(
         whole=total == len(read_log(run.iterations).lines),
         source=source,
         machine=machine,
-        composed=_facts(events.get("composed", {})),
-        asset=_facts(events.get("asset", {})),
+        composed={key: value for key, value in events.get("composed", {}).items() if key != "event"},
+        asset={key: value for key, value in events.get("asset", {}).items() if key != "event"},
         notes=notes,
         kept=workplace / "source" if keep else None,
         comparison=comparison,
@@ -218,17 +191,12 @@ def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], 
     try:
         return restore_all(run, workplace, repositories)
     except WheellegError:
-        stop.check()  # Ctrl-C also makes git fail
+        stop.check()  # Ctrl-C also interrupts git, which then fails.
         raise
 
 
-def _damage_notes(run: RunDirectory) -> list[str]:
-    """Name damaged files before the training, because a replay can never equal them."""
-    return [f"{name} {what}: a damaged file is never identical" for name, what in measure(run).damage.items()]
-
-
 def _resume_notes(manifest: Manifest) -> list[str]:
-    """Describe the resumes of a run that a training without a stop cannot repeat."""
+    """Return notes about a run's resumes, which the uninterrupted replay does not repeat."""
     entries = manifest.data["resumes"]
     notes = []
     if entries:
@@ -252,19 +220,23 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     environ = replay_environ(recorded, also=asked_for)
     if manifest.data.get("config_variables") is None:
         return environ
-    # A variable that the config names and the manifest lacks was not set, unless manifests never record it.
+    # An environment variable that the config names and the manifest lacks was not set, except for variables that
+    # manifests never record.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
+
+
+def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
+    """Return the config tree of a replay.
+
+    Recorded environment variables take precedence over the environment of this process.
+    """
+    return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
 
 def _recorded_variables(manifest: Manifest) -> dict[str, str]:
     kept = manifest.data.get("environment_variables"), manifest.data.get("config_variables")
     return {name: value for known in kept for name, value in (known or {}).items()}
-
-
-def _differences(manifest: Manifest, environ: Mapping[str, str]) -> list[FactDifference]:
-    now = {"versions": versions(), "hardware": hardware(), "environment_variables": variables(environ)}
-    return environment_differences(manifest.data, now, UNKNOWN_BEFORE_TORCH)
 
 
 def _report(display: Display, source: RestoredSource, machine: list[FactDifference], notes: list[str]) -> None:
@@ -281,9 +253,6 @@ def _report(display: Display, source: RestoredSource, machine: list[FactDifferen
         display.note("versions, hardware and variables are those of the run")
     for note in notes:
         display.note(f"note: {note}")
-
-
-# --- training ---
 
 
 @contextmanager
@@ -316,7 +285,7 @@ def _request(
     source: RestoredSource,
     command: Sequence[str],
 ) -> Request:
-    options = require_variables(run, _recorded_variables(manifest))["run"]
+    options = _config(run, manifest)["run"]
     name = options.get("name") if isinstance(options, Mapping) else None
     facts = {
         "replay_of": _id(run, manifest),
@@ -343,12 +312,6 @@ def _request(
     )
 
 
-def _working_folder(manifest: Manifest, source: RestoredSource, workplace: Path) -> Path:
-    """Return the restored working folder of the run; an empty folder if it was not part of the source."""
-    now = source.now(str(manifest.data.get("working_directory") or "/"))
-    return now if now.is_dir() and now.is_relative_to(workplace) else workplace / "here"
-
-
 def _train(
     request: Request,
     source: RestoredSource,
@@ -357,10 +320,15 @@ def _train(
     display: Display,
     stop: StopRequest,
 ) -> dict[str, Event]:
-    """Train in a child process; return the last event of each kind."""
+    """Train the replay in a child process; return the last event of each kind."""
+    # With -P, Python imports nothing from the working folder. The code is passed as text, so that the child process
+    # imports no file of this version of the package.
+    code = Path(restored_imports.__file__).read_text(encoding="utf-8")
+    places = json.dumps({name: str(place) for name, place in source.places.items()})
     last: dict[str, Event] = {}
     try:
-        with job_events(_child(request, source, environ, folder), stop) as events:
+        child = Child((sys.executable, "-P", "-c", code, places), request.line(), environ, folder)
+        with job_events(child, stop) as events:
             for event in events:
                 last[event["event"]] = event
                 _show(event, source, display)
@@ -370,18 +338,14 @@ def _train(
     return last
 
 
-def _child(request: Request, source: RestoredSource, environ: Mapping[str, str], folder: Path) -> Child:
-    # -P: nothing is imported from the working folder. The code is passed as text, so that the process imports no file
-    # of this version.
-    code = Path(restored_imports.__file__).read_text(encoding="utf-8")
-    places = json.dumps({name: str(place) for name, place in source.places.items()})
-    return Child((sys.executable, "-P", "-c", code, places), request.line(), environ, folder)
-
-
 def _show(event: Event, source: RestoredSource, display: Display) -> None:
     kind = event["event"]
     if kind == "began":
-        _require_restored_code(Path(event["package"]), source)
+        expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
+        if Path(event["package"]).resolve() != expected:
+            raise RunDirectoryError(
+                f"the training imported '{event['package']}'", expected=f"the restored '{expected}'"
+            )
     elif kind == "note":
         display.note(event["text"])
     elif kind == "composed":
@@ -397,13 +361,3 @@ def _show(event: Event, source: RestoredSource, display: Display) -> None:
         display.note(f"run directory: {event['path']}")
     elif kind == "iteration":
         display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), event["total"])
-
-
-def _require_restored_code(package: Path, source: RestoredSource) -> None:
-    expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
-    if package.resolve() != expected:
-        raise RunDirectoryError(f"the training imported '{package}'", expected=f"the restored '{expected}'")
-
-
-def _facts(event: Event) -> Event:
-    return {key: value for key, value in event.items() if key != "event"}

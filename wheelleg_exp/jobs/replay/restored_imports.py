@@ -1,8 +1,8 @@
 """Start a training in a process that imports packages from restored source trees.
 
-This file runs as a script, before anything of this package is imported. Its last argument is JSON: the folder of
-each top-level package or module. A module of this package that is missing there is not searched elsewhere, because
-another version of it may be installed there.
+This file runs as a script, before any module of this package is imported. Its last argument is JSON: the folder of
+each top-level package or module. A module of this package that is missing in the restored source is not searched on
+``sys.path``, which may contain another version of this package.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# The modules that train from a snapshot: in this version, and in the sources of older runs.
+# The modules that train from a snapshot, in this version and in older versions of this package.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
@@ -29,10 +29,9 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module; None for a module of another package.
+        """Return the spec of a module of a restored package.
 
-        Raises:
-            ModuleNotFoundError: the module belongs to this package and is missing in its restored folder.
+        Stop the search, because ``sys.path`` may contain another version of this package.
         """
         top = fullname.partition(".")[0]
         if top not in self._places:
@@ -44,7 +43,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Install the finder, and train."""
+    """Install the finder of restored packages, and train."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

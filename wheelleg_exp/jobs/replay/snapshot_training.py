@@ -1,7 +1,8 @@
 """Train again from the snapshot of a run, in a child process that imports the restored source of the run.
 
-The parent may run another version of this project. So the protocol between them (see ``child_process``) is small and
-has a number. The events are ``began``, ``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
+The parent process may run another version of this package. So the protocol between parent and child (see
+``child_process``) is small and has a version number. The events are ``began``, ``note``, ``composed``, ``asset``,
+``run``, ``iteration`` and ``ended``.
 """
 
 from __future__ import annotations
@@ -30,21 +31,12 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """What a replay trains.
+    """The request of the parent process for a replay's training.
 
-    Attributes:
-        protocol: the number of this protocol.
-        run: the run directory whose snapshot it is.
-        until: the number of iterations to train.
-        root: the folder of runs in which the new run directory is made.
-        name: the last part of the new run directory's name.
-        workplace: an existing folder that is removed afterwards.
-        config_dirs: the user's config folders, restored.
-        projects: the user's projects, restored.
-        source_roots: the folders of other packages whose source the new run keeps.
-        moved: the restored folder of each recorded folder.
-        command: the command line.
-        facts: further facts for the manifest of the new run; the findings of the replay are added to its ``replay``.
+    ``run`` is the run directory of the snapshot, ``until`` is the number of iterations to train, and ``root`` and
+    ``name`` give the path of the new run. ``workplace`` is an existing folder, which the parent process removes after
+    the training. ``moved`` maps each recorded folder to its restored folder. ``facts`` are added to the manifest of the
+    new run.
     """
 
     protocol: int
@@ -61,16 +53,12 @@ class Request:
     facts: dict[str, Any]
 
     def line(self) -> bytes:
-        """Return the request as one line."""
+        """Return the request as one line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
 
     @classmethod
     def read(cls, line: bytes) -> Request:
-        """Return the request of a line, without keys that this version does not know.
-
-        Raises:
-            WheellegError: the request uses another protocol.
-        """
+        """Parse the request of a line; ignore keys that this version of the package does not know."""
         found = json.loads(line)
         if found.get("protocol") != PROTOCOL:
             raise WheellegError(f"replay protocol {found.get('protocol')!r} is not known", expected=str(PROTOCOL))
@@ -78,7 +66,7 @@ class Request:
 
 
 class ReplayDisplay(PipeDisplay):
-    """Sends events, and stops the training after the last requested iteration."""
+    """Sends the training's events, and stops the training after the last requested iteration."""
 
     def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
         super().__init__(pipe)
@@ -88,17 +76,16 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send a finding, and remember it for the manifest."""
+        """Send a finding to the parent process, and store the finding for the manifest."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 
     def note(self, text: str) -> None:
-        """Send one line. The notes of a training about its source do not apply to a replay."""
+        """Send one line. Notes of a training about the working tree do not apply to a replay."""
         if not self.warnings_only or text.startswith("warning"):
             super().note(text)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Send that an iteration is done; after the last requested one, stop the training with a checkpoint."""
         until = total if self.until is None else min(self.until, total)
         super().iteration(iteration, until)
         if until < total and iteration.index + 1 >= until and not self._stop.requested:
@@ -145,7 +132,7 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
     agent["logger"] = agent.get("logger") and "tensorboard"
-    # A resume may have trained past the number in the config.
+    # A resume may have trained more iterations than the config requests.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config
 
@@ -168,9 +155,6 @@ def _prepare(run: RunDirectory, config: dict[str, Any], request: Request, displa
     return training
 
 
-# --- the robot ---
-
-
 def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
     """Convert the robot again from its restored source, or copy the robot that the run saved."""
     from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
@@ -189,7 +173,7 @@ def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, displ
 def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
-    """Return the conversion, or None and why it failed."""
+    """Return the robot's new conversion, or None with the reason why the conversion failed."""
     from wheelleg_exp.asset.conversion_cache import convert_cached, find_beside, source_digest
     from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
@@ -207,14 +191,11 @@ def _converted_again(
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:
-    """Return an absolute path, inside the restored folder if it was in a recorded one."""
+    """Return an absolute path; a path in a recorded folder is moved to the restored folder."""
     for before, after in moved.items():
         if Path(name).is_relative_to(before):
             return str(Path(after) / Path(name).relative_to(before))
     return name
-
-
-# --- the configs ---
 
 
 def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
@@ -224,10 +205,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     from wheelleg_exp.run.run_config import load_params, recorded_overrides
 
     try:
-        composed = compose(
-            recorded_overrides(run),
-            config_dirs=[Path(folder) for folder in request.config_dirs],
-        )
+        composed = compose(recorded_overrides(run), config_dirs=[Path(folder) for folder in request.config_dirs])
     except ConfigError as error:
         return {"equal": False, "difference": str(error)}
     env, agent = load_params(run)
@@ -236,15 +214,13 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
         if difference is not None:
             return {"equal": False, "difference": difference}
     if composed.hydra_files()["config.yaml"] != (run.hydra / "config.yaml").read_text(encoding="utf-8"):
-        return {
-            "equal": False,
-            "difference": _first_difference(read_yaml(run.hydra / "config.yaml"), composed.raw_tree, ""),
-        }
+        difference = _first_difference(read_yaml(run.hydra / "config.yaml"), composed.raw_tree, "")
+        return {"equal": False, "difference": difference}
     return {"equal": True, "difference": None}
 
 
 def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
-    """Return the first difference between two trees, including the order of keys."""
+    """Return the first difference between two config trees, including the order of keys."""
     if isinstance(recorded, Mapping) and isinstance(now, Mapping):
         for key in [*recorded, *(k for k in now if k not in recorded)]:
             below = f"{path}.{key}" if path else str(key)
@@ -254,9 +230,9 @@ def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
             if difference is not None:
                 return difference
         return None if list(recorded) == list(now) else f"{path or 'the config'} has its keys in another order"
-    return (
-        None if recorded == now and type(recorded) is type(now) else f"{path} was {recorded!r} and composes to {now!r}"
-    )
+    if recorded == now and type(recorded) is type(now):
+        return None
+    return f"{path} was {recorded!r} and composes to {now!r}"
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
-The run directory keeps a copy of these networks beside the robot, so that the run can be trained again without the
-other run. ``fit`` compares the observations, actions, and network sizes of both tasks.
+The run directory stores a copy of the initial networks next to the robot, so that the run can be reproduced without the
+run that trained these networks. ``fit`` compares the observations, actions, and network sizes of both tasks.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes, same
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import sha256
+from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.paths import INITIAL, TEACHER
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.network_loading import Initial
@@ -27,23 +28,18 @@ from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_
 
 # Keys of an observation group that decide the layout of its vector, in addition to its terms.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
-_TERM_KEYS = (
-    "_target_",
-    "history_length",
-    "flatten_history_dim",
-)  # keys that decide what a term computes, and its width
-_IGNORED_KEYS = ("noise",)  # keys of an observation term that a policy tolerates
-_MAX_SHOWN = 60
+# Keys of an observation term that decide its function and its width.
+_TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
+_IGNORED_KEYS = ("noise",)  # A policy tolerates changes of these keys of an observation term.
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How the settings with which a policy was trained differ from the new settings.
+    """The differences between the settings of a policy's training and new settings.
 
-    Attributes:
-        mistakes: differences that make the policy unusable.
-        suspects: other joints, bodies, or sensors of a term, which may change its width.
-        notes: in words, values that keep their place in a vector but mean something else; includes the suspects.
+    ``mistakes`` make the policy unusable. ``suspects`` are changed joints, bodies, or sensors of an observation term,
+    which may change the term's width. ``notes`` describe changed settings that do not change the layout of an
+    observation vector; ``notes`` include the suspects.
     """
 
     mistakes: list[ConfigError]
@@ -57,16 +53,12 @@ def fit(
     roles: Sequence[str],
     of: str,
 ) -> Fit:
-    """Compare the settings with which a policy was trained with new settings.
+    """Compare the settings of a policy's training with new settings.
 
-    Only the networks show whether a changed parameter, such as other joints, changes the width of a term. So these
-    changes are notes, which explain a network that does not fit.
-
-    Args:
-        was: the ``env`` and ``agent`` sections of the policy's training, plain.
-        now: the new ``env`` and ``agent`` sections.
-        roles: the networks that are taken over, of ``actor`` and ``critic``.
-        of: the name of the policy's run, for messages.
+    ``was`` and ``now`` are pairs of the ``env`` and ``agent`` sections. ``roles`` are the copied networks, and ``of``
+    is the name of the policy's run in messages. Only the networks show whether a changed parameter, such as other
+    joints, changes the width of a term. So a changed parameter becomes a note, which can explain why a network does not
+    fit.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -90,11 +82,12 @@ def fit(
 
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
-    for change in _changes(was or {}, now or {}):
-        if change.keys != ("distribution_cfg", "init_std"):  # the learned deviation replaces it
-            _refuse(
-                found, f"{key}.{'.'.join(change.keys)}", f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
-            )
+    for change in changes(was or {}, now or {}, same):
+        if change.keys != (
+            "distribution_cfg",
+            "init_std",
+        ):  # The learned deviation replaces it.
+            _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
 def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], key: str, of: str) -> None:
@@ -122,13 +115,13 @@ def _compare_terms(
     if set(was) == set(now) and list(was) != list(now):
         _refuse(found, key, f"{of} has them in the order {', '.join(was)}")
     for name in (name for name in now if name in was):
-        for change in _changes(was[name] or {}, now[name] or {}):
+        for change in changes(was[name] or {}, now[name] or {}, same):
             path = f"{key}.{name}.{'.'.join(change.keys)}"
             if change.keys[0] in fixed:
-                _refuse(found, path, f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}")
+                _refuse(found, path, _both_values(change, of))
             elif change.keys[0] not in free:
                 if change.keys[0].endswith("_cfg") or change.keys[0] == "joint_names":
-                    found.suspects.append(_error(path, f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"))
+                    found.suspects.append(_error(path, _both_values(change, of)))
                 found.notes.append(_describe_change(path, change.a, change.b))
 
 
@@ -141,8 +134,8 @@ def _error(key: str, message: str) -> ConfigError:
     return ConfigError(message, key=key, expected=expected)
 
 
-def _changes(was: Any, now: Any) -> Iterator[Change]:
-    return changes(was, now, same)
+def _both_values(change: Change, of: str) -> str:
+    return f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
 
 
 def _describe_change(key: str, was: Any, now: Any) -> str:
@@ -150,23 +143,16 @@ def _describe_change(key: str, was: Any, now: Any) -> str:
 
 
 def _shorten(value: Any) -> str:
-    text = "nothing" if value is ABSENT else str(value)
-    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN - 3]}..."
+    return "nothing" if value is ABSENT else shorten(value)
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# The parts of a checkpoint that are taken over, by the value of `init_from_what`.
-PARTS = {
-    "networks": ("actor", "critic"),
-    "policy": ("actor",),
-    "learning": ("actor", "critic", "optimizer"),
-}
+# The parts of a checkpoint that are copied, by the value of `init_from_what`.
+PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 
 @dataclass(frozen=True)
 class _Source:
-    """The checkpoint with which a training starts, and its run; a file alone has none."""
-
     path: Path
     run: RunDirectory | None
 
@@ -179,22 +165,16 @@ class _Source:
 def initial_file(
     config: Mapping[str, Any], note: Callable[[str], None]
 ) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield the file of the initial networks by its saved name, and facts about its run; empty without ``init_from``.
+    """Yield the initial networks' file by its saved name, and facts about their run; empty without ``init_from``.
 
-    The file does not name its run, because the same networks of two runs are one file.
-
-    Args:
-        config: the composed tree, plain.
-        note: receives what the policy will read differently than in its training.
-
-    Raises:
-        ConfigError: the run or checkpoint is missing or damaged, or does not fit the observations, actions, and
-            networks of the config; the message names what does not fit.
+    The file does not name its run, so that equal networks of two runs have equal files. ``note`` receives texts about
+    the observations that differ from the policy's training. ConfigError means that the checkpoint is missing or
+    damaged, or does not fit the observations, actions, and networks of the config.
     """
     if config.get(KEY) is None:
         yield {}, {}
         return
-    with _name_init_from():
+    with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
         part = _selected_part(source, state, config)
@@ -202,15 +182,12 @@ def initial_file(
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
         path.write_bytes(checkpoint.serialize(part))
-        yield {INITIAL: path}, _source_run(source)
+        run = source.run
+        yield {INITIAL: path}, {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
 def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
-    """Return the initial networks that are saved beside the robot; None without ``init_from``.
-
-    Raises:
-        RunDirectoryError: the config names a run, and no networks are saved.
-    """
+    """Return the initial networks that are saved next to the robot; None without ``init_from``."""
     if config.get(KEY) is None:
         return None
     path = asset.output.parent / INITIAL
@@ -223,7 +200,9 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
     state = checkpoint.load(path)
     facts = state.get("init_from")
     if not isinstance(facts, Mapping):
-        raise RunDirectoryError("does not name its source", key=str(path), expected="the file that the run saved")
+        raise RunDirectoryError(
+            "does not name the run of the initial networks", key=str(path), expected="the file that the run saved"
+        )
     parts = [str(part) for part in facts.get("parts") or ()]
     return Initial(
         state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
@@ -231,7 +210,7 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
 
 
 def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the selected parts of a checkpoint in the form of a checkpoint, with facts about their origin."""
+    """Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin."""
     what = _parts_name(config)
     parts = PARTS[what]
     if "actor" not in config["agent"]:
@@ -243,22 +222,12 @@ def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[st
             key=WHAT,
             expected="policy, which needs only the actor",
         )
-    facts = {
-        "checkpoint": source.path.name,
-        "iteration": int(state["iter"]),
-        "sha256": sha256(source.path),
-        "what": what,
-        "parts": list(parts),
-    }
-    # A checkpoint must have two networks; the unused one stays empty.
+    facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
+    facts |= {"what": what, "parts": list(parts)}
+    # A checkpoint needs the keys of two networks, so an unused critic is empty.
     networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
     networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
     return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
-
-
-def _source_run(source: _Source) -> dict[str, Any]:
-    run = source.run
-    return {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
 def _parts_name(config: Mapping[str, Any]) -> str:
@@ -267,32 +236,27 @@ def _parts_name(config: Mapping[str, Any]) -> str:
 
 def _find(named: str, root: str) -> _Source:
     path = Path(named)
-    if not path.is_file():
+    run: RunDirectory | None
+    if path.is_file():
+        folder = path.resolve().parent
+        run = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
+    else:
         if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
-            RunDirectory.open(path.parent, root).checkpoint(
-                checkpoint_iteration(path)
-            )  # the error names the nearest one
+            # The error about a missing checkpoint names the checkpoint with the nearest name.
+            RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))
         run = RunDirectory.open(named, root)
-        return _require_recorded(_Source(run.latest_checkpoint(), run))
-    folder = path.resolve().parent
-    run_there = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
-    return _require_recorded(_Source(path, run_there))
-
-
-def _require_recorded(source: _Source) -> _Source:
-    """Refuse a checkpoint that differs from what its run recorded."""
-    if source.run is not None and not source.run.manifest().matches_record(source.path):
-        raise RunDirectoryError(
-            "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
-        )
-    return source
+        path = run.latest_checkpoint()
+    if run is not None and not run.manifest().matches_record(path):
+        expected = "a checkpoint nobody has changed"
+        raise RunDirectoryError("is not what its run recorded", key=str(path), expected=expected)
+    return _Source(path, run)
 
 
 def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], note: Callable[[str], None]) -> None:
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # the networks of a student have other names
+    if "actor" not in agent:  # The networks of a distillation have the names student and teacher.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -302,38 +266,29 @@ def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], n
 
 
 @contextmanager
-def _name_init_from() -> Iterator[None]:
+def _at_key(key: str) -> Iterator[None]:
+    """Raise an error about a run directory as an error about a config key."""
     try:
         yield
     except RunDirectoryError as error:
         message = error.message if error.key is None else f"'{error.key}' {error.message}"
-        raise ConfigError(message, key=KEY, expected=error.expected, nearest=error.nearest) from error
-
-
-_TEACHER_KEY = "agent.teacher_checkpoint"
+        raise ConfigError(message, key=key, expected=error.expected, nearest=error.nearest) from error
 
 
 def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
-    """Return the teacher's checkpoint file by its name beside the robot; empty if the config names no teacher.
-
-    Raises:
-        ConfigError: the run or checkpoint is missing or damaged.
-    """
+    """Return the teacher's checkpoint file by its name next to the robot; empty if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:
         return {}
-    try:
+    with _at_key("agent.teacher_checkpoint"):
         path = Path(named)
         if not path.is_file():
             path = RunDirectory.open(named, config["run"]["root"]).latest_checkpoint()
         checkpoint.load(path)
-    except RunDirectoryError as error:
-        message = error.message if error.key is None else f"'{error.key}' {error.message}"
-        raise ConfigError(message, key=_TEACHER_KEY, expected=error.expected, nearest=error.nearest) from error
     return {TEACHER: path}
 
 
 def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
-    """Return the teacher's checkpoint that is saved beside a robot, or None."""
+    """Return the teacher's checkpoint that is saved next to a robot, or None."""
     path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

@@ -1,4 +1,4 @@
-"""Train in the ranks above 0, which write no files; rank 0 runs ``run_training`` and ``training_outputs``.
+"""Train in the ranks above 0, which write no files. Rank 0 runs ``run_training`` and writes the files.
 
 All ranks must call the collective operations in the same order, because each operation waits for all ranks.
 """
@@ -18,11 +18,7 @@ from wheelleg_exp.stop_request import StopRequest
 
 
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
-    """Prepare a training as ``prepare_training.prepare`` does in rank 0.
-
-    Raises:
-        WheellegError: the input is wrong; rank 0 reports why.
-    """
+    """Prepare a training in a rank above 0, as ``prepare_training.prepare`` does in rank 0, which reports errors."""
     with ranks.agreed():
         recipe = find_inputs(composed, SilentDisplay())
     with ranks.agreed():
@@ -32,12 +28,7 @@ def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
 
 
 def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
-    """Train as ``run_training.run`` does in rank 0, and send rank 0 what a checkpoint needs.
-
-    Raises:
-        KeyboardInterrupt: training was stopped.
-        WheellegError: rank 0 reports why, or has died.
-    """
+    """Train in a rank above 0, as ``run_training.run`` does in rank 0, and send rank 0 the state for checkpoints."""
     total, state, unsaved = int(agent["max_iterations"]), None, False
     ranks = trainer.ranks
     stop.check(ranks.any(stop.requested))

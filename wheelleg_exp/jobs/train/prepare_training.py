@@ -1,10 +1,11 @@
 """Prepare a training: find every mistake of the input, build environment and networks, and create the run directory.
 
-``prepare`` calls these steps in order. Every rank calls the first two; rank 0 alone calls the last.
+``prepare`` calls the steps of the preparation in order. Every rank calls the first two steps; only rank 0 calls the
+last step.
 
 1. ``find_inputs``: check that the config can be recorded, find the networks of other runs, convert the robot.
 2. ``build_trainer``: build the environment, set the threads, build the networks and the trainer.
-3. Exchange the facts of all ranks.
+3. Exchange facts about the machines of all ranks.
 4. ``create_run``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
 
 A mistake in one of the first three steps leaves no run directory behind.
@@ -49,14 +50,8 @@ from wheelleg_exp.run.start_run import start_run
 class Recipe:
     """The inputs of a training.
 
-    Attributes:
-        config: the composed tree, plain.
-        hydra_files: Hydra's own files, text by name.
-        source_roots: folders whose source the snapshot holds, this package's own first.
-        asset: the converted robot.
-        config_dirs: the user's config folders.
-        initial_run: facts about the run whose networks the training starts with.
-        matmul: the decision of ``agent.matmul: auto`` in a run that is resumed; None decides by this CPU.
+    ``source_roots`` starts with the folder of this package. ``matmul`` is the recorded decision of ``agent.matmul:
+    auto`` in a resumed run; None decides by this CPU.
     """
 
     config: dict[str, Any]
@@ -68,51 +63,12 @@ class Recipe:
     matmul: str | None = None
 
 
-class RecomputedCheck:
-    """Compares the iterations that a resume computes a second time with the digests in the log.
-
-    Args:
-        expected: digests by iteration, up to the iteration at which the run stopped.
-        differs: called for the first iteration that differs, with the names of its digests.
-        holds: called with the first and the last iteration when all are equal.
-    """
-
-    def __init__(
-        self,
-        expected: Mapping[int, Mapping[str, str]] | None = None,
-        differs: Callable[[int, list[str]], None] | None = None,
-        holds: Callable[[int, int], None] | None = None,
-    ) -> None:
-        self._expected = dict(expected or {})
-        self._differs, self._holds = differs, holds
-        self._first, self._last = min(self._expected, default=0), max(self._expected, default=-1)
-
-    def check(self, iteration: int, found: Mapping[str, str]) -> None:
-        """Compare the digests of an iteration that was computed just now."""
-        expected = self._expected.pop(iteration, None)
-        if expected is None:
-            return
-        names = sorted(name for name in expected.keys() & found.keys() if expected[name] != found[name])
-        if names:
-            self._expected.clear()
-            if self._differs is not None:
-                self._differs(iteration, names)
-        elif iteration == self._last and self._holds is not None:
-            self._holds(self._first, self._last)
-
-
 @dataclass(frozen=True)
 class Training:
-    """A training that is ready to run: its input has no mistake.
+    """A training whose environment, networks, and run directory are ready.
 
-    Attributes:
-        recipe: the inputs.
-        trainer: environment, networks, and the iteration at which training starts.
-        directory: the run directory.
-        manifest: the manifest of the run, status ``running``.
-        lock: the lock of the run directory; a resume holds it already.
-        earlier: the log lines of the iterations that are done, for a resume.
-        recomputed: compares iterations that are computed a second time, for a resume.
+    In a resume, ``lock`` is the acquired lock of the run, ``earlier`` contains the log lines of the finished
+    iterations, and ``recomputed`` checks the digests of each iteration that is computed a second time.
     """
 
     recipe: Recipe
@@ -121,15 +77,11 @@ class Training:
     manifest: Manifest
     lock: RunLock
     earlier: Sequence[Mapping[str, Any]] = ()
-    recomputed: RecomputedCheck = field(default_factory=RecomputedCheck)
+    recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 
 def prepare(composed: Composed, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
-    """Prepare a training in rank 0 (see the steps above).
-
-    Raises:
-        WheellegError: the input is wrong; no run directory was created.
-    """
+    """Prepare a training in rank 0. If the input is wrong, raise WheellegError and create no run directory."""
     with composed.placing():
         with ranks.agreed():
             recipe = find_inputs(composed, display)
@@ -137,11 +89,7 @@ def prepare(composed: Composed, command: Sequence[str], display: Display, ranks:
 
 
 def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
-    """Prepare a training from its inputs: all steps but the first.
-
-    Raises:
-        WheellegError: the input is wrong; no run directory was created.
-    """
+    """Prepare a training from its inputs: all steps except ``find_inputs``."""
     with ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     rank_facts = ranks.facts(recipe.config)
@@ -152,11 +100,7 @@ def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ran
 
 
 def find_inputs(composed: Composed, display: Display) -> Recipe:
-    """Find and convert what a composed config names.
-
-    Raises:
-        WheellegError: the input is wrong.
-    """
+    """Return the inputs of a training: the robot and the networks that a composed config names."""
     config = composed.config
     require_recorded(config)
     with initial_file(config, display.note) as (initial, initial_run):
@@ -227,7 +171,7 @@ def create_run(
             display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
         sync_folder(directory.path)
     except BaseException:
-        if not (directory.path / MANIFEST_NAME).exists():  # without a manifest, nobody can identify the folder
+        if not (directory.path / MANIFEST_NAME).exists():  # Nobody could identify a run without a manifest.
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
     return directory, manifest

@@ -33,7 +33,7 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
 from wheelleg_exp.verify.run_differences import decides
 
-# Settings on which the saved state depends, and why they must stay.
+# Settings on which the saved state depends, with the reasons why a resume cannot change the settings.
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams continue from their saved state",
     ("task",): "the run belongs to its task",
@@ -56,18 +56,14 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
-_CHANGEABLE = (("env", "sim", "graph_step"),)  # exceptions from the fixed settings
-_NEW_KEYS = ("init_from", "init_from_what")  # keys that are missing in the configs of earlier runs
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can change these settings in the sections of _FIXED.
+_NEW_KEYS = ("init_from", "init_from_what")  # Configs of earlier runs lack these keys.
 # Keys of an observation term or group that change neither the width nor the meaning of the vector.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 
 def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return a run's composed tree from its snapshot.
-
-    Raises:
-        RunDirectoryError: a part of the snapshot is missing or damaged, or names another variable.
-    """
+    """Return a run's composed config tree from its snapshot."""
     env, agent = load_params(run)
     tree = recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
@@ -80,10 +76,9 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Return the tree with overrides applied, and the changes.
+    """Return the config tree with overrides applied, and the changes.
 
-    Raises:
-        ConfigError: an override is wrong or changes a setting that must stay; or the run's own settings are wrong.
+    Refuse an override that changes a setting on which the saved state depends.
     """
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
@@ -106,7 +101,7 @@ def _begins(keys: Keys, prefix: Keys) -> bool:
 
 
 def change_entry(change: Change) -> dict[str, Any]:
-    """Return the manifest's entry of a change; None stands for an absent key."""
+    """Return the manifest's entry of a config change; None means an absent key."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "was": was, "now": now}
 
@@ -133,19 +128,14 @@ def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -
 
 def _refusal(change: Change, why: str) -> ConfigError:
     return ConfigError(
-        f"cannot change in a resume: {why}",
-        key=change.key,
-        expected="the run's own value; a new run can have another",
+        f"cannot change in a resume: {why}", key=change.key, expected="the run's own value; a new run can have another"
     )
-
-
-# --- the snapshot ---
 
 
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the files of the snapshot with the changed settings, by relative name."""
+    """Return the files of the snapshot that changed settings rewrite: text by relative name."""
     if not found:
         return {}
     config = load_config(run)
@@ -160,7 +150,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write a change into the config as it was written; an interpolation above the key is replaced by its value."""
+    """Write a change into the unresolved config. A value replaces an interpolation above the key."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -176,7 +166,7 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of the run and of the resume; of two for one key, the later takes the first's place."""
+    """Return the overrides of run and resume; a resume's override replaces the run's override of an equal key."""
     joined = {_key(word): word for word in words}
     return list({**joined, **{_key(word): word for word in overrides}}.values())
 
@@ -184,6 +174,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # a recorded word can be anything
+    except (HydraException, RecursionError):  # A recorded override can be any text.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

@@ -1,6 +1,6 @@
-"""Find the last whole checkpoint of a run, and drop what its files hold past that checkpoint.
+"""Find the last whole checkpoint of a run, and remove data of later iterations from the run's files.
 
-The digests of a checkpoint must equal those that the log of iterations holds.
+The digests of a checkpoint must equal the digests in the log of iterations.
 """
 
 from __future__ import annotations
@@ -31,12 +31,9 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 class ResumePoint:
     """The end of the last iteration whose state is saved completely.
 
-    Attributes:
-        iteration: the first iteration to compute.
-        checkpoint: the checkpoint of the iteration before; None at the start of the run.
-        state: the content of the checkpoint.
-        lines: all whole lines of the log, including those past the checkpoint.
-        damaged: newer checkpoints that cannot be used, each with the reason.
+    ``iteration`` is the first iteration to compute. ``checkpoint`` is the state after the previous iteration, and None
+    at the start of the run. ``lines`` are all whole lines of the log of iterations. ``damaged`` maps newer checkpoints
+    that cannot be used to the reason.
     """
 
     iteration: int
@@ -47,34 +44,35 @@ class ResumePoint:
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
-        """The log's content up to the checkpoint."""
+        """The log lines of the iterations up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 
     @property
     def dropped(self) -> dict[int, Mapping[str, str]]:
-        """Digests of the iterations past the checkpoint, which are computed a second time."""
+        """The digests of the iterations after the checkpoint, which are computed a second time."""
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
     @property
     def log_size(self) -> int:
-        """The size of the log up to the checkpoint, bytes."""
+        """The size of the log of iterations up to the checkpoint, bytes."""
         return self.lines[self.iteration - 1].end if self.iteration else 0
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
     """Find the last whole checkpoint of a run.
 
-    Raises:
-        RunDirectoryError: the log ends before the checkpoint or has other digests; or the checkpoint has a version that
-            cannot be resumed.
+    RunDirectoryError means that the log ends before the checkpoint, that the log's digests differ from the
+    checkpoint's, or that this version cannot resume the checkpoint.
     """
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
     foreign: RunDirectoryError | None = None
     for path in reversed(run.checkpoints()):
         try:
-            state = _load(path)
+            state = checkpoint.load(path, finite=False)  # The training itself checks that numbers are finite.
+            if state["iter"] != checkpoint_iteration(path):
+                raise RunDirectoryError(f"the checkpoint holds iteration {state['iter']}", key=str(path))
         except RunDirectoryError as error:
             damaged[path] = error.message
             continue
@@ -84,36 +82,33 @@ def find_point(run: RunDirectory) -> ResumePoint:
         wrong = _wrong_digests(point)
         if not wrong:
             return point
-        damaged[path] = f"{_differ_phrase(wrong)} from the logged digests of iteration {point.iteration - 1}"
+        verb = "differ" if len(wrong) > 1 or wrong[0].endswith("s") else "differs"
+        damaged[path] = f"{', '.join(wrong)} {verb} from the logged digests of iteration {point.iteration - 1}"
         foreign = foreign or RunDirectoryError(
             f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}",
             key=str(path),
             expected="the run's own checkpoints and log",
         )
-    if foreign is not None:  # a start from scratch would discard a possibly good training
+    if foreign is not None:  # A start from iteration 0 would discard the training.
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return the damage of files that a resume continues; files that it rewrites do not count."""
+    """Return the damaged files among the files that a resume continues, each with the kind of damage.
+
+    Files that a resume rewrites are not checked.
+    """
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume from the iteration ``start`` leaves a file, or at least its beginning, unchanged."""
+    """Return whether a resume from the iteration ``start`` preserves a file, or at least the file's beginning."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
     return name == MANIFEST_NAME or name.startswith(SNAPSHOT) or (start > 0 and name in _CONTINUED_FILES)
-
-
-def _load(path: Path) -> dict[str, Any]:
-    state = checkpoint.load(path, finite=False)  # training itself checks that numbers are finite
-    if state["iter"] != checkpoint_iteration(path):
-        raise RunDirectoryError(f"holds iteration {state['iter']}", key=str(path))
-    return state
 
 
 def _require_line(run: RunDirectory, point: ResumePoint) -> None:
@@ -129,7 +124,6 @@ def _require_line(run: RunDirectory, point: ResumePoint) -> None:
 
 
 def _wrong_digests(point: ResumePoint) -> list[str]:
-    """Return the digests of the checkpoint that differ from the log; loading does not notice a flipped byte."""
     line = point.lines[point.iteration - 1].content
     if line.get("digest_format") != digests.FORMAT or point.state is None:
         return []
@@ -137,18 +131,13 @@ def _wrong_digests(point: ResumePoint) -> list[str]:
     return [name for name, digest in line["digests"].items() if found.get(name, digest) != digest]
 
 
-def _differ_phrase(names: Sequence[str]) -> str:
-    plural = len(names) > 1 or names[0].endswith("s")
-    return f"{', '.join(names)} {'differ' if plural else 'differs'}"
-
-
 _DAMAGED = ".damaged"
 
 
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
-    """Drop what the run's files hold past the checkpoint, and what a kill left unfinished.
+    """Remove data that was written after the checkpoint, and unfinished data of a killed process, from the run's files.
 
-    Without ``events`` the run writes no event files, and older ones stay unchanged.
+    If ``events`` is false, the run writes no event files, and existing event files are not changed.
     """
     for path in point.damaged:
         with for_people(path):
@@ -159,22 +148,18 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        _remove_exported(run.exported)
-        (run.path / FAILURE).unlink(missing_ok=True)  # the manifest holds the same facts
+        # Training changes the exported policy. Bundles remain valid, because each bundle names its checkpoint.
+        for path in run.exported.iterdir() if run.exported.is_dir() else ():
+            if path.is_file():
+                path.unlink()
+            elif path in temporaries(run.exported):  # An export that was killed left this folder.
+                shutil.rmtree(path)
+        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest also describes the failure.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.log_size)
     if events:
         cut_events(run.path, point.kept)
-
-
-def _remove_exported(folder: Path) -> None:
-    """Remove the exported policy, which training changes; bundles stay, because they name their checkpoint."""
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if path.is_file():
-            path.unlink()
-        elif path in temporaries(folder):  # left by a killed export
-            shutil.rmtree(path)
 
 
 def _remove(paths: Iterable[Path]) -> None:

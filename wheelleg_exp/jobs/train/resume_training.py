@@ -1,6 +1,7 @@
-"""Resume a run that was stopped, killed, or needs more iterations, as if it had never stopped.
+"""Resume a run that was stopped or killed, or that needs more iterations. The result equals an uninterrupted run.
 
-All ranks of a run must resume together. Rank 0 reads the run and broadcasts its state to the others.
+All ranks of a run must resume together. Rank 0 reads the run directory, and broadcasts the run's state to the remaining
+ranks.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from wheelleg_exp.files import read_text, sha256
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.saved_robot import load_saved_robot, saved_model_digest
 from wheelleg_exp.jobs.torch_threads import thread_notes
-from wheelleg_exp.jobs.train.prepare_training import Recipe, RecomputedCheck, Training, build_trainer
+from wheelleg_exp.jobs.train.prepare_training import Recipe, Training, build_trainer
 from wheelleg_exp.jobs.train.resume_overrides import change_entry, change_settings, recorded_tree, rewritten_files
 from wheelleg_exp.jobs.train.resume_point import ResumePoint, drop_past_checkpoint, find_point, lasting_damage
 from wheelleg_exp.jobs.train.source_roots import differences_now, shorten
@@ -37,7 +38,7 @@ from wheelleg_exp.verify.run_differences import decides
 
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
-    """Return the inputs of a training that is resumed."""
+    """Return the recipe of a resumed training, with the robot in the run directory."""
     return Recipe(
         config=tree,
         hydra_files={"config.yaml": text},
@@ -49,12 +50,9 @@ def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: S
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
-    """Load the state of a checkpoint into a training; return in words what differs from the saved state.
+    """Load the state of a checkpoint into a training; return texts about differences from the saved state.
 
-    Args:
-        trainer: with the same networks and environment; each rank loads its own part.
-        state: the content of the checkpoint.
-        learning_rate: the changed learning rate, which replaces the checkpoint's; None keeps it.
+    Each rank loads its part of the state. A changed ``learning_rate`` replaces the checkpoint's learning rate.
     """
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
@@ -67,57 +65,29 @@ def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float 
 
 
 def learning_rate_of(changes: Sequence[Change]) -> float | None:
-    """Return the learning rate that a resume sets, or None."""
+    """Return the learning rate that the overrides of a resume set, or None."""
     found = [change.b for change in changes if change.keys == ("agent", "algorithm", "learning_rate")]
     return float(found[-1]) if found else None
 
 
 def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
-    """Refuse a resume with another number of ranks, because each rank has its own environments and random streams.
-
-    Raises:
-        RunDirectoryError: the run was trained by more ranks, or by fewer.
-    """
+    """Refuse a resume with another number of ranks, because each rank has its own environments and random streams."""
     trained = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if trained == ranks.size:
         return
     command = f"wheelleg resume {manifest.directory.name}"
     raise RunDirectoryError(
-        f"was trained by {_processes(trained)} and cannot resume with {_processes(ranks.size)}: each has environments "
-        "and random numbers of its own",
+        f"the run was trained by {_processes(trained)} and cannot resume with {_processes(ranks.size)}: each has "
+        "environments and random numbers of its own",
         key=str(manifest.directory),
         expected=f"torchrun --nproc-per-node {trained} --no-python {command}" if trained > 1 else f"'{command}' alone",
     )
 
 
-def broadcast_resume(
-    ranks: Ranks,
-    run: RunDirectory,
-    tree: Mapping[str, Any],
-    recorded: Sequence[str],
-    point: ResumePoint,
-    learning_rate: float | None,
-) -> None:
-    """Send the other ranks what they need for ``prepare_other_rank``."""
-    ranks.said_by_first(
-        {
-            "run": str(run.path),
-            "tree": tree,
-            "recorded": [str(folder) for folder in recorded],
-            "checkpoint": None if point.checkpoint is None else str(point.checkpoint),
-            "learning_rate": learning_rate,
-        }
-    )
-
-
 def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
-    """Prepare a resume in a rank above 0, as ``prepare_resume`` does in rank 0; return the trainer and ``agent``.
-
-    Raises:
-        WheellegError: rank 0 reports why it cannot resume.
-    """
+    """Prepare a resume in a rank above 0, as ``prepare_resume`` does in rank 0; return the trainer and ``agent``."""
     with ranks.agreed():
-        pass  # rank 0 reads the run meanwhile
+        pass  # Ranks above 0 wait while rank 0 reads the run directory.
     message = ranks.said_by_first(None)
     run = RunDirectory(Path(message["run"]))
     with ranks.agreed():
@@ -126,9 +96,8 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
     why: list[str] = []
     with ranks.agreed():
         if message["checkpoint"] is not None:
-            why = load_state(
-                trainer, checkpoint.load(Path(message["checkpoint"]), finite=False), message["learning_rate"]
-            )
+            state = checkpoint.load(Path(message["checkpoint"]), finite=False)
+            why = load_state(trainer, state, message["learning_rate"])
     ranks.tell_all([f"in process {ranks.rank}, {reason}" for reason in why])
     return trainer, message["tree"]["agent"]
 
@@ -147,17 +116,9 @@ def prepare_resume(
 ) -> Training:
     """Restore a run to its last whole checkpoint, ready for ``run_training.run``, which releases the run's lock.
 
-    Args:
-        run: the run.
-        overrides: changes to its settings from here on.
-        command: the command line, for the manifest.
-        display: receives progress.
-        config_dirs: the user's config folders; if empty, the recorded ones.
-        ranks: all ranks of the training; those above 0 call ``prepare_other_rank``.
-
-    Raises:
-        WheellegError: another process writes the run, the run is damaged or finished, or an override is wrong. Nothing
-            of the run has changed in this case.
+    ``overrides`` change settings from the checkpoint on. Empty ``config_dirs`` mean the recorded config folders. If
+    another process writes the run, the run is damaged or finished, or an override is wrong, raise WheellegError and
+    change no file of the run.
     """
     lock = RunLock(run)
     try:
@@ -196,13 +157,21 @@ def _prepare(
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
     # 2. Build environment and networks in every rank.
     if ranks.together:
-        broadcast_resume(ranks, run, tree, recorded, point, learning_rate_of(changes))
+        ranks.said_by_first(
+            {
+                "run": str(run.path),
+                "tree": tree,
+                "recorded": [str(folder) for folder in recorded],
+                "checkpoint": None if point.checkpoint is None else str(point.checkpoint),
+                "learning_rate": learning_rate_of(changes),
+            }
+        )
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    if not manifest.data["source"]:  # killed before the first step, while its source was recorded
+    if not manifest.data["source"]:  # The run was killed before the first step, while its source was recorded.
         roots = [configs_dir().parent, *folders]
         complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
-    # 3. Load the checkpoint, and collect the reasons why the resume is not exact.
+    # 3. Load the checkpoint, and collect reasons why the resume is inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
     why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
@@ -211,7 +180,7 @@ def _prepare(
     why += [d.note or f"{d.section} {d.name} was {shorten(d.a)} and is {shorten(d.b)}" for d in differences]
     if not (engine := trainer.env.env.scene.sim.promise())["exact"]:
         why.append(f"the engine {engine['name']} on {engine['device']} does not repeat to the bit: {engine['because']}")
-    # 4. Record the resume, and drop what the files hold past the checkpoint.
+    # 4. Record the resume, and remove data after the checkpoint from the run's files.
     exact = not why
     notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
     manifest.restart(
@@ -230,22 +199,22 @@ def _prepare(
     with manifest.failing():
         drop_past_checkpoint(run, point, events=tree["agent"].get("logger") is not None)
     _report(display, point, why, [*notes, *thread_notes(threads)])
-    recomputed = _recomputed_check(manifest, point, display) if exact else RecomputedCheck()
+    recomputed = RecomputedCheck(point.dropped if exact else {}, manifest, display)
     return Training(recipe, trainer, run, manifest, lock, point.kept, recomputed)
 
 
-# --- requirements ---
-
-
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Refuse a run whose process is alive; on file systems with locks, the lock refuses it before."""
+    """Refuse a run whose process is alive.
+
+    On file systems with locks, the run's lock refuses a run of a living process earlier.
+    """
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
     alive = is_alive(process)
     if alive and process != this_process():
         raise RunDirectoryError(
-            f"is still being written by process {process['pid']}",
+            f"the run is still being written by process {process['pid']}",
             key=str(manifest.directory),
             expected="a run that has ended: wait for it, or end that process first",
         )
@@ -257,26 +226,25 @@ def _require_ended(manifest: Manifest, display: Display) -> None:
 
 
 def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Refuse a snapshot that is incomplete or changed."""
     recorded = manifest.data["files"]
     for name in NEEDED:
         path = run.path / name
         if not path.is_file():
             raise RunDirectoryError(
-                "is missing: the run ended before its snapshot was complete, or somebody removed the file",
+                "the file is missing: the run ended before its snapshot was complete, or somebody removed the file",
                 key=str(path),
                 expected="the snapshot of the run; without it, train again",
             )
         if name in recorded and sha256(path) != recorded[name]["sha256"]:
             raise RunDirectoryError(
-                "was changed after the run started",
+                "the file was changed after the run started",
                 key=str(path),
                 expected="the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'",
             )
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:
-    """Return the config folders of the command line, for a run that was killed before it recorded them."""
+    """Return the config folders of the command line, for a run that was killed before its manifest named any."""
     words = [str(word) for word in manifest.data.get("command") or ()]
     named = [after for word, after in pairwise(words) if word == "--config-dir"]
     named += [word.partition("=")[2] for word in words if word.startswith("--config-dir=")]
@@ -289,7 +257,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
     done = point.iteration
     if total < done or (total == done and manifest.status == "finished"):
         raise ConfigError(
-            f"is {total}, and the run has done {done} iterations",
+            f"the number is {total}, and the run has done {done} iterations",
             key="agent.max_iterations",
             expected=f"more than {done}: 'wheelleg resume {manifest.directory.name} agent.max_iterations=N'",
         )
@@ -297,7 +265,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add the recorded config folders that are not used, and the reason, to errors about unknown targets."""
+    """Add the unused config folders of the manifest, with the reason, to errors about unknown targets."""
     try:
         yield
     except ConfigError as error:
@@ -311,11 +279,8 @@ def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
         raise join(errors) from error.__cause__
 
 
-# --- loading ---
-
-
 def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
-    """Load the checkpoint; return why the continuation may differ from a run that never stopped."""
+    """Load the checkpoint; return the reasons why the resumed run may differ from an uninterrupted run."""
     deciding = [change_entry(change) for change in changes if decides(change.keys)]
     if trainer.env.env.scene.model_digest() != saved_model_digest(run):
         raise RunDirectoryError(
@@ -330,19 +295,26 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
     return why if deciding else [*why, *lost]
 
 
-# --- reporting ---
+class RecomputedCheck:
+    """Compares the iterations that a resume computes a second time with the digests in the log of iterations."""
 
+    def __init__(self, expected: Mapping[int, Mapping[str, str]], manifest: Manifest, display: Display) -> None:
+        self._expected, self._manifest, self._display = dict(expected), manifest, display
+        self._range = [min(expected, default=0), max(expected, default=-1)]
 
-def _recomputed_check(manifest: Manifest, point: ResumePoint, display: Display) -> RecomputedCheck:
-    def differs(iteration: int, names: list[str]) -> None:
-        reason = f"iteration {iteration} differs from the iteration before the stop: {', '.join(names)} differ"
-        display.note(f"warning: {reason}; the checkpoint lacks some state of the run")
-        manifest.amend_resume(exact=False, why=[reason])
-
-    def holds(first: int, last: int) -> None:
-        manifest.amend_resume(proved=[first, last])
-
-    return RecomputedCheck(point.dropped, differs, holds)
+    def __call__(self, iteration: int, found: Mapping[str, str]) -> None:
+        """Compare the digests of a new iteration with its logged digests, and record the first difference."""
+        expected = self._expected.pop(iteration, None)
+        if expected is None:
+            return
+        names = sorted(name for name in expected.keys() & found.keys() if expected[name] != found[name])
+        if names:
+            self._expected.clear()
+            reason = f"iteration {iteration} differs from the iteration before the stop: {', '.join(names)} differ"
+            self._display.note(f"warning: {reason}; the checkpoint lacks some state of the run")
+            self._manifest.amend_resume(exact=False, why=[reason])
+        elif iteration == self._range[1]:
+            self._manifest.amend_resume(proved=self._range)
 
 
 def _report(display: Display, point: ResumePoint, why: Sequence[str], notes: Sequence[str]) -> None:

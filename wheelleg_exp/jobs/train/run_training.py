@@ -27,23 +27,24 @@ _CURRICULUM, _STUCK = "Curriculum/", "stuck"
 
 
 class StuckCurricula:
-    """Finds curricula that report that they are stuck, and yields one warning for each until it is free again.
+    """Collects the curricula that report that they are stuck, in ``now``.
 
-    A curriculum reports this by a figure ``stuck``, or ``<part>_stuck``, that is not 0.
-
-    Attributes:
-        now: the stuck curricula, by term and part.
+    A curriculum reports that it is stuck by a scalar ``stuck`` or ``<part>_stuck`` that is not 0.
     """
 
     def __init__(self) -> None:
         self.now: list[str] = []
 
     def take(self, index: int, scalars: Mapping[str, float]) -> Iterator[str]:
-        """Yield a line for each curriculum that has been stuck since this iteration."""
-        marks = {key: value for key, value in scalars.items() if key.startswith(_CURRICULUM) and key.endswith(_STUCK)}
-        if not marks:  # no episode has ended
+        """Yield a warning for each curriculum that was not stuck before this iteration, and is stuck now."""
+        marks = {
+            key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): value
+            for key, value in scalars.items()
+            if key.startswith(_CURRICULUM) and key.endswith(_STUCK)
+        }
+        if not marks:  # Without an ended episode, an iteration has no figures of curricula.
             return
-        before, self.now = self.now, [_curriculum_name(key) for key, value in marks.items() if value > 0.0]
+        before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]
         for name in self.now:
             if name not in before:
                 term, _, part = name.partition("/")
@@ -51,18 +52,13 @@ class StuckCurricula:
                 yield f"warning: {what} is stuck by iteration {index + 1}: it has not risen within its patience"
 
 
-def _curriculum_name(key: str) -> str:
-    return key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/")
-
-
 @while_running()
 def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
     """Train to the end or until a stop, and return the results that the manifest records.
 
-    Raises:
-        KeyboardInterrupt: training was stopped; the run directory holds a checkpoint of the last iteration.
-        SimulationFailure: a number was not finite, the disk failed, or the run directory was removed. For a number that
-            was not finite, the run directory holds its cause and a checkpoint of the last whole iteration.
+    A stop raises KeyboardInterrupt after a checkpoint of the last iteration. SimulationFailure means that a number was
+    not finite, that the disk failed, or that the run directory was removed. For a number that was not finite, the run
+    directory holds the cause and a checkpoint of the last whole iteration.
     """
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.config["agent"]
@@ -71,14 +67,14 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     ending = ending_as(SimulationFailure)
     with training.lock.held(), training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
         results |= _earlier_results(training.earlier)
-        if outputs.note:
-            display.note(f"warning: {outputs.note}")
-        if outputs.sent_to:
-            display.note(f"scalars and config go to {outputs.sent_to}")
+        if outputs.recording is not None and outputs.recording.note:
+            display.note(f"warning: {outputs.recording.note}")
+        if outputs.wandb is not None:
+            display.note(f"scalars and config go to {outputs.wandb.place}")
         stop.check(trainer.ranks.any(stop.requested))
         for iteration in _iterations(training, outputs, results):
             due = checkpoint_due(iteration.index, agent)
-            training.recomputed.check(iteration.index, outputs.write(iteration, due))
+            training.recomputed(iteration.index, outputs.write(iteration, due))
             display.iteration(iteration, total)
             for line in stuck.take(iteration.index, iteration.scalars):
                 display.note(line)
@@ -98,7 +94,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
     """Yield the iterations, and count the episodes that ended because a number was not finite.
 
-    If an iteration itself fails, save its evidence and the checkpoint of the iteration before it.
+    If an iteration fails, save the evidence and the checkpoint of the previous iteration.
     """
     trainer, failed = training.trainer, Counter[str]()
     for line in training.earlier:
@@ -106,7 +102,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            if failed or "non_finite" in training.manifest.results:  # of recomputed iterations
+            if failed or "non_finite" in training.manifest.results:  # An earlier process may have recorded failures.
                 results["non_finite"] = dict(failed)
             yield iteration
     except SimulationFailure as error:
@@ -119,8 +115,15 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the files of the run; after they are closed, record how episodes ended and warn about unfinished files."""
-    outputs = _make_outputs(training)
+    """Open the files of the run.
+
+    After the files are closed, record how episodes ended, and warn about unfinished files.
+    """
+    config, directory = training.recipe.config, training.directory
+    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
+    options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")
+    wandb = WandbLog(directory, config) if logger == "wandb" else None
+    outputs = Outputs(directory, training.trainer, options, documents, events=logger is not None, wandb=wandb)
     first: BaseException | None = None
     try:
         with outputs:
@@ -130,7 +133,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # an error of closing usually follows from the first one
+        first = first or error  # An error while closing usually follows from the first error.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
@@ -145,29 +148,21 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
         display.note(
             f"warning: from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
         )
-    if outputs.missing_films:
-        display.note(f"warning: {outputs.missing_films}")
-    unfinished = outputs.unfinished
+    if outputs.films is not None and outputs.films.ended:
+        display.note(f"warning: {outputs.films.ended}")
+    unfinished = None if outputs.recording is None else outputs.recording.unfinished
     if unfinished:
         display.note(
             f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
             "'wheelleg inspect RUN --repair' writes a copy with one"
         )
-    if unfinished or "recording_unfinished" in training.manifest.data:  # an earlier process recorded it
+    # An earlier process may have noted an unfinished recording, which this process has finished.
+    if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)
 
 
-def _make_outputs(training: Training) -> Outputs:
-    config = training.recipe.config
-    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
-    options = RecordingOptions(**config["recording"])
-    logger, directory = config["agent"].get("logger"), training.directory
-    wandb = WandbLog(directory, config) if logger == "wandb" else None
-    return Outputs(directory, training.trainer, options, documents, events=logger is not None, wandb=wandb)
-
-
 def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of the iterations that earlier processes trained."""
+    """Return the results that the manifest records for the iterations of earlier processes."""
     if not earlier:
         return {}
     done = len(earlier)
@@ -180,7 +175,7 @@ def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, An
     try:
         with trainer.played() as policy:
             files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
-    except Exception as error:  # torch's exporter raises many kinds, with reports of many lines
+    except Exception as error:  # The exporter of torch raises many kinds of errors, with reports of many lines.
         raise SimulationFailure(
             f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}",
             key="agent.actor.class_name",

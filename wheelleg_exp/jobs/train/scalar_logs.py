@@ -1,8 +1,8 @@
 """Log scalars to TensorBoard's event files and to Weights & Biases.
 
 An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content.
-The content is an ``Event`` message: first the file's version, then scalars by step. Event files are cut behind a
-checkpoint, so that a resumed run has each step once.
+The content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
+checkpoint, so that the event files contain each iteration once.
 
 Weights & Biases gets the run's name, its composed config, and its scalars, and nothing else. rsl_rl's own writer is
 not used: it also sends the local path and a git diff, takes the account from ``WANDB_USERNAME`` for a team, and
@@ -18,7 +18,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
@@ -43,7 +42,7 @@ def open_events(folder: Path) -> SummaryWriter:
     """Return the writer of a new event file that TensorBoard reads after the existing ones.
 
     TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
-    text. So two files must not start in the same second.
+    text. So two event files must not start in the same second.
     """
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
@@ -52,12 +51,9 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Cut the event files so that they hold the scalars of ``lines`` and nothing else.
+    """Cut the event files so that they contain exactly the scalars of ``lines``.
 
-    Files that lack scalars, for example after a loss of data, are written from scratch.
-
-    Raises:
-        SimulationFailure: the disk is full.
+    If an event file lacks scalars, for example after a loss of data, write all event files from scratch.
     """
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
@@ -67,7 +63,7 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
-    """Cut a file before its first record past ``steps``; add the remaining tags to ``found``, by step."""
+    """Cut an event file before its first record of iteration ``steps``; add the remaining tags to ``found``."""
     end, kept = 0, 0
     for event, stop in _events(path):
         tags = [value.tag for value in event.summary.value]
@@ -85,7 +81,7 @@ def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
 
 
 def _events(path: Path) -> Iterator[tuple[Event, int]]:
-    """Yield the whole records of a file, each with its end position."""
+    """Yield the complete records of an event file, each with the record's end position."""
     data = read_bytes(path)
     start = 0
     while start + _HEADER <= len(data):
@@ -114,7 +110,7 @@ def _rewrite(folder: Path, lines: Collection[Mapping[str, Any]]) -> None:
 
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
-# What the library would send of its own accord: the machine, the program, the packages, the console, the source.
+# Without these settings, wandb would also send the machine, the program, the packages, the console, and the source.
 _WANDB_SETTINGS = {
     "console": "off",
     "disable_code": True,
@@ -131,11 +127,7 @@ _WANDB_SETTINGS = {
 
 
 def require_wandb(logger: str | None) -> None:
-    """Refuse a logger whose package is not installed.
-
-    Raises:
-        ConfigError: with the command that installs the package.
-    """
+    """Raise ConfigError if the logger is wandb and the package wandb is not installed."""
     if logger == _WANDB and find_spec(_WANDB) is None:
         raise ConfigError(
             "the package wandb is not installed",
@@ -145,9 +137,10 @@ def require_wandb(logger: str | None) -> None:
 
 
 class WandbLog:
-    """Sends scalars to Weights & Biases while entered; wandb's variables (``WANDB_MODE``, ...) choose the destination.
+    """Sends scalars to Weights & Biases while entered.
 
-    A resumed run continues there under the same id.
+    The environment variables of wandb (``WANDB_MODE``, ...) choose the destination, and a resumed run continues there
+    under the same id.
     """
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
@@ -161,11 +154,11 @@ class WandbLog:
             self._run = wandb.init(
                 project=os.environ.get("WANDB_PROJECT", _WANDB_PROJECT),
                 name=f"{task}/{self._directory.id}",
-                id=f"{task}-{self._directory.id}-{moment:%f}",  # several seeds can start in the same second
+                id=f"{task}-{self._directory.id}-{moment:%f}",  # Several trainings can start in the same second.
                 resume="allow",
                 dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
                 config=dict(self._config),
-                force=True,  # without this, wandb waits for somebody to enter a key
+                force=True,  # Without ``force``, wandb waits until a user enters an API key.
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:
@@ -176,16 +169,14 @@ class WandbLog:
             ) from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._run.finish(exit_code=0 if kind is None else 1)
+    def __exit__(self, *error: object) -> None:
+        self._run.finish(exit_code=0 if error[0] is None else 1)
 
     @property
     def place(self) -> str:
-        """The run's page, or the folder that ``wandb sync`` sends later."""
+        """The web address of the run's page, or the folder that ``wandb sync`` sends later."""
         return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Send the scalars of one iteration; wandb ignores an iteration that it already has."""
+        """Send the scalars of one iteration to Weights & Biases, which ignores a repeated iteration."""
         self._run.log(dict(scalars), step=iteration)

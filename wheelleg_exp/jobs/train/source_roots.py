@@ -1,4 +1,4 @@
-"""Folders that hold the source of a training, and how the present source and machine differ from a run's.
+"""Folders that contain the source of a training, and differences between a run and the current source and machine.
 
 The folders are this package, the user's projects and configs, and packages imported from elsewhere. A difference in
 source, versions, hardware, threads, or variables means that a resume is not exact.
@@ -7,7 +7,6 @@ source, versions, hardware, threads, or variables means that a resume is not exa
 from __future__ import annotations
 
 import importlib.util
-import os
 import sys
 import sysconfig
 import tempfile
@@ -19,7 +18,6 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.packages import installed_packages, is_trusted, joined_packages, project_of, read_project, real_path
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run import environment
-from wheelleg_exp.run.run_config import recorded_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_restore import load_source
@@ -34,31 +32,28 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source a training depends on, this package's own first.
 
-    The others are the user's projects (packages, assets, and configs), the other folders of Hydra's search path, and
-    the packages that the config calls. The folder of the robot's file is not included, because a run saves the robot
-    itself and the digests of its source files.
+    The remaining folders are the user's projects (packages, assets, and configs), the other folders of Hydra's search
+    path, and the packages that the config calls. The folder of the robot's file is not included, because a run saves
+    the robot itself and the digests of its source files.
     """
-    roots = [configs_dir().parent, *(_project_or_folder(folder) for folder in _config_folders(composed))]
+    folders = _config_folders(composed)
+    roots = [configs_dir().parent, *(folder.parent if read_project(folder.parent) else folder for folder in folders)]
     roots += [root for name in _packages_called(composed.config) if (root := _package_root(name)) is not None]
     return _unique(roots)
 
 
-def installed_roots() -> list[Path]:
-    """Return the folders of the installed packages that declare themselves, without importing them."""
-    return [root for name in installed_packages() if (root := _package_root(name)) is not None]
-
-
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the imported packages and modules outside the roots, the standard library, and environments.
+    """Return the imported packages and modules outside the roots, the standard library, and virtual environments.
 
-    They came from ``PYTHONPATH``, the working folder, or a path file, and may have changed what was built.
+    Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
     """
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
         module = sys.modules.get(name)
         for place in _places(module):
-            if not _in_environment(place) and not any(_below(place, folder) for folder in known):
+            installed = any(part in _INSTALL_FOLDERS for part in place.parts)
+            if not installed and not any(place.is_relative_to(folder) for folder in known):
                 found.append(place)
     return _unique(found)
 
@@ -73,13 +68,8 @@ def _config_folders(composed: Composed) -> Iterator[Path]:
             yield root
 
 
-def _project_or_folder(folder: Path) -> Path:
-    project = read_project(folder.parent)
-    return folder.parent if project is not None else folder
-
-
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
-    """Return the names of the user's packages that hold targets and classes of the config."""
+    """Return the names of the user's packages that provide targets and classes of the config."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
@@ -97,7 +87,7 @@ def _called_names(node: Any) -> Iterator[str]:
 
 
 def _package_root(name: str) -> Path | None:
-    """Return the folder or file of a top-level package, or of its project, without importing it."""
+    """Return the folder or file of a top-level package, or of its project, without importing the package."""
     top = name.replace("/", ".").partition(".")[0]
     if top in (_PACKAGE, "hydra"):
         return None
@@ -115,11 +105,10 @@ def _package_root(name: str) -> Path | None:
 
 
 def _places(module: Any) -> list[Path]:
-    """Return the folders or the file of a top-level module."""
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # A system's sitecustomize is a link in the standard library to somewhere else.
+    # The sitecustomize of a system is a link from the standard library to another folder.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -129,49 +118,20 @@ def _python_folders() -> list[Path]:
     return [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib", "scripts")]
 
 
-def _in_environment(path: Path) -> bool:
-    return any(part in _INSTALL_FOLDERS for part in path.parts)
-
-
-def _below(path: Path, folder: Path) -> bool:
-    return path.resolve().is_relative_to(folder.resolve())
-
-
 def _unique(paths: Iterable[Path]) -> list[Path]:
     return list({path.resolve(): path for path in reversed(list(paths))}.values())[::-1]
 
 
-_MAX_SHOWN = 60
-
-
 def shorten(value: Any) -> str:
-    """Return a value as a text that fits a line."""
+    """Return a value as a text of at most 60 characters."""
     text = str(value)
-    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN - 3]}..."
-
-
-def require_variables(run: RunDirectory, variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the config with which a replay trains.
-
-    Args:
-        run: the run.
-        variables: the recorded variables; others come from this process.
-
-    Raises:
-        RunDirectoryError: the config names a variable that is neither recorded nor set, or cannot be resolved.
-    """
-    return recorded_config(run, {**os.environ, **variables})
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
-    """Return how source, versions, hardware, threads, and variables of this process differ from a run's.
+    """Return how source, versions, hardware, threads, and variables of this process differ from those of a run.
 
-    Differences that cannot change a number are left out.
-
-    Args:
-        run: the run.
-        threads: what ``set_threads`` returned here.
-        config_dirs: the user's config folders in use.
+    Differences that cannot change a number are left out. ``threads`` is the result of ``set_threads``.
     """
     now = {
         "versions": environment.versions(),
@@ -203,7 +163,7 @@ def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the name and value that identify the files of a recorded repository or folder."""
+    """Return the name and the value that identify the files of a recorded repository or folder."""
     if not record:
         return "(not kept)", ""
     key = "tree" if record["tree"] else "content_sha256"
@@ -224,5 +184,6 @@ def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
         if record["root"] is not None
     ]
     known = [configs_dir().parent, *projects]
-    used = {real_path(path) for path in [*loaded_outside(known), *installed_roots()]}
+    installed = [root for name in installed_packages() if (root := _package_root(name)) is not None]
+    used = {real_path(path) for path in [*loaded_outside(known), *installed]}
     return [*known, *(p for p in recorded[1:] if (real_path(p) in used or is_trusted(p)) and p.exists())]

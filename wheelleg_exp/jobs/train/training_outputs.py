@@ -6,7 +6,6 @@ import io
 import json
 from collections.abc import Mapping
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -27,21 +26,11 @@ from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 
 
 class Outputs:
-    """The growing files of a run; readable at any moment, closed on exit.
+    """The output files that grow during a training; they are readable at any moment, and closed on exit.
 
     A checkpoint is written after the logs of its iterations are on the disk. So the logs of a run that was killed, even
-    by a power failure, reach at least to its last checkpoint.
-
-    Args:
-        directory: the run directory.
-        trainer: the training, at its first iteration.
-        options: what is recorded.
-        documents: texts for the recording, by name.
-        events: whether to write TensorBoard's event files.
-        wandb: the log of Weights & Biases, or None.
-
-    Attributes:
-        diverged_after: the first iteration after which the networks of the ranks differed, or None.
+    by a power failure, reach at least to its last checkpoint. ``diverged_after`` is the first iteration after which the
+    networks of the ranks differed, or None.
     """
 
     def __init__(
@@ -54,15 +43,12 @@ class Outputs:
         events: bool,
         wandb: WandbLog | None,
     ) -> None:
-        self._directory = directory
-        self._trainer = trainer
-        self._options = options
-        self._documents = documents
-        self._events = events
-        self._wandb = wandb
+        self._directory, self._trainer, self._options = directory, trainer, options
+        self._documents, self._events = documents, events
+        self.wandb = wandb
         self._tensorboard: SummaryWriter | None = None
-        self._recording: TrainingRecording | None = None
-        self._films: Films | None = None
+        self.recording: TrainingRecording | None = None
+        self.films: Films | None = None
         self._state: dict[str, Any] = {}
         self._last: int | None = None
         self.diverged_after: int | None = None
@@ -75,61 +61,30 @@ class Outputs:
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
-                self._recording = opened.enter_context(
+                self.recording = opened.enter_context(
                     TrainingRecording(self._directory, env, self._options, self._documents, start_iteration=start)
                 )
             if self._options.video_every:
-                self._films = opened.enter_context(Films(self._directory.videos, env, self._options, start))
-            if self._wandb is not None:
-                opened.enter_context(self._wandb)
+                self.films = opened.enter_context(Films(self._directory.videos, env, self._options, start))
+            if self.wandb is not None:
+                opened.enter_context(self.wandb)
             self._opened = opened.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         try:
-            if error is None and self._last is not None:
+            if error[0] is None and self._last is not None:
                 close_dataset(self._directory.dataset, self._trainer.env.env, self._last)
         finally:
-            self._opened.__exit__(kind, error, trace)
-
-    @property
-    def note(self) -> str | None:
-        """Why an earlier recording could not be continued; None if it was."""
-        return None if self._recording is None else self._recording.note
-
-    @property
-    def unfinished(self) -> str | None:
-        """Why the recording was not assembled when it was closed: no room, or no rerun program."""
-        return None if self._recording is None else self._recording.unfinished
-
-    @property
-    def sent_to(self) -> str | None:
-        """Where the scalars are sent; None if they stay in the run directory."""
-        return None if self._wandb is None else self._wandb.place
-
-    @property
-    def missing_films(self) -> str | None:
-        """Why films are missing; None if none are."""
-        return None if self._films is None else self._films.ended
+            self._opened.__exit__(*error)
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
-        """Write the scalars and digests of one iteration, and start the next recorded episode if it is due.
+        """Write scalars and digests of one iteration, start a recorded episode if one is due, and return the digests.
 
-        Args:
-            iteration: the iteration.
-            due: whether its checkpoint is due even if training is not stopped.
-
-        Returns:
-            The digests.
-
-        Raises:
-            RunDirectoryError: the run directory was removed.
+        ``due`` is true if the iteration has a regular checkpoint.
         """
-        if (
-            not self._directory.iterations.exists()
-        ):  # a checkpoint would create the folder again, with nothing else in it
+        # Without this error, a checkpoint would create a new run directory without any other file.
+        if not self._directory.iterations.exists():
             raise RunDirectoryError(
                 f"'{self._directory.path}' was removed while it was written",
                 expected="a folder that exists until the end",
@@ -142,38 +97,35 @@ class Outputs:
         found, equal = digests_of_all(self._trainer.ranks, digested(self._trainer, self._state, due))
         if not equal and self.diverged_after is None:
             self.diverged_after = iteration.index
-        line = {
-            "iteration": iteration.index,
-            "digest_format": digests.FORMAT,
-            "digests": found,
-            "scalars": iteration.scalars,
-        }
+        line: dict[str, Any] = {"iteration": iteration.index, "digest_format": digests.FORMAT}
+        line |= {"digests": found, "scalars": iteration.scalars}
         with for_people(self._directory.iterations):
             self._lines.write(json.dumps(json_plain(line), allow_nan=False) + "\n")
             self._lines.flush()
-        if self._recording is not None:
-            self._recording.write(iteration.scalars, iteration.index)
-        if self._wandb is not None:
-            self._wandb.write(iteration.scalars, iteration.index)
-        if self._films is not None:
-            self._films.write(iteration.index)
+        if self.recording is not None:
+            self.recording.write(iteration.scalars, iteration.index)
+        if self.wandb is not None:
+            self.wandb.write(iteration.scalars, iteration.index)
+        if self.films is not None:
+            self.films.write(iteration.index)
         write_dataset(self._directory.dataset, self._trainer.env.env, iteration.index)
         return found
 
     def checkpoint(self, iteration: int) -> str:
-        """Write ``model_<iteration>.pt`` of the last written iteration, and return its name."""
-        if self._recording is not None:
-            self._recording.flush()
+        """Write ``model_<iteration>.pt`` of the last written iteration, and return the file's name."""
+        if self.recording is not None:
+            self.recording.flush()
         for path in (self._directory.iterations, self._directory.recording, *event_files(self._directory.path)):
             sync(path)
-        name = f"model_{iteration}.pt"
-        write_bytes(
-            self._directory.path / name, checkpoint.serialize(state_of_all_ranks(self._trainer.ranks, self._state))
-        )
+        name, state = f"model_{iteration}.pt", state_of_all_ranks(self._trainer.ranks, self._state)
+        write_bytes(self._directory.path / name, checkpoint.serialize(state))
         return name
 
     def last_checkpoint(self) -> str | None:
-        """Write the checkpoint of the last written iteration if it is missing; None before the first iteration."""
+        """Write the checkpoint of the last written iteration if it is missing, and return its name.
+
+        Return None before the first iteration.
+        """
         if self._last is None:
             return None
         name = f"model_{self._last}.pt"
@@ -186,10 +138,11 @@ def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return the part of an iteration's state to digest.
+    """Return the part of an iteration's state that is digested.
 
-    All of it if a checkpoint is due or the engine is bitwise reproducible. Else only the networks: hashing the
-    remaining state, which no later run can reproduce, takes longer than a GPU takes for an iteration.
+    Digest the whole state if a checkpoint is due or the engine is bitwise reproducible. Otherwise digest only the
+    networks: hashing the remaining state, which no later run can reproduce, takes longer than a GPU takes for an
+    iteration.
     """
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
@@ -204,7 +157,7 @@ def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
 def save_failure(
     directory: RunDirectory, manifest: Manifest, error: SimulationFailure, iteration: int, env: ManagerBasedRLEnv
 ) -> None:
-    """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes them."""
+    """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
     entry: dict[str, Any] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
     names = {
         "joints": env.scene.robot.joint_names,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -22,25 +21,17 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.state.tensor_trees import host_copy
 
 _FILM_SIZE_PX = (640, 360)
-_MAX_FPS = 30.0  # upper bound; each picture shows a control step
+_MAX_FPS = 30.0  # Each picture shows a control step.
 _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 
 
 class Films:
-    """Films the first of the recorded environments while entered; the training itself does not change.
+    """Films the first of the recorded environments while entered, without any effect on the training.
 
-    A film starts with every ``video_every``-th iteration. It ends with the iteration in which it has ``steps`` control
-    steps, before the next film, or with the training. Positions stay in memory and are drawn between two iterations. An
-    error while drawing stops the filming, not the training.
-
-    Args:
-        folder: receives ``iteration_<n>.mp4``, named by the first iteration of the film.
-        env: the environment.
-        options: ``video_every``, ``steps`` and ``env_ids`` are read.
-        start_iteration: the next iteration.
-
-    Attributes:
-        ended: why filming stopped, or None.
+    A film starts with every ``video_every``-th iteration. A film ends with the iteration in which the film reaches
+    ``steps`` control steps, before the next film, or with the training. Robot positions are stored in memory, and
+    rendered between two iterations. A rendering error stops the filming, not the training; ``ended`` is then the
+    reason.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -56,14 +47,12 @@ class Films:
         self._env.observers.append(self._observe)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._env.observers.remove(self._observe)
         self._finish()
 
     def write(self, iteration: int) -> None:
-        """Draw the film if ``iteration`` was its last one, and start the next film if it is due."""
+        """Render the film if ``iteration`` was the film's last iteration, and start the next film if it is due."""
         if len(self._positions) >= self._steps or (iteration + 1) % self._every == 0:
             self._finish()
         self._begin(iteration + 1)
@@ -81,7 +70,7 @@ class Films:
         self._positions, self._start = [], None
         if start is None or not shown:
             return
-        from av.error import FFmpegError  # importing the encoder is slow, and few trainings are filmed
+        from av.error import FFmpegError  # Importing the encoder is slow.
 
         pictures = _pictures(self._env)
         try:
@@ -94,11 +83,7 @@ class Films:
 
 
 def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
-    """Draw one picture if films are requested, so that a machine without graphics fails before the training.
-
-    Raises:
-        NoGraphics: this machine cannot draw; the message says what to install.
-    """
+    """Render one picture if films are requested, so that a machine without graphics fails before the training."""
     if not options.video_every:
         return
     pictures = _pictures(env)
@@ -112,7 +97,7 @@ def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
 
 
 def films_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the films that start with ``iteration`` or later."""
+    """Return the film files that start with ``iteration`` or later."""
     found = ((path, _FILM_NAME.fullmatch(path.name)) for path in folder.glob("*.mp4"))
     return [path for path, match in found if match and int(match[1]) >= iteration]
 
@@ -124,23 +109,14 @@ def _pictures(env: ManagerBasedRLEnv) -> LivePictures:
 class TrainingRecording(ObservingRecording):
     """Records a training while entered.
 
-    Every iteration is in the file when ``write`` returns; the last few frames of rollouts of less than 16 steps can
-    wait
-    for the next one. A sample of motion is due with every ``interval``-th iteration, as long as the size limit has room
-    for the longest possible sample. In each environment, a sample starts with the next new episode, and ends with the
-    episode in which it reaches ``steps`` frames. Options and recorded frames decide what is due, so that a resumed
-    recording equals an uninterrupted one.
+    ``write`` writes every iteration to the recording file; the last few frames of rollouts of less than 16 steps can
+    wait for the next iteration. A sample of motion is due with every ``interval``-th iteration, as long as the size
+    limit has room for the longest possible sample. In each environment, a sample starts with the next new episode, and
+    ends with the episode in which it reaches ``steps`` frames. Whether a sample is due depends only on options and
+    recorded frames, so that a resumed recording equals an uninterrupted recording.
 
-    Args:
-        directory: the run directory.
-        env: the environment.
-        options: of the recording.
-        documents: texts for the recording, by name, in addition to those of the run directory.
-        start_iteration: the next iteration. Above 0, the run's recording is continued: frames past the environment's
-            present control step are dropped, and an unfinished sample continues.
-
-    Attributes:
-        note: why an earlier recording could not be continued, and whether a sample exceeds the size limit; or None.
+    A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
+    dropped, and an unfinished sample continues. ``note`` holds the warnings about the recording, or None.
     """
 
     def __init__(
@@ -166,13 +142,13 @@ class TrainingRecording(ObservingRecording):
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
         for name, text in {**run_documents(directory), **documents}.items():
-            if name != "manifest" or not self._recorder.has_document(name):  # a resume keeps the first manifest
+            # A resume does not replace the recorded manifest.
+            if name != "manifest" or not self._recorder.has_document(name):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        self._longest = (
-            options.steps - 1 + env.max_episode_length
-        )  # a sample whose last episode starts at its last frame
+        # In the longest sample, the last episode starts at the frame options.steps.
+        self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
         self.note = "; ".join(self.notes) or None
@@ -183,7 +159,7 @@ class TrainingRecording(ObservingRecording):
             self._tell_bound(0)
 
     def _warning(self) -> str | None:
-        """Return a warning if not even one sample fits, with a limit that would do."""
+        """Return a warning if not even one sample of motion fits below the size limit."""
         if self._longest <= self._room:
             return None
         return (
@@ -194,11 +170,11 @@ class TrainingRecording(ObservingRecording):
 
     @property
     def unfinished(self) -> str | None:
-        """Why the file was not assembled when it was closed; None if it was, or is open."""
+        """The reason why the recording file was not assembled on closing; None if the file was assembled or is open."""
         return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Write the scalars of one iteration, and start the next sample if it is due."""
+        """Write the scalars of one iteration, and start the next sample of motion if it is due."""
         self._recorder.scalars(scalars, iteration)
         following = iteration + 1
         if following % self._options.interval == 0:
@@ -212,17 +188,16 @@ class TrainingRecording(ObservingRecording):
             self._live.show()
 
     def flush(self) -> None:
-        """Write all pending data to the file."""
+        """Write all pending data to the recording file."""
         self._recorder.flush()
 
     def _begin(self, iteration: int) -> None:
-        """Start or continue the sample of ``iteration``."""
         self._recorder.iteration = iteration
         due = self._due(iteration)
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step after which the sample of ``iteration``, the present one, can start."""
+        """Return the control step after which the sample of motion of the current ``iteration`` can start."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 
@@ -230,7 +205,7 @@ class TrainingRecording(ObservingRecording):
         return self._recorder.frames_until(due) + self._longest <= self._room
 
     def _tell_bound(self, iteration: int) -> None:
-        """Mark the iteration from which on no sample fits."""
+        """Mark the iteration from which on no sample of motion fits below the size limit."""
         due, interval = self._env.common_step_counter, self._options.interval
         if self._has_room(due):
             return
@@ -238,7 +213,7 @@ class TrainingRecording(ObservingRecording):
             self._recorder.say(str(self._warning()))
             return
         before = due - interval * (due // iteration)
-        if self._recorder.frames_until(due) > self._recorder.frames_until(before):  # the previous sample still fitted
+        if self._recorder.frames_until(due) > self._recorder.frames_until(before):
             bound, count = self._options.max_mb, iteration // interval
             self._recorder.say(
                 f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "

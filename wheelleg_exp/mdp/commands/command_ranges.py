@@ -1,4 +1,4 @@
-"""Commands that are drawn from a range for each axis, and the command without components."""
+"""Commands that are drawn from one range for each axis, and a command without components."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wheelleg_exp.managers import CommandTerm, Env, bounds
 
 
 class _Ranges:
-    """A command's ranges by attribute, as Isaac Lab's terms read and set ``command.cfg.ranges.lin_vel_x``."""
+    """The ranges of a command as attributes: Isaac Lab's terms read and set ``command.cfg.ranges.lin_vel_x``."""
 
     def __init__(self, ranges: dict[str, Any]) -> None:
         vars(self)["_ranges"] = ranges
@@ -27,7 +27,7 @@ class _Ranges:
 
 @dataclass(frozen=True)
 class CommandSettings:
-    """The part of ``command.cfg`` that terms written for Isaac Lab read.
+    """The settings in ``command.cfg`` that terms written for Isaac Lab read.
 
     Attributes:
         ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
@@ -39,7 +39,7 @@ class CommandSettings:
 
 
 class RangedCommand(CommandTerm):
-    """A command that is drawn from a range for each axis.
+    """A command whose components are drawn from one range for each axis.
 
     Attributes:
         ranges: [low, high] by axis; a range that is set applies from the next draw.
@@ -49,28 +49,24 @@ class RangedCommand(CommandTerm):
 
     @property
     def cfg(self) -> CommandSettings:
-        """The settings by attribute; ranges can be changed."""
+        """The settings of the command under Isaac Lab's names. The ranges can be changed."""
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
-        """Set the ranges by axis; an axis without a range is 0.
-
-        Raises:
-            ConfigError: an axis is unknown, or a range is not two ascending numbers.
-        """
+        """Set the ranges of a command by axis. The command is 0 on an axis without a range."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # the tensors are written to later, also outside of inference mode
-            self._bounds = self._present()  # a tuple, because tensor attributes are saved as state
+        with torch.inference_mode(False):  # code outside of inference mode writes to these bounds later
+            self._bounds = self._present()  # stored in a tuple, because tensor attributes are saved as state
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return lower and upper bounds (k,) of the axes in order."""
+        """Return the lower and upper bounds (k,) of the command's axes, in order."""
         self.read_settings()
         return self._bounds
 
     def read_settings(self) -> None:
-        """Copy ranges that a curriculum has set to the bounds, in place, because CUDA graphs refer to them."""
+        """Copy changed command ranges to the bounds in place, because CUDA graphs refer to the bounds' tensors."""
         if self.ranges != self._taken:
             for mine, present in zip(self._bounds, self._present(), strict=True):
                 mine.copy_(present)
@@ -84,7 +80,7 @@ class RangedCommand(CommandTerm):
 
 
 class NullCommand(CommandTerm):
-    """A command without components, for places that require a command."""
+    """A command without components, for a config that requires a command."""
 
     def __init__(self, env: Env, generator: torch.Generator) -> None:
         super().__init__(env, (1.0, 1.0), (), generator)
@@ -92,14 +88,14 @@ class NullCommand(CommandTerm):
 
     @property
     def command(self) -> torch.Tensor:
-        """Nothing, (N, 0)."""
+        """The empty command, (N, 0)."""
         return self._nothing[0]
 
     def errors(self) -> torch.Tensor:
         return self.error_sums
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        """Draw nothing."""
+        pass
 
     def compute(self, dt: float) -> torch.Tensor:
         del dt

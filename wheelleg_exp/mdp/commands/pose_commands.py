@@ -11,6 +11,7 @@ from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relatio
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
 
 _Place = Literal["pos_x", "pos_y", "heading"]
@@ -19,18 +20,19 @@ _Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
 
 def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
     if not given["simple_heading"] and given["ranges"].get("heading") is None:
-        yield Broken("ranges.heading", "is missing", "[low, high] in radians, or simple_heading: true")
+        yield Broken("ranges.heading", "the range is missing", "[low, high] in radians, or simple_heading: true")
 
 
 @relation(_heading_has_a_range)
 class UniformPose2dCommand(RangedCommand):
     """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The position has the height of the robot's default state. The first ``compute`` after a draw converts the command to
-    the base's axes. The metrics are the last errors: distance in the plane, m, and heading, rad.
+    The height of the commanded position is that of the robot's default state. The first ``compute`` after a draw
+    converts the command to the base's axes. The metrics are the last errors: distance in the plane, m, and heading,
+    rad.
 
     Args:
-        ranges: ``pos_x`` and ``pos_y`` from the environment's origin (m), and ``heading`` in the world (rad).
+        ranges: ``pos_x`` and ``pos_y`` relative to the environment's origin (m), and ``heading`` in the world (rad).
         resampling_time_range: shortest and longest time between two draws, s.
         simple_heading: use the direction to the position, or its opposite, whichever is closer to the present heading;
             else headings are drawn.
@@ -64,7 +66,7 @@ class UniformPose2dCommand(RangedCommand):
 
     @property
     def pos_command_b(self) -> torch.Tensor:
-        """Vector to the position in the base's yaw axes, m, (N, 3)."""
+        """Vector from the base to the commanded position in the base's yaw axes, m, (N, 3)."""
         return self._command[:, :3]
 
     @property
@@ -73,7 +75,7 @@ class UniformPose2dCommand(RangedCommand):
         return self._command[:, 3]
 
     def errors(self) -> torch.Tensor:
-        """Return the distance in the plane, m, and the size of the remaining turn, rad, (2, N)."""
+        """Return the horizontal distance to the commanded position, m, and the absolute heading error, rad, (2, N)."""
         data = self.robot.data
         distance = torch.linalg.vector_norm(self.pos_command_w[:, :2] - data.root_pos_w[:, :2], dim=1)
         return torch.stack((distance, rotation.wrap_to_pi(self.heading_command_w - data.heading_w).abs()))
@@ -92,13 +94,12 @@ class UniformPose2dCommand(RangedCommand):
         torch.stack((cos * x + sin * y, cos * y - sin * x, z, turn), dim=1, out=self._command)
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
-        """Return positions on the ground (n, 3) from drawn offsets (n, 2), m."""
         places = self._env.scene.env_origins[env_ids]
         places[:, :2] += drawn
         return places
 
     def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """Return the direction to the position or its opposite, whichever is closer to the heading, rad, (n,)."""
+        """Return the yaw, rad, (n,), towards the commanded position or away from the position, whichever is closer."""
         data = self.robot.data
         way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
         forth = torch.atan2(way[:, 1], way[:, 0])
@@ -108,13 +109,10 @@ class UniformPose2dCommand(RangedCommand):
 
 
 class TerrainBasedPose2dCommand(UniformPose2dCommand):
-    """As ``UniformPose2dCommand``, with one of the flat patches ``target`` of the environment's tile as the position.
+    """A ``UniformPose2dCommand`` whose position is one of the flat patches ``target`` of the environment's tile.
 
     Args:
         ranges: ``heading`` in the world (rad).
-
-    Raises:
-        ConfigError: the ground has no flat patches ``target``.
     """
 
     def __init__(
@@ -129,15 +127,12 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
         super().__init__(env, ranges, resampling_time_range, simple_heading, generator, asset_name)  # type: ignore[arg-type]
         patches = env.scene.terrain.flat_patches
         if "target" not in patches:
-            raise ConfigError(
-                "the ground has no flat patches 'target' to go to",
-                expected="flat patches 'target' in env.scene.terrain"
-                + (f", which has {', '.join(patches)}" if patches else ""),
-            )
+            expected = "flat patches 'target' in env.scene.terrain"
+            expected += f", which has {', '.join(patches)}" if patches else ""
+            raise ConfigError("the ground has no flat patches 'target' for commanded positions", expected=expected)
         self._patches = (patches["target"],)
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
-        """Return a patch of each environment's tile, m, (n, 3)."""
         del drawn
         patches, terrain = self._patches[0], self._env.scene.terrain
         device = patches.device
@@ -174,7 +169,7 @@ class UniformPoseCommand(RangedCommand):
         self.robot = member(env.scene, asset_name, "asset_name")
         found, names = self.robot.find_bodies(body_name, key="body_name")
         if len(found) != 1:
-            raise ConfigError(f"matches {', '.join(names)}", key="body_name", expected="one body")
+            raise ConfigError(f"body_name matches {', '.join(names)}", key="body_name", expected="one body")
         self._body, self.body_name = found[0], names[0]
         self.take_ranges(ranges, get_args(_Pose))
         self._unique = make_quat_unique
@@ -187,14 +182,14 @@ class UniformPoseCommand(RangedCommand):
         return self.pose_command_b
 
     def errors(self) -> torch.Tensor:
-        """Return the distance, m, and the angle, rad, to the commanded pose, (2, N)."""
+        """Return the distance, m, and the angle, rad, between the body and the commanded pose, (2, N)."""
         data, command = self.robot.data, self.pose_command_b
         place = data.root_pos_w + rotation.rotate(rotation.quat_to_matrix(data.root_quat_w), command[:, :3])
         distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
-        # cos(angle / 2) of the rotation between two orientations is their dot product. The sine is accurate for small
-        # angles.
+        # The dot product of two unit quaternions is cos(angle / 2). The sine makes the result accurate for small
+        # angles, where the cosine is flat.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
@@ -212,17 +207,17 @@ _Axis = Literal["height", "roll", "pitch"]
 
 def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
     if "height" not in given["ranges"]:
-        yield Broken("ranges.height", "is missing", "[low, high] in metres above the ground")
+        yield Broken("ranges.height", "the range is missing", "[low, high] in metres above the ground")
 
 
 @relation(_height_is_given)
 class UniformBasePoseCommand(RangedCommand):
     """Height of the base above the ground, m, and its roll and pitch, rad, uniform in their ranges.
 
-    ``measured`` returns the present values, which rewards can compare with the command.
+    ``measured`` returns the current height, roll and pitch, which rewards can compare with the command.
 
     Args:
-        ranges: ``height`` of the root link above the ground below it (m), ``roll`` and ``pitch`` (rad, 0 if missing).
+        ranges: ``height`` of the root link above the ground (m), ``roll`` and ``pitch`` (rad, 0 if missing).
         resampling_time_range: shortest and longest time between two draws, s.
         asset_name: the member of the scene that is commanded.
     """
@@ -246,14 +241,12 @@ class UniformBasePoseCommand(RangedCommand):
         return self._command
 
     def measured(self) -> torch.Tensor:
-        """Return the present height, m, roll and pitch, rad, (N, 3), of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+        """Return the current height, m, roll and pitch, rad, of the base, (N, 3)."""
         data = self.robot.data
-        height = data.root_pos_w[:, 2] - self._env.scene.terrain.height_at(data.root_pos_w[:, :2])
-        x, y, z = data.projected_gravity_b.unbind(dim=1)
-        return torch.stack((height, torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))), dim=1)
+        return torch.stack((height_over_ground(self._env, data.root_pos_w), *roll_pitch(data)), dim=1)
 
     def errors(self) -> torch.Tensor:
-        """Return the sizes of the differences of height, m, roll and pitch, rad, (3, N)."""
+        """Return the absolute errors of the base's height, m, roll and pitch, rad, (3, N)."""
         return (self._command - self.measured()).abs().T
 
     def draw(self, env_ids: torch.Tensor) -> None:

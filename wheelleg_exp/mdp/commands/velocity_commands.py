@@ -29,9 +29,9 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
-    Standing environments get zero. With ``heading_command`` some environments follow a target heading instead:
-    ``w_z = clip(k * wrap(target - heading))``. Both are applied from the first ``compute`` after a draw, so the
-    observation right after ``reset`` contains the drawn values, as in Isaac Lab.
+    The command of standing environments is zero. With ``heading_command`` some environments follow a target heading
+    with ``w_z = clip(k * wrap(target - heading))``. Standing and heading are applied from the first ``compute`` after a
+    draw, so the observation right after ``reset`` contains the drawn values, as in Isaac Lab.
 
     Args:
         ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
@@ -76,12 +76,12 @@ class UniformVelocityCommand(RangedCommand):
 
     @property
     def vel_command_b(self) -> torch.Tensor:
-        """The present command (N, 3), under Isaac Lab's name."""
+        """The current velocity command (N, 3), under Isaac Lab's name."""
         return self._command
 
     @property
     def asked(self) -> torch.Tensor:
-        """The target of the command (N, 3): the command itself, unless a subclass limits its acceleration."""
+        """The drawn velocity (N, 3), which is the command unless a subclass limits the acceleration."""
         return self._command
 
     def errors(self) -> torch.Tensor:
@@ -118,7 +118,7 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
     ranges = given["ranges"]
     for name in get_args(_Moment):
         if name not in ranges:
-            yield Broken(f"ranges.{name}", "is missing", "three numbers: v_x, v_y, w_z")
+            yield Broken(f"ranges.{name}", "the moment is missing", "three numbers: v_x, v_y, w_z")
     if any(number < 0.0 for number in ranges.get("std_vel", ())):
         yield Broken("ranges.std_vel", "a standard deviation is below 0", "three numbers of at least 0")
     if not all(0.0 <= number <= 1.0 for number in ranges.get("zero_prob", ())):
@@ -129,7 +129,8 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Zeros are applied from the first ``compute`` after a draw. There are no headings.
+    Components that are drawn as zero become zero at the first ``compute`` after the draw. Target headings are not
+    drawn.
 
     Args:
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` of v_x, v_y (m/s) and w_z (rad/s).
@@ -145,7 +146,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # In a tuple, because tensor attributes are saved as state.
+        # Store the moments in a tuple, because tensor attributes are saved as state.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
@@ -162,7 +163,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # smallest component of a wheel's axis along the base's y with which the wheel rolls along x
+_ROLLS = 0.5  # a wheel rolls forwards or backwards if |wheel axis · base y axis| is at least this value
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):
@@ -174,11 +175,11 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     A robot on two wheels must roll back before it can drive off, and falls if the command jumps to a high speed. With
     ``max_lin_acceleration`` and ``max_ang_acceleration`` the command approaches the drawn target (``asked``) at a
-    limited rate, from zero at a reset.
+    limited rate, and starts from zero at a reset.
 
     Args:
-        wheel_cfg: joints of the wheels. The sign of rolling forwards is derived from each wheel's axis in the model,
-            so that mirrored wheels are averaged correctly.
+        wheel_cfg: joints of the wheels. The forward direction of each wheel is derived from the wheel's axis in the
+            model, so that mirrored wheels are averaged correctly.
         wheel_radius: radius of the wheels, m.
         max_travel_error: bound of the integrated distance, m; distance beyond it is forgotten.
         max_heading_error: bound of the integrated angle, rad.
@@ -189,9 +190,6 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         max_acceleration: largest change of each component, m/s², m/s², rad/s²; None means unlimited.
         travel_error: travelled minus commanded distance, m, and turned minus commanded angle, rad, (N, 2).
         wheel_signs: for each wheel 1 if positive speed rolls forwards, else -1.
-
-    Raises:
-        ConfigError: a wheel does not roll along the base's x axis.
     """
 
     def __init__(
@@ -212,17 +210,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         heading_control_stiffness: NonNegative = 1.0,
         asset_name: str = "robot",
     ) -> None:
-        super().__init__(
-            env,
-            ranges,
-            resampling_time_range,
-            generator,
-            rel_standing_envs,
-            rel_heading_envs,
-            heading_command,
-            heading_control_stiffness,
-            asset_name,
-        )
+        heading = (rel_heading_envs, heading_command, heading_control_stiffness)
+        super().__init__(env, ranges, resampling_time_range, generator, rel_standing_envs, *heading, asset_name)
         self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
         self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
         signs = rolling_signs(env.scene.sim.model, self._wheels, wheel_cfg.joint_ids)
@@ -232,7 +221,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # In tuples, because tensor attributes are saved as state.
+        # Store these constants in tuples, because tensor attributes are saved as state.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
@@ -263,17 +252,11 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
 
 def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
-    """Return for each wheel 1 if positive speed rolls it along the base's x axis, and -1 if against it.
+    """Return for each wheel 1 if a positive joint velocity rolls the wheel along the base's x axis, otherwise -1.
 
-    A wheel that turns about an axis a rolls along a x up. That is forwards for the component of a along the base's y.
-
-    Args:
-        model: the compiled model.
-        robot: the robot; the axes are evaluated in its default pose.
-        joint_ids: the wheels, columns of ``robot.joint_names``.
-
-    Raises:
-        ConfigError: a wheel rolls sideways, or is not a hinge.
+    ``joint_ids`` are the indices of the wheels in ``robot.joint_names``. The wheel axes are evaluated in the robot's
+    default pose. A wheel that turns about an axis a rolls along the cross product of a and up, so the sign is that of
+    the component of a along the base's y axis.
     """
     data = mujoco.MjData(model)
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
@@ -285,26 +268,18 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
         joint = model.joint(robot.joint_names[index])
         along = float(data.xaxis[joint.id] @ left) if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE else 0.0
         if abs(along) < _ROLLS:
-            raise ConfigError(
-                f"joint '{joint.name}' does not roll the robot forwards or backwards",
-                key="wheel_cfg.joint_names",
-                expected="wheels: hinges whose axis is along the base's y",
-            )
+            message = f"joint '{joint.name}' does not roll the robot forwards or backwards"
+            expected = "wheels: hinges whose axis is along the base's y"
+            raise ConfigError(message, key="wheel_cfg.joint_names", expected=expected)
         signs.append(math.copysign(1.0, along))
     return signs
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Return the integrated error (N, 2), m and rad, of a travel command.
-
-    Raises:
-        ConfigError: the command does not integrate its error.
-    """
+    """Return the integrated distance error, m, and heading error, rad, of a travel command, (N, 2)."""
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
-        raise ConfigError(
-            f"the command '{command_name}' does not integrate its error",
-            key="command_name",
-            expected="a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand",
-        )
+        expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand"
+        message = f"the command '{command_name}' does not integrate its error"
+        raise ConfigError(message, key="command_name", expected=expected)
     return term.travel_error

@@ -1,4 +1,6 @@
-"""Event terms. Names and behaviour are Isaac Lab's; a term with a misleading name also has an explicit one.
+"""Event terms.
+
+The names and behaviour of these events are Isaac Lab's. An event with a misleading name has a second, explicit name.
 
 | module | what it changes |
 |---|---|
@@ -39,8 +41,7 @@ from wheelleg_exp.mdp.events.resets import (
 # Terms of Isaac Lab that have no counterpart, and why.
 ABSENT = {
     "randomize_rigid_body_scale": "Isaac Lab scales no articulation, and the robot is one",
-    "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have no rest and contact offsets; an asset may "
-    "define a margin and a gap",
+    "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have a margin and a gap instead, which an asset defines",
     "randomize_fixed_tendon_parameters": "a robot's tendons are not driven here",
     "randomize_visual_texture_material": "training renders no images",
     "randomize_visual_color": "training renders no images",

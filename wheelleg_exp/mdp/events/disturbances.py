@@ -24,9 +24,9 @@ def set_permanent_body_wrench(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Draw a force (N) and a torque (N·m) that act at the bodies' CoM in link axes until the next reset.
+    """Draw a force (N) and a torque (N·m) that act on each body's CoM in link axes until the next reset.
 
-    The range applies to each axis. Isaac Lab's name is ``apply_external_force_torque``.
+    One range applies to all three axes. Isaac Lab's name is ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
@@ -40,7 +40,6 @@ def set_permanent_body_wrench(
 def _wrench_bounds(
     least_force: float, largest_force: float, least_torque: float, largest_torque: float, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the bounds (6,) of forces and torques along each axis."""
     low, high = [least_force] * 3 + [least_torque] * 3, [largest_force] * 3 + [largest_torque] * 3
     return torch.tensor(low, device=device), torch.tensor(high, device=device)
 
@@ -49,11 +48,12 @@ apply_external_force_torque = set_permanent_body_wrench
 
 
 class push_by_adding_velocity(TermBase):
-    """Add U(range) to the root's CoM velocity, in the axes of ``frame``. Isaac Lab: ``push_by_setting_velocity``.
+    """Add a uniform random velocity to the root's CoM velocity, in the axes of ``frame``.
+
+    Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        asset_cfg: the robot.
         frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
     """
 
@@ -91,16 +91,17 @@ push_by_setting_velocity = push_by_adding_velocity
 
 
 class set_root_velocity(push_by_adding_velocity):
-    """Set the root's CoM velocity to U(range), in the axes of ``frame``."""
+    """Set the root's CoM velocity to a uniform random velocity, in the axes of ``frame``."""
 
     adds = False
 
 
 class apply_body_impulse(TermBase):
-    """Push bodies from time to time with a constant force (N) and torque (N·m); for mode ``step``.
+    """Push bodies at random times with a constant force (N) and torque (N·m). The event needs the mode ``step``.
 
-    Force and torque act at the bodies' CoM in link axes, in addition to other wrenches. The ranges apply to each axis,
-    and each body has its own draw. The first push of an episode follows a pause. A reset ends a push.
+    Force and torque act on each body's CoM in link axes, and add to the wrenches of other events. One range applies to
+    all three axes, and each body has its own draw. An episode starts with a pause before the first push. A reset ends a
+    push.
 
     Args:
         force_range: [low, high], N.
@@ -123,8 +124,7 @@ class apply_body_impulse(TermBase):
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
         self._robot = env.scene[asset_cfg.name]
-        bodies = torch.arange(len(self._robot.body_names), device=env.device)[asset_cfg.body_ids]
-        self._bodies: list[int] = bodies.tolist()
+        bodies = self._bodies = asset_cfg.body_list(len(self._robot.body_names))
         axes = [force_range] * 3 * len(bodies) + [torque_range] * 3 * len(bodies)
         low, high = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device).T
         self._lows, self._spans = low, high - low
@@ -132,7 +132,7 @@ class apply_body_impulse(TermBase):
         self._time_left = torch.zeros(env.num_envs, device=env.device)
         self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
-        self._robot.add_wrench(self._bodies, self._push)  # register the bodies before the first step is captured
+        self._robot.add_wrench(self._bodies, self._push)  # register the pushed bodies before a CUDA graph is captured
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     def _draw(self, count: int) -> torch.Tensor:
@@ -140,13 +140,13 @@ class apply_body_impulse(TermBase):
         return self._lows + self._spans * u
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start the episodes of ``env_ids`` with a pause; the robot's own reset clears its wrenches."""
+        """Start the episodes of ``env_ids`` with a pause. The robot's reset has already cleared the wrenches."""
         fill_rows(self._is_pushed, env_ids, False)
         fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
-        """Advance one control step: end the pushes and pauses whose time is over, and start the next ones."""
+        """Advance one control step: end expired pushes and pauses, and start the next ones."""
         del env_ids
         self._time_left -= env.step_dt
         due = self._time_left < 1e-6

@@ -27,7 +27,7 @@ Distribution = Literal["uniform", "log_uniform", "gaussian"]
 Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 PoseRange = Mapping[Pose, Interval]
 POSE = get_args(Pose)
-Pair = Annotated[Sequence[float], Length(2)]  # [low, high], or of a Gaussian [mean, standard deviation]
+Pair = Annotated[Sequence[float], Length(2)]  # [low, high], or [mean, standard deviation] of a Gaussian
 Number = float | torch.Tensor
 
 
@@ -44,7 +44,7 @@ def draw(
 
 
 def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) -> torch.Tensor:
-    """Return default + drawn (add), default * drawn (scale) or drawn (abs)."""
+    """Combine default and drawn values: the sum (``add``), the product (``scale``), or the drawn values (``abs``)."""
     if operation == "add":
         return default + drawn
     return default * drawn if operation == "scale" else drawn
@@ -56,13 +56,10 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 
 
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
-    """Return the expectation for a pair that does not fit its distribution, or None; the rules are Isaac Lab's.
+    """Return the expected form of an invalid pair of distribution parameters, otherwise None.
 
-    Args:
-        pair: [low, high], or for a Gaussian [mean, standard deviation].
-        operation: ``add``, ``scale`` or ``abs``.
-        distribution: the distribution.
-        least: requirement for the lower bound of factors: ``above 0``, ``at least 0``, or empty.
+    The rules are Isaac Lab's. ``least`` is the requirement for the lower bound of factors: ``above 0``, ``at least 0``,
+    or empty.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -78,10 +75,7 @@ def ranges(
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
     """Return a rule that checks pairs against operation and distribution.
 
-    Args:
-        above_0: names of pairs whose factors must be above 0.
-        at_least_0: names of pairs whose factors must be at least 0.
-        free: names of pairs without such a requirement.
+    The factors of pairs in ``above_0`` must be above 0, those in ``at_least_0`` at least 0. ``free`` pairs are free.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 
@@ -100,10 +94,9 @@ _ROBOT = SceneEntityCfg("robot")
 class randomize_rigid_body_material(TermBase):
     """Give each shape of each environment one of ``num_buckets`` materials, drawn once at construction.
 
-    PhysX averages the coefficients of the two touching shapes, MuJoCo takes the larger one. Therefore the average
-    (robot + ground) / 2 is written, and the robot's higher contact priority makes MuJoCo use it. MuJoCo has one Coulomb
-    coefficient; ``env.robot.friction_source`` selects one of the two. Restitution is drawn and stored in ``materials``,
-    but MuJoCo has no restitution.
+    PhysX averages the coefficients of two touching shapes, and MuJoCo takes the larger one. To match PhysX, the robot's
+    shapes get a higher contact priority and the average (robot + ground) / 2. MuJoCo has one Coulomb coefficient, which
+    ``env.robot.friction_source`` selects. Restitution is drawn and stored in ``materials``, but MuJoCo ignores it.
 
     Args:
         static_friction_range: [low, high].
@@ -140,32 +133,25 @@ class randomize_rigid_body_material(TermBase):
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids = all_ids(env, env_ids)
-        chosen = torch.randint(
-            len(self.buckets), (len(ids), len(self._geom_ids)), generator=self._generator, device=ids.device
-        )
+        shape = (len(ids), len(self._geom_ids))
+        chosen = torch.randint(len(self.buckets), shape, generator=self._generator, device=ids.device)
         self.materials[ids] = self.buckets[chosen]
         effective = (self.materials[ids, :, self._column] + self._ground) / 2
         env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.to(env.scene.sim.dtype)
 
 
 def _masses_are_masses(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check the range against its distribution; masses below ``min_mass`` are clamped later."""
-    name = "mass_distribution_params"
-    first, second = given[name]
-    gaussian = given["distribution"] == "gaussian"
-    positive = given["operation"] != "add" or given["distribution"] == "log_uniform"
-    expected = "[mean, standard deviation]" if gaussian else "[low, high]"
-    wrong = second < 0 if gaussian else first > second
-    if wrong or (positive and first <= 0):
-        of = {"add": "", "scale": ", factors above 0", "abs": ", masses above 0"}[given["operation"]]
-        yield Broken(name, f"{given[name]!r} is out of range", expected + (of or ", above 0" * positive))
+    pair, operation = given["mass_distribution_params"], given["operation"]
+    operation = "scale" if operation == "abs" else operation
+    if expected := pair_error(pair, operation, given["distribution"], "above 0"):
+        yield Broken("mass_distribution_params", f"{pair!r} is out of range", expected)
 
 
 @relation(_masses_are_masses)
 def randomize_rigid_body_mass(
     env: Env,
     env_ids: torch.Tensor | None,
-    mass_distribution_params: Annotated[Sequence[float], Length(2)],
+    mass_distribution_params: Pair,
     operation: Operation,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
@@ -173,14 +159,16 @@ def randomize_rigid_body_mass(
     recompute_inertia: bool = True,
     min_mass: Positive = 1e-6,
 ) -> None:
-    """Change masses (kg) relative to their defaults; inertias scale with the masses, centres of mass stay."""
+    """Change body masses (kg) relative to their defaults.
+
+    Inertias scale with the masses; centres of mass do not change.
+    """
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
     ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
     default = sim.constant("body_mass")[bodies]
-    drawn = draw(
-        mass_distribution_params[0], mass_distribution_params[1], (len(ids), len(bodies)), distribution, generator
-    ).to(env.scene.sim.dtype)
+    first, second = mass_distribution_params
+    drawn = draw(first, second, (len(ids), len(bodies)), distribution, generator).to(sim.dtype)
     mass = operate(default, drawn, operation).clamp(min=min_mass)
     sim.expand("body_mass")[ids, bodies] = mass
     if recompute_inertia:
@@ -201,11 +189,11 @@ def randomize_rigid_body_inertia(
     distribution: Distribution = "uniform",
     min_inertia: Positive = 1e-9,
 ) -> None:
-    """Change the principal moments of inertia (kg·m^2) relative to their defaults, each independently; masses stay.
+    """Change each principal moment of inertia (kg·m^2) relative to its default. Masses do not change.
 
-    A moment is at least ``min_inertia``, and at most the sum of the other two, as for every physical body. This term
-    and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from the model's values: on one
-    body the later term overwrites the earlier one.
+    Each moment is at least ``min_inertia``, and at most the sum of the body's two other moments, as for every physical
+    body. This term and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from the model's
+    values: on one body the later term overwrites the earlier one.
     """
     robot, sim = env.scene[asset_cfg.name], env.scene.sim
     ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
@@ -226,7 +214,10 @@ def randomize_rigid_body_com_cumulative(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Add one offset (m, link axes) per environment to the present centres of mass; repeated calls accumulate."""
+    """Add one offset (m, link axes) per environment to the current centres of mass.
+
+    The offsets of repeated calls accumulate.
+    """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     bodies = robot.body_ids[asset_cfg.body_ids]
@@ -253,9 +244,9 @@ def randomize_actuator_gains(
     distribution: Distribution = "uniform",
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of actuators relative to the config, for each joint.
+    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of each joint's actuator relative to the config.
 
-    Negative gains become 0. Learned drives have no gains, which stay NaN.
+    Negative gains become 0. Learned drives have no gains; their stiffness and damping remain NaN.
     """
     robot, ids = env.scene[asset_cfg.name], all_ids(env, env_ids)
     data, joints = robot.data, asset_cfg.joint_ids
@@ -276,11 +267,11 @@ def randomize_actuator_gains(
     )
 )
 class randomize_joint_parameters(TermBase):
-    """Change friction, armature and position limits of joints relative to the model, for each joint.
+    """Change friction, armature and position limits of each joint relative to the model.
 
     As in Isaac Lab, the range of friction applies to the joint's friction loss (N·m) and, with a separate draw, to its
-    viscous friction (N·m·s/rad). Negative frictions and armatures become 0. Soft limits follow the limits, and default
-    positions are clamped to them.
+    viscous friction (N·m·s/rad). Negative frictions and armatures become 0. The soft limits change with the position
+    limits, and default positions are clamped to the soft limits.
 
     Args:
         friction_distribution_params: for friction loss and viscous friction; null keeps both.
@@ -288,11 +279,7 @@ class randomize_joint_parameters(TermBase):
         lower_limit_distribution_params: rad; null keeps the limit.
         upper_limit_distribution_params: rad; null keeps the limit.
         operation: how the draw changes the model's value.
-        distribution: ``gaussian`` uses [mean, standard deviation], the others [low, high].
-        asset_cfg: the joints.
-
-    Raises:
-        ConfigError: a lower limit could be drawn above the upper limit.
+        distribution: ``gaussian`` uses [mean, standard deviation]; all other distributions use [low, high].
     """
 
     def __init__(
@@ -320,10 +307,9 @@ class randomize_joint_parameters(TermBase):
         lowest = torch.minimum(*self._ends(upper, self._limits[1]))
         if (highest > lowest).any():
             first = int((highest > lowest).nonzero()[0])
-            raise ConfigError(
-                f"a lower limit of up to {highest[first]:g} rad could exceed an upper limit of {lowest[first]:g} rad",
-                expected="ranges of limits that do not overlap",
-            )
+            low, high = f"{highest[first]:g} rad", f"{lowest[first]:g} rad"
+            message = f"a lower limit of up to {low} could exceed an upper limit of {high}"
+            raise ConfigError(message, expected="ranges of limits that do not overlap")
 
     def _ends(self, default: torch.Tensor, params: Pair | None) -> tuple[torch.Tensor, torch.Tensor]:
         if params is None:
@@ -342,12 +328,9 @@ class randomize_joint_parameters(TermBase):
             armature = self._drawn(data.default_joint_armature[ids][:, joints], self._armature)
             robot.write_joint_armature_to_sim(armature.clamp(min=0.0), joints, ids)
         if any(self._limits):
-            lower, upper = (
-                default if params is None else self._drawn(default, params)
-                for default, params in zip(
-                    data.default_joint_pos_limits[ids][:, joints].unbind(dim=2), self._limits, strict=True
-                )
-            )
+            defaults = data.default_joint_pos_limits[ids][:, joints].unbind(dim=2)
+            pairs = zip(defaults, self._limits, strict=True)
+            lower, upper = (d if params is None else self._drawn(d, params) for d, params in pairs)
             limits = torch.stack((lower, torch.maximum(lower, upper)), dim=2)
             robot.write_joint_position_limit_to_sim(limits, joints, ids, warn_limit_violation=False)
 
@@ -359,13 +342,12 @@ class randomize_joint_parameters(TermBase):
 class randomize_encoder_bias(TermBase):
     """Draw the bias of each joint's encoder, rad: the reading is position + bias.
 
-    Drives control the reading, so that the joint's true position differs from the target by the bias. Observations
-    contain the reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and actions relative to the
-    present position use the reading. Rewards and terminations use the true position.
+    Drives control the biased reading, so the joint's true position differs from the target by the bias. Observations
+    contain the biased reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and actions relative to
+    the current position use the biased reading. Rewards and terminations use the true position.
 
     Args:
         bias_range: [low, high], rad, drawn for each joint.
-        asset_cfg: the joints.
     """
 
     def __init__(
@@ -404,10 +386,11 @@ def randomize_physics_scene_gravity(
     distribution: Distribution = "uniform",
     per_env: bool = False,
 ) -> None:
-    """Change gravity (m/s^2, world axes) relative to ``env.sim.gravity``, with one draw for each axis.
+    """Change gravity (m/s^2, world axes) relative to ``env.sim.gravity``. Each axis has its own draw.
 
-    As in Isaac Lab, one value applies to all environments, including those that are not reset. With ``per_env`` each
-    environment of the event gets its own value. ``projected_gravity`` keeps the direction of the config's gravity.
+    As in Isaac Lab, one gravity vector applies to all environments, including environments that are not reset. With
+    ``per_env`` each environment of the event has its own gravity. The observation ``projected_gravity`` always uses the
+    direction of ``env.sim.gravity``.
     """
     sim = env.scene.sim
     default = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)

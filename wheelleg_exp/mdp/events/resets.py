@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -18,14 +18,13 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 class reset_root_state_uniform(TermBase):
-    """Place the root at its default, the environment's origin and a uniform offset.
+    """Place the root at the sum of its default position, the environment's origin, and a uniform offset.
 
     ``quat = default * euler_xyz(U)``, in body axes; the velocity is of the CoM in world axes.
 
     Args:
         pose_range: ``x``, ``y``, ``z`` in m; ``roll``, ``pitch``, ``yaw`` in rad.
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        asset_cfg: the robot.
     """
 
     settings = ("_low", "_high")
@@ -55,12 +54,12 @@ class reset_root_state_uniform(TermBase):
         robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 6:12], ids)
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
-        """Return the orientations (n, 4) for the default ones (n, 4) and drawn angles (n, 3)."""
+        """Return root orientations (n, 4), given default orientations (n, 4) and drawn angles (n, 3), rad."""
         return rotation.quat_mul(default, rotation.quat_from_euler_xyz(*euler.unbind(dim=1)))
 
 
 class reset_root_state_with_random_orientation(reset_root_state_uniform):
-    """As ``reset_root_state_uniform``, with an orientation uniform on SO(3)."""
+    """Place the root as ``reset_root_state_uniform`` does, with an orientation that is uniform on SO(3)."""
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
         del default
@@ -68,7 +67,7 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 
 
 class reset_root_state_from_terrain(TermBase):
-    """Place the root over a random flat patch of the environment's tile, with random angles.
+    """Place the root above a random flat patch of the environment's tile, with a random orientation.
 
     The patch is one of ``init_pos`` in the ground's ``flat_patches``. The root's default position is added to the
     patch; the default orientation is ignored. The velocity is of the CoM in world axes.
@@ -76,10 +75,6 @@ class reset_root_state_from_terrain(TermBase):
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
-        asset_cfg: the robot.
-
-    Raises:
-        ConfigError: the ground has no flat patches ``init_pos``.
     """
 
     settings = ("_low", "_high")
@@ -98,10 +93,8 @@ class reset_root_state_from_terrain(TermBase):
         self._generator = generator
         self._robot, self._terrain = env.scene[asset_cfg.name], env.scene.terrain
         if "init_pos" not in self._terrain.flat_patches:
-            raise ConfigError(
-                "the ground has no flat patches 'init_pos' to start from",
-                expected="flat patches of that name in env.scene.terrain",
-            )
+            expected = "flat patches 'init_pos' in env.scene.terrain"
+            raise ConfigError("the ground has no flat patches 'init_pos' for start positions", expected=expected)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot
@@ -123,8 +116,11 @@ def reset_joints_by_scale(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Set joints to their defaults times U(range), within soft limits; a default of 0 stays 0."""
-    _reset_joints(env, env_ids, position_range, velocity_range, generator, asset_cfg, scale=True)
+    """Set joint positions and velocities to their defaults times uniform factors, within soft limits.
+
+    A default of 0 remains 0.
+    """
+    _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 
 
 def reset_joints_by_offset(
@@ -135,37 +131,29 @@ def reset_joints_by_offset(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Set joints to their defaults plus U(range) (rad, rad/s), within soft limits."""
-    _reset_joints(env, env_ids, position_range, velocity_range, generator, asset_cfg, scale=False)
+    """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, within soft limits."""
+    _reset_joints(env, env_ids, torch.add, (position_range, velocity_range), generator, asset_cfg)
 
 
 def _reset_joints(
-    env: Env,
-    env_ids: torch.Tensor | None,
-    position_range: Interval,
-    velocity_range: Interval,
-    generator: torch.Generator,
-    asset_cfg: SceneEntityCfg,
-    *,
-    scale: bool,
+    env: Env, env_ids: torch.Tensor | None, operate: Any, ranges: Any, generator: torch.Generator, cfg: SceneEntityCfg
 ) -> None:
-    ids = all_ids(env, env_ids)
-    robot = env.scene[asset_cfg.name]
-    data, joints = robot.data, asset_cfg.joint_ids
+    ids, robot, joints = all_ids(env, env_ids), env.scene[cfg.name], cfg.joint_ids
+    data = robot.data
     pos, vel = (picked(of.index_select(0, ids), joints) for of in (data.default_joint_pos, data.default_joint_vel))
     u = torch.rand(2, *pos.shape, generator=generator, device=pos.device)
-    low, high = position_range
-    drawn_pos = low + (high - low) * u[0]
-    low, high = velocity_range
-    drawn_vel = low + (high - low) * u[1]
-    pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
+    drawn_pos, drawn_vel = (low + (high - low) * part for (low, high), part in zip(ranges, u.unbind(), strict=True))
+    pos, vel = operate(pos, drawn_pos), operate(vel, drawn_vel)
     lowest, highest = picked(data.soft_joint_pos_limits.index_select(0, ids), joints).unbind(dim=2)
     fastest = picked(data.soft_joint_vel_limits.index_select(0, ids), joints)
     robot.write_joint_state_to_sim(pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints, ids)
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
-    """Reset the robot to its default root and joint state, and with ``reset_joint_targets`` also its targets."""
+    """Reset the robot to its default root and joint state.
+
+    With ``reset_joint_targets``, also reset the joint targets.
+    """
     ids = all_ids(env, env_ids)
     robot = env.scene.robot
     data = robot.data

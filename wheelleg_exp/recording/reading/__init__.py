@@ -1,4 +1,4 @@
-"""Read a recording back as tables, also a damaged one.
+"""Read a rerun recording as tables, even if the file is damaged.
 
 | module | offers |
 |---|---|

@@ -1,4 +1,4 @@
-"""The rows of a recording by entity."""
+"""Read the rows of a recording by rerun entity."""
 
 from __future__ import annotations
 
@@ -20,14 +20,10 @@ SCALARS = "scalars"
 
 
 class EntityRows:
-    """The rows of each entity of a recording.
+    """The rows of each rerun entity in the file of a recording.
 
-    Args:
-        path: the file.
-        recording_id: the recording, if the file contains several.
-
-    Raises:
-        RunDirectoryError: the file is missing, empty, or not a recording, or contains several and none is chosen.
+    The constructor raises RunDirectoryError for a missing or empty file, a file without a recording, and a file with
+    several recordings of which ``recording_id`` chooses none.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -38,37 +34,33 @@ class EntityRows:
         self._statics: dict[str, dict[str, pa.Array]] = {}
 
     def entities(self) -> list[str]:
-        """Return the sorted paths of the entities, without a leading slash; hidden entities are left out."""
-        return list(self._entities)
+        """Return the sorted paths of the rerun entities, without a leading slash. Hidden entities are excluded."""
+        return list(self._sorted_entities)
 
     def timelines(self) -> list[str]:
-        """Return the names of the timelines."""
+        """Return the names of the recorded timelines."""
         found = {name for e in self.entities() for name in self.columns(e)}
         return [name for name in TIMELINES if name in found]
 
     def reach(self, timeline: str) -> tuple[float, float] | None:
-        """Return the first and last time of a timeline, ``sim_time`` in s; None for an empty timeline."""
+        """Return the first and the last value of a timeline, in s for ``sim_time``; None for an empty timeline."""
         found = self._contents.reach.get(timeline)
         scale = 1e-9 if timeline == SIM_TIME else 1.0
         return None if found is None else (found[0] * scale, found[1] * scale)
 
     def columns(self, entity: str) -> set[str]:
-        """Return the names of an entity's timelines and of its components that were recorded over time."""
+        """Return the names of the entity's timelines, and of the components that were recorded over time."""
         pieces = [piece for piece in self._contents.pieces.get(entity.strip("/"), ()) if not piece.is_static]
         return {short_name(name) for piece in pieces for name in piece.names}
 
     def archetypes(self, entity: str) -> set[str]:
-        """Return the archetypes of an entity's static components: ``Boxes3D``, ``SeriesLines``."""
+        """Return the archetypes of an entity's static components, such as ``Boxes3D``."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         names = (name for piece in pieces if piece.is_static for name in piece.names)
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return the rows of an entity, given by its whole path, as ``Recording.table`` does.
-
-        Raises:
-            KeyError: the entity has no rows.
-        """
+        """Return the rows of an entity in the format of ``Recording.table``; raise KeyError without rows."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:
@@ -80,7 +72,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return the numbers of an entity, given by its whole path, (rows, width); raises as ``values``."""
+        """Return the numbers of an entity, (rows, width); raise RunDirectoryError if the rows differ in width."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"
@@ -100,15 +92,15 @@ class EntityRows:
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 
     def number_names(self, entity: str) -> list[str]:
-        """Return the names of an entity's numbers; empty when the numbers have no names."""
+        """Return the names of an entity's numbers; an empty list if the numbers have no names."""
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
     def static(self, entity: str) -> dict[str, list[Any]]:
-        """Return the static values of an entity by component; empty when the entity has none."""
+        """Return the static values of an entity by component; an empty dictionary without static values."""
         return {name: python_values(array)[0] or [] for name, array in self.static_arrays(entity).items()}
 
     def static_arrays(self, entity: str) -> dict[str, pa.Array]:
-        """Return the static values of an entity as list arrays of one row, by component."""
+        """Return the static values of an entity by component, as list arrays of one row."""
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
@@ -119,17 +111,17 @@ class EntityRows:
         return self.count(entity) > 0
 
     def count(self, entity: str) -> int:
-        """Return the number of an entity's rows that were recorded over time."""
+        """Return the number of rows of an entity, without static rows."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         return sum(piece.batch.num_rows for piece in pieces if not piece.is_static)
 
     @property
     def health(self) -> Health:
-        """How much of the file can be read."""
+        """The health of the recording's file."""
         return self._contents.health
 
     @cached_property
-    def _entities(self) -> list[str]:
+    def _sorted_entities(self) -> list[str]:
         return sorted(entity for entity in self._contents.pieces if entity and not entity.startswith(HIDDEN))
 
     def _mixed(self, entity: str) -> RunDirectoryError:
@@ -138,10 +130,9 @@ class EntityRows:
 
 
 def _sorted(table: pa.Table) -> pa.Table:
-    """Return the rows sorted by step; rows of equal steps stay in the order of the file."""
     if STEP not in table.column_names:
         return table
-    if table.column(STEP).null_count:  # a row without a step has no place among rows with steps
+    if table.column(STEP).null_count:  # A row without a control step cannot be sorted among rows with control steps.
         table = table.filter(table.column(STEP).is_valid())
     steps = np.asarray(table.column(STEP))
     if (steps[1:] >= steps[:-1]).all():

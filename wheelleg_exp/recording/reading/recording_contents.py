@@ -1,4 +1,4 @@
-"""The rows of a recording's file by entity, and how much of the file can be read."""
+"""Read the rows of a recording's file by rerun entity, and check how much of the file is readable."""
 
 from __future__ import annotations
 
@@ -28,15 +28,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Health:
-    """How much of a recording's file can be read.
+    """The health of a recording's file: how much of the file is readable.
 
-    Attributes:
-        size: bytes of the file.
-        readable: bytes from the start of the file to the end of the last whole message.
-        messages: number of whole messages.
-        is_closed: whether the writer closed the file, which leaves an index at its end.
-        damaged: number of whole messages that cannot be read.
-        writer: version of rerun that wrote the file.
+    ``size`` is the number of bytes of the file, and ``readable`` is the number of bytes up to the end of the last
+    complete message. ``is_closed`` is true if the file has an index. ``damaged`` counts complete messages that cannot
+    be decoded. ``writer`` is the version of rerun that wrote the file.
     """
 
     size: int
@@ -48,33 +44,30 @@ class Health:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing is missing and nothing is damaged."""
+        """Whether the recording's file is closed and no message is damaged."""
         return self.is_closed and not self.damaged
 
     def lines(self) -> list[str]:
-        """Return sentences for people; the first one is the verdict."""
-        return ["whole" if self.is_whole else "not whole", *self._problems()]
+        """Return sentences about the recording's file for the user; the first line is the verdict."""
+        found = ["whole" if self.is_whole else "not whole"]
+        if self.readable < self.size and not self.is_closed:
+            found.append(f"cut off at byte {self.readable} of {self.size}: no whole message follows")
+        elif not self.is_closed:
+            found.append("not closed: it is still being written, or its writer was killed")
+        if self.damaged:
+            found.append(f"{self.damaged} of {self.messages} messages are damaged, and are left out")
+        return found
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all values as a plain mapping."""
+        """Return the health of a recording's file as a dictionary."""
         return {"is_whole": self.is_whole, **asdict(self), "lost": self.size - self.readable}
-
-    def _problems(self) -> Iterator[str]:
-        if self.readable < self.size and not self.is_closed:
-            yield f"cut off at byte {self.readable} of {self.size}: no whole message follows"
-        elif not self.is_closed:
-            yield "not closed: it is still being written, or its writer was killed"
-        if self.damaged:
-            yield f"{self.damaged} of {self.messages} messages are damaged, and are left out"
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The rows of one message.
+    """The rows of one message of an rrd file, either static or over time.
 
-    Attributes:
-        batch: one column for each timeline and component; the metadata of a column's field says which of both it is.
-        is_static: whether the rows hold at all times.
+    The metadata of an Arrow field is either ``index`` for a timeline or ``data`` for a component.
     """
 
     batch: pa.RecordBatch
@@ -82,26 +75,15 @@ class Piece:
 
     @property
     def names(self) -> list[str]:
-        """The names of the timelines and components."""
+        """The names of the timelines and rerun components of the rows."""
         return [field.name for field in self.batch.schema if is_index(field) or is_component(field)]
 
 
 class Contents:
-    """The rows of a recording by entity.
+    """The rows of a recording by rerun entity: ``pieces`` are the rows of each message.
 
-    The file is read once, as far as it was whole when it was opened.
-
-    Args:
-        path: the file.
-        recording_id: the recording, if the file contains several.
-
-    Attributes:
-        recording_id: the recording's id.
-        health: how much of the file can be read.
-        pieces: the rows of each message, by entity.
-
-    Raises:
-        RunDirectoryError: the file is missing, is not a recording, or contains none or several.
+    The constructor reads all complete messages of the file. The constructor raises RunDirectoryError for a missing
+    file, a file without a recording, and a file with several recordings of which ``recording_id`` chooses none.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:
@@ -110,9 +92,12 @@ class Contents:
         messages = list(file.messages())
         last = messages[-1] if messages else None
         readable, is_closed = HEADER_SIZE if last is None else last.end, file.is_closed(last)
-        stores, unreadable = (_stores(path) if is_closed else None), 0
+        stores, unreadable = (_stores(path) if is_closed else None if messages else {}), 0
         if stores is None:
-            stores, unreadable = _salvaged(file, path)
+            with closed_copy(path) as (closed, unreadable):
+                stores = _stores(closed)
+            if stores is None:
+                raise _unreadable(path, "no message can be read")
         self.health = Health(
             size=file.size,
             readable=file.size if is_closed else readable,
@@ -128,7 +113,7 @@ class Contents:
 
     @cached_property
     def reach(self) -> dict[str, tuple[int, int]]:
-        """The first and last value of each timeline; those of ``sim_time`` in ns."""
+        """The first and the last value of each timeline; ``sim_time`` is in ns."""
         found: dict[str, tuple[int, int]] = {}
         for batch in (piece.batch for pieces in self.pieces.values() for piece in pieces if not piece.is_static):
             for name in TIMELINES:
@@ -141,11 +126,11 @@ class Contents:
         return found
 
     def rows(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the timelines and components of an entity, each of the type that its name implies."""
+        """Yield a rerun entity's timelines and components, converted to the Arrow types for their names."""
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of an entity as they were written, in the order of the file."""
+        """Yield the rows of a rerun entity in file order, without type conversion."""
         return (piece.batch for piece in self.pieces.get(entity, ()) if piece.is_static == static)
 
     def _chosen(self, stores: Mapping[tuple[str, str], list[Chunk]], wanted: str | None) -> str:
@@ -155,22 +140,22 @@ class Contents:
         if not names:
             expected = "a recording that has started"
             raise RunDirectoryError(f"'{self._path}' contains no rows ({self.health.size} bytes)", expected=expected)
-        if wanted is None:
-            what, which = f"contains {len(names)} recordings", "one; choose it by its id (--id): "
-        else:
-            what, which = f"contains no recording '{wanted}'", "one of "
-        raise RunDirectoryError(f"'{self._path}' {what}", expected=which + ", ".join(names))
+        if wanted is not None:
+            message = f"'{self._path}' contains no recording '{wanted}'"
+            raise RunDirectoryError(message, expected="one of " + ", ".join(names))
+        expected = "one; choose it by its id (--id): " + ", ".join(names)
+        raise RunDirectoryError(f"'{self._path}' contains {len(names)} recordings", expected=expected)
 
 
 def columns(batch: pa.RecordBatch) -> pa.Table:
-    """Return the timelines and components of rows as a table, by short names."""
+    """Return the timelines and components of an Arrow record batch as a table with short column names."""
     chosen = [i for i, field in enumerate(batch.schema) if field.name in TIMELINES or is_component(field)]
     names = [short_name(batch.schema.field(i).name) for i in chosen]
     return pa.table([batch.column(i) for i in chosen], names=names)
 
 
 def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
-    """Return the last row of each component by its short name."""
+    """Return the last row of each rerun component by the component's short name."""
     found: dict[str, pa.Array] = {}
     for batch in batches:
         for field, array in zip(batch.schema, batch.columns, strict=True):
@@ -181,12 +166,10 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 
 @contextmanager
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
-    """Yield a temporary, closed copy of a cut off or damaged file, and the number of unreadable messages.
+    """Yield a temporary, closed copy of a truncated or damaged recording, and the number of unreadable messages.
 
-    rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
-
-    Raises:
-        RunDirectoryError: no message can be read.
+    rerun's own program writes the copy, because a damaged message can terminate the process that decodes it. The
+    function raises RunDirectoryError if no message is readable.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"
@@ -197,29 +180,20 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # The copy also lacks static rows that later rows replace, so the rows themselves cannot be counted.
+        # Damaged messages are counted in rerun's log. The number of rows in the copy does not help, because the copy
+        # also lacks static rows that later rows replace.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 
-def _salvaged(file: RrdFile, path: Path) -> tuple[dict[tuple[str, str], list[Chunk]], int]:
-    if next(file.messages(), None) is None:
-        return {}, 0
-    with closed_copy(path) as (closed, unreadable):
-        stores = _stores(closed)
-    if stores is None:
-        raise _unreadable(path, "no message can be read")
-    return stores, unreadable
-
-
 def _stores(path: Path) -> dict[tuple[str, str], list[Chunk]] | None:
-    """Return the chunks of a closed file by the kind and the id of their store; None when the file is damaged."""
-    from rerun.chunk import RrdReader  # importing rerun takes 0.25 s
+    """Return the chunks of a closed rrd file by the kind and the id of their rerun store; None for a damaged file."""
+    from rerun.chunk import RrdReader  # The import of rerun takes 0.25 s.
 
     try:
         reader = RrdReader(path)
         entries = [*reader.recordings(), *reader.blueprints()]
         return {(entry.kind, entry.recording_id): reader.stream(store=entry).to_chunks() for entry in entries}
-    except ValueError:  # the file contains no store
+    except ValueError:  # rerun raises ValueError for a file that contains neither a recording nor a blueprint.
         return {}
     except RuntimeError:
         return None
@@ -232,11 +206,7 @@ def _opened(path: Path) -> RrdFile:
         if not stat.S_ISREG(path.stat().st_mode):
             raise RunDirectoryError(f"'{path}' is not a regular file", expected="a recording, a file named *.rrd")
         file = RrdFile(path)
-    _require_readable(path, file.header)
-    return file
-
-
-def _require_readable(path: Path, head: bytes) -> None:
+    head = file.header
     if not head:
         raise RunDirectoryError(f"the recording '{path}' is empty", expected="a rerun recording")
     if head[:3] != MAGIC[:3]:
@@ -253,10 +223,10 @@ def _require_readable(path: Path, head: bytes) -> None:
             f"the recording '{path}' was written by rerun {_writer(head)}, in a format that is no longer supported",
             expected="a recording of rerun 0.23 or later",
         )
+    return file
 
 
 def _writer(head: bytes) -> str:
-    """Return the version of rerun that wrote a file with this header."""
     return ".".join(map(str, head[4:7]))
 
 

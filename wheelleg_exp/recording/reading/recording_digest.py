@@ -1,11 +1,10 @@
-"""A digest of a recording's content. Runs that did the same have the same digest."""
+"""Compute a digest of a recording's content. The recordings of two runs have equal digests if their rows are equal."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,25 +19,16 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, columns,
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-
-_VALUES_AT_ONCE = 1 << 16  # values that are converted to Python values at a time
-
-# Entities that depend on the place and time of a run: texts, and wall-clock times.
+# Texts and wall-clock times depend on the machine and the time of a run.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
 def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
-    """Return a sha256 over the content of a recording, to the last bit of every number.
+    """Return a sha256 over the content of a recording, including every bit of every number.
 
-    The bytes of two files always differ, in row ids and chunk boundaries. The digest contains neither, nor the
-    recording's name, id, properties and layout.
-
-    Args:
-        path: the recording.
-        without: entity paths that are left out together with all paths below them.
-
-    Raises:
-        RunDirectoryError: the file is not a recording.
+    The row ids and chunk boundaries of two recordings always differ. The digest ignores row ids, chunk boundaries, and
+    the recording's name, id, properties, and layout. ``without`` lists entity paths that are ignored, together with all
+    entities below these paths.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -47,48 +37,35 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
 
 
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 of each entity's content by its path, to find the entities in which two recordings differ.
-
-    Raises:
-        RunDirectoryError: the file is not a recording.
-    """
+    """Return a sha256 of each rerun entity's content, by the entity path."""
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
-    return {name: _digest(contents, names[name]) for name in sorted(names) if _counts(name, left_out)}
-
-
-def _counts(name: str, left_out: Iterable[str]) -> bool:
-    below = any(name == path or name.startswith(f"{path}/") for path in left_out)
-    return bool(name) and not name.startswith(HIDDEN) and not below
+    counted = [name for name in sorted(names) if name and not name.startswith(HIDDEN)]
+    below = tuple(f"{path}/" for path in left_out)
+    return {
+        name: _digest(contents, names[name]) for name in counted if name not in left_out and not name.startswith(below)
+    }
 
 
 def _digest(contents: Contents, entity: str) -> str:
     digest = hashlib.sha256()
-    for name, array in [*_static(contents, entity), *_rows(contents, entity)]:
+    static = latest(contents.batches(entity, static=True))
+    arrays = [(f"static {name}", static[name]) for name in sorted(static)]
+    tables = [columns(batch) for batch in contents.batches(entity, static=False)]
+    with suppress(pa.ArrowException):  # Other programs' recordings can mix types.
+        tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
+    for table in tables:
+        rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table
+        places = sorted(range(rows.num_columns), key=rows.column_names.__getitem__)
+        arrays += [(rows.column_names[i], rows.column(i).combine_chunks()) for i in places]
+    for name, array in arrays:
         digest.update(f"{name}\0{array.type}\0{len(array)}\0".encode())
         _update(digest, array)
     return digest.hexdigest()
 
 
-def _static(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
-    """Yield the static components, each as it was last written."""
-    found = latest(contents.batches(entity, static=True))
-    yield from ((f"static {name}", found[name]) for name in sorted(found))
-
-
-def _rows(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
-    """Yield the columns over time, sorted by step."""
-    tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # one name has several types, which this program never writes
-        tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
-    for table in tables:
-        rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table
-        for place in sorted(range(rows.num_columns), key=rows.column_names.__getitem__):
-            yield rows.column_names[place], rows.column(place).combine_chunks()
-
-
 def _update(digest: _Hash, array: pa.Array) -> None:
-    """Add an array's content to a digest: the valid values, the lengths of lists, and the bytes of the values."""
+    """Add the content of an array to a digest: the valid values, the lengths of lists, and the bytes of the values."""
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks)
     digest.update(np.asarray(array.is_valid()).tobytes())
@@ -104,9 +81,6 @@ def _update(digest: _Hash, array: pa.Array) -> None:
     elif pa.types.is_temporal(kind) and not pa.types.is_interval(kind):
         digest.update(np.asarray(array.drop_null().cast(pa.int32() if kind.bit_width == 32 else pa.int64())).tobytes())
     else:
-        known = array.drop_null()
-        for data in chain.from_iterable(
-            python_values(known[i : i + _VALUES_AT_ONCE]) for i in range(0, len(known), _VALUES_AT_ONCE)
-        ):
+        for data in python_values(array.drop_null()):
             text = data if isinstance(data, bytes) else str(data).encode()
             digest.update(len(text).to_bytes(8, "little") + text)

@@ -1,4 +1,4 @@
-"""Repair a recording that was cut off or damaged."""
+"""Repair a truncated or damaged recording."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, Health, 
 
 @dataclass(frozen=True)
 class Repaired:
-    """The result of a repair.
+    """The result of a repair: the file that was read, the repaired file, and the health of the file that was read.
 
-    Attributes:
-        path: the recording, which does not change.
-        output: the repaired file; None when the recording is whole.
-        health: how much of the recording can be read.
+    ``output`` is None if the recording is complete and needs no repair.
     """
 
     path: Path
@@ -30,12 +27,8 @@ class Repaired:
 def repair(path: Path, output: Path | None = None) -> Repaired:
     """Write every readable message of a recording, with an index, to another file.
 
-    Args:
-        path: the recording.
-        output: the repaired file; by default ``<name>.repaired.rrd`` in the same folder.
-
-    Raises:
-        RunDirectoryError: nothing of the recording can be read, or the output exists or cannot be written.
+    The default output is ``<name>.repaired.rrd`` in the same folder. The function raises RunDirectoryError if the
+    recording is unreadable or the output exists.
     """
     health = Contents(path).health
     if health.is_whole:
@@ -48,7 +41,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             output.parent.mkdir(parents=True, exist_ok=True)
             written.write_bytes(closed.read_bytes())
             try:
-                os.link(written, output)  # fails when the name was taken meanwhile
+                os.link(written, output)  # Unlike a rename, a hard link never replaces an existing file.
             except FileExistsError:
                 _require_free(output)
     finally:

@@ -5,6 +5,6 @@
 | ``recorder`` | ``Recorder``: the file and its environments |
 | ``recorded_environment``, ``recorded_frames``, ``recorded_events`` | one environment, its frames, its events |
 | ``rerun_shapes`` | geoms, poses, arrows and the ground as rerun's shapes |
-| ``recording_file``, ``resume_recording`` | the growing file, and the rows that an earlier file keeps |
+| ``recording_file``, ``resume_recording`` | the growing file, and the rows of an earlier file |
 | ``live_view`` | a viewer that follows the file |
 """

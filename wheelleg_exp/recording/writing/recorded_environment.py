@@ -1,10 +1,9 @@
-"""One recorded environment: its facts, its shapes, its frames, and the size that frames take in the file."""
+"""One recorded environment: its properties, its shapes, its frames, and the size of its frames in the file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,21 +15,20 @@ import torch
 from wheelleg_exp import __version__
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording.blueprint import EnvLayout
-from wheelleg_exp.recording.layout import FORMAT_VERSION, GROUND, EnvPaths
+from wheelleg_exp.recording.layout import FORMAT_VERSION, GROUND, EnvPaths, join
 from wheelleg_exp.recording.recording_options import Sample
 from wheelleg_exp.recording.writing import rerun_shapes
 from wheelleg_exp.recording.writing.recorded_frames import (
     Episodes,
     Frames,
     Stamp,
-    has_forces,
-    learning_channels,
-    robot_channels,
+    environment_channels,
     velocity_command,
 )
 from wheelleg_exp.recording.writing.rerun_shapes import Columns, Contacts, Ground, VelocityArrows, geom_name, shape
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, is_plane
+from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.state.tensor_trees import host_copy
 
 StaticEntities = Iterator[tuple[str, list[Any]]]
@@ -40,11 +38,7 @@ ROBOT = "robot"
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
-    Args:
-        env: the environment.
-        env_ids: the recorded environments.
-        purpose: training, play or evaluation.
-        given: more values (run id, task, checkpoint), which replace values of the same name.
+    The values of ``given`` (run id, task, checkpoint) override the environment's properties of the same name.
     """
     found: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -65,7 +59,7 @@ def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: M
 
 
 def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
-    """Return the property ``robot``: its bodies and joints, its weight (N) and its height (m)."""
+    """Return the property ``robot``: the robot's bodies and joints, its weight (N) and its height (m)."""
     robot, model = env.scene.robot, env.scene.model
     root = int(model.body(robot.body_names[0]).id)
     facts: dict[str, Any] = {
@@ -80,38 +74,35 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield the terms of each manager in their order, with weights and widths."""
+    """Yield the terms of each manager in the manager's order, with their weights and widths."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
         yield paths.data("observations", group), [rr.AnyValues(terms=terms, widths=widths)]
     rewards = env.reward_manager.active_terms
-    # The configured weights, because curricula change the present ones.
+    # Record the configured reward weights, because curricula change the current reward weights.
     weights = [float(env.cfg["rewards"][name]["weight"]) for name in rewards]
-    yield from _listed(paths.data("rewards"), rewards, weights=weights)
     ends = env.termination_manager.active_terms
     over = [int(bool(env.termination_manager.get_term_cfg(name).fields.get("time_out", False))) for name in ends]
-    yield from _listed(paths.data("terminations"), ends, time_out=over)
-    yield from _listed(paths.data("actions"), actions.active_terms, widths=actions.action_term_dim)
-    yield from _listed(paths.data("events"), list(interval_terms(env)))
-
-
-def interval_terms(env: ManagerBasedRLEnv) -> list[str]:
-    """Return the names of the interval events."""
-    manager = env.event_manager
-    return manager.active_terms.get("interval", [])
-
-
-def _listed(entity: str, terms: list[str], **values: Any) -> StaticEntities:
-    if terms:
-        yield entity, [rr.AnyValues(terms=list(terms), **values)]
+    listed: dict[str, tuple[list[str], dict[str, Any]]] = {
+        "rewards": (rewards, {"weights": weights}),
+        "terminations": (ends, {"time_out": over}),
+        "actions": (actions.active_terms, {"widths": actions.action_term_dim}),
+        "events": (env.event_manager.active_terms.get("interval", []), {}),
+    }
+    for name, (terms, values) in listed.items():
+        if terms:
+            yield paths.data(name), [rr.AnyValues(terms=list(terms), **values)]
 
 
 def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> StaticEntities:
-    """Yield each joint's limits and drive, and the environment's origin."""
+    """Yield the limits and the actuator parameters of each joint, and the origin of the environment."""
     robot, data = env.scene.robot, env.scene.robot.data
     yield paths.data("joints"), [rr.AnyValues(names=list(robot.joint_names))]
-    drives = _drives(env, env_id)
+    drives: dict[str, tuple[float, float]] = {}
+    for actuator in robot.actuators.values():
+        gains = torch.stack((actuator.stiffness[env_id], actuator.damping[env_id]), dim=1).tolist()
+        drives.update(zip(actuator.joint_names, map(tuple, gains), strict=True))
     for i, joint in enumerate(robot.joint_names):
         low, high = data.joint_pos_limits[env_id, i].tolist()
         stiffness, damping = drives.get(joint, (math.nan, math.nan))
@@ -128,54 +119,19 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
     yield paths.data("state"), [rr.AnyValues(origin=env.scene.env_origins[env_id].tolist())]
 
 
-def _drives(env: ManagerBasedRLEnv, env_id: int) -> dict[str, tuple[float, float]]:
-    """Return stiffness and damping of every driven joint of an environment."""
-    found: dict[str, tuple[float, float]] = {}
-    for actuator in env.scene.robot.actuators.values():
-        rows = torch.stack((actuator.stiffness[env_id], actuator.damping[env_id]), dim=1).tolist()
-        found.update(zip(actuator.joint_names, ((k, d) for k, d in rows), strict=True))
-    return found
-
-
 MEGABYTE = 1_000_000
-# Measured bytes: metadata of a chunk plus its index entry; the three times of a row; a transform; a number.
+# The measured numbers of bytes of a chunk's metadata with its index entry, of a row's three times, of a transform, and
+# of a number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 _FACE, _CELL, _TEXTS = 150, 40, 2 * MEGABYTE
 
 
-@dataclass(frozen=True)
-class Cost:
-    """An upper estimate of the size of frames, without compression.
-
-    Attributes:
-        entities: number of entities with one row in each frame.
-        numbers: number of numbers in a frame.
-        bodies: number of bodies whose pose is in a frame.
-    """
-
-    entities: int
-    numbers: int
-    bodies: int
-
-    def frame(self, rows_together: int) -> float:
-        """Return the bytes of a frame, given the number of rows that are written at a time."""
-        entities = self.entities + self.bodies
-        content = _NUMBER * self.numbers + _TRANSFORM * self.bodies + _TIMES * entities
-        return content + _CHUNK * entities / rows_together
-
-
-def total_cost(costs: Iterable[Cost]) -> Cost:
-    """Return the cost of several environments together."""
-    found = list(costs)
-    return Cost(sum(c.entities for c in found), sum(c.numbers for c in found), sum(c.bodies for c in found))
-
-
 def static_bytes(model: mujoco.MjModel, envs: int) -> float:
-    """Return the bytes that are written once: shapes, and an allowance for texts and names."""
+    """Return an upper estimate of the bytes of all shapes, texts and names of a recording."""
     return envs * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
 
-# Lengths of arrows in robot heights, so that they fit a robot of any size.
+# The lengths of arrows are proportional to the robot's height, so that the arrows are readable for a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6
 _HEIGHTS_PER_SPEED = 2.0
 _LIFT = 0.45
@@ -200,20 +156,10 @@ _PALETTE = (
 
 
 class RecordedEnvironment:
-    """One recorded environment.
+    """One recorded environment; ``place`` is its position in the row of environments in the 3D view.
 
-    Poses are relative to the environment's origin at construction, so that the robot starts at the centre.
-
-    Args:
-        env: the environment.
-        env_id: index of the environment.
-        paths: the entity paths of the environment.
-        place: number of recorded environments before this one, which decides how far to the side it is drawn.
-
-    Attributes:
-        stamps: the times of the buffered frames.
-        sample: selects the recorded steps of a training.
-        episodes: counts the recorded episodes.
+    Poses are relative to the environment's origin at construction, so that the robot starts at the centre of the 3D
+    view. ``stamps`` are the times of the buffered frames.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -229,11 +175,12 @@ class RecordedEnvironment:
         self.stamps: list[Stamp] = []
         self.sample = Sample()
         self.episodes = Episodes()
-        learning = learning_channels(env, env_id, paths, self.episodes)
-        self.frames = Frames([*robot_channels(env, env_id, paths), *learning])
-        self._events = interval_terms(env)
+        self.frames = Frames(environment_channels(env, env_id, paths, self.episodes))
+        self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        self._dry_run()
+        # Read every channel once, so that a wrong width raises an error at construction and not during a control step.
+        self.frames.append()
+        self.frames.clear()
         self._draw(env)
         self._place = place
         self.layout = EnvLayout(
@@ -248,17 +195,20 @@ class RecordedEnvironment:
             observations={group: tuple(terms) for group, terms in env.observation_manager.active_terms.items()},
         )
 
-    @property
-    def cost(self) -> Cost:
-        """The size of a frame in the file."""
-        entities = {entity for channel in self.frames.channels for entity in channel.entities}
-        numbers = sum(len(channel.names) for channel in self.frames.channels)
+    def frame_bytes(self, rows_together: int) -> float:
+        """Return an upper estimate of the bytes of a frame; ``rows`` frames are written at a time."""
+        recorded = {entity for channel in self.frames.channels for entity in channel.entities}
+        # The bytes of the three angles, the norms and arrows of contact forces, and the two velocities are added,
+        # because these drawn entities have no channel.
+        drawn = 3 + 2 * len(self._contacts) + 2
+        entities = len(recorded) + drawn + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
-        drawn = 3 + 2 * len(self._contacts) + 2  # angles, norms and arrows, velocities
-        return Cost(len(entities) + drawn, numbers + 4 * sensed + 6, len(self._bodies))
+        numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
+        content = _NUMBER * numbers + _TRANSFORM * len(self._bodies) + _TIMES * entities
+        return content + _CHUNK * entities / rows_together
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Record the state after a control step; ``ends`` says whether the episode ended with the step."""
+        """Record the environment's state after a control step; ``ends`` is true if the episode ended with this step."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)
@@ -270,8 +220,8 @@ class RecordedEnvironment:
         self.frames.clear()
         self.stamps.clear()
 
-    def statics(self) -> Iterator[tuple[str, list[Any]]]:
-        """Yield what is static: places, shapes, names of numbers, colours of arrows."""
+    def statics(self) -> StaticEntities:
+        """Yield the static data: positions, shapes, names of numbers, and colours of arrows."""
         if self._place:
             for path in (self.paths.body(""), self.paths.overlay()):
                 yield path, [rr.Transform3D(translation=self._offset)]
@@ -279,10 +229,15 @@ class RecordedEnvironment:
             yield from self._shapes(body, entity)
         yield from self._reading
         yield from self._series()
-        yield from self._arrow_styles()
+        radius = 0.02 * self._size
+        styles = {("contacts", contact.sensor): rerun_shapes.FORCE for contact in self._contacts}
+        if self._velocity is not None:
+            styles |= {("velocity", "command"): rerun_shapes.COMMANDED, ("velocity", "actual"): rerun_shapes.ACTUAL}
+        for parts, shade in styles.items():
+            yield self.paths.overlay(*parts), [rr.Arrows3D.from_fields(colors=[shade], radii=[radius])]
 
-    def surroundings(self) -> Iterator[tuple[str, list[Any]]]:
-        """Yield the ground and the other geoms of the world, relative to this environment's origin."""
+    def surroundings(self) -> StaticEntities:
+        """Yield the ground and all other geoms of the MuJoCo world body, relative to this environment's origin."""
         if self._ground is not None:
             yield GROUND, [self._ground.mesh(_LIGHT, _DARK)]
         drawn, _ = body_geoms(self._model, 0)
@@ -292,8 +247,11 @@ class RecordedEnvironment:
             yield f"{GROUND}/terrain/{geom_name(self._model, geom)}", shape(self._model, geom)
 
     def columns(self) -> Iterator[Columns]:
-        """Yield the buffered frames as columns of entities."""
-        blocks = self._with_poses(self.frames.blocks())
+        """Yield the buffered frames as columns of rerun entities."""
+        blocks = self.frames.blocks()
+        position, quaternion = self._solver.poses(blocks["qpos"])
+        angles = rerun_shapes.roll_pitch_yaw(quaternion[:, self._root])
+        blocks = {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
         yield from rerun_shapes.scalars([c for c in self.frames.channels if c.entities], blocks)
         yield from rerun_shapes.orientation(self.paths, blocks)
         yield from rerun_shapes.transforms(self._bodies, blocks)
@@ -304,24 +262,13 @@ class RecordedEnvironment:
         if self._ground is not None and self._place == 0:
             yield from self._ground.columns(self.paths, blocks)
 
-    def _with_poses(self, blocks: dict[str, Array]) -> dict[str, Array]:
-        """Add the poses of all bodies (n, B, 3), (n, B, 4), and the base's angles (n, 3)."""
-        position, quaternion = self._solver.poses(blocks["qpos"])
-        angles = rerun_shapes.roll_pitch_yaw(quaternion[:, self._root])
-        return {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
-
-    def _dry_run(self) -> None:
-        """Read every channel once, so that a wrong width raises now and not during a step."""
-        self.frames.append()
-        self.frames.clear()
-
     def _draw(self, env: ManagerBasedRLEnv) -> None:
         weight = rerun_shapes.weight(self._model, self._root)
         ids = {name: int(self._model.body(name).id) for name in self._robot.body_names}
         self._contacts = [
             Contacts(name, tuple(ids[b] for b in sensor.body_names), _HEIGHTS_PER_WEIGHT * self._size / weight)
             for name, sensor in env.scene.sensors.items()
-            if has_forces(sensor)
+            if isinstance(sensor, ContactSensor)
         ]
         command = velocity_command(env)
         self._velocity = None
@@ -332,18 +279,20 @@ class RecordedEnvironment:
         point = self._model.geom_pos[planes[0]] - self._origin if planes else np.zeros(3)
         self._ground = Ground(self._root, _tile(self._size), _TILES, point) if planes else None
 
-    def _shapes(self, body: int, entity: str) -> Iterator[tuple[str, list[Any]]]:
+    def _shapes(self, body: int, entity: str) -> StaticEntities:
         drawn, colliders = body_geoms(self._model, body)
         for geom in drawn:
             if archetypes := shape(self._model, geom):
-                yield f"{entity}/{_part(self._model, geom)}", archetypes
+                yield f"{entity}/{join(geom_name(self._model, geom))}", archetypes
         place = self.paths.overlay("colliders", self._model.body(body).name or f"body_{body}")
         for geom in colliders:
             if archetypes := shape(self._model, geom):
-                # The collider moves with the body, but has a path of its own, so that one click hides all colliders.
-                yield f"{place}/{_part(self._model, geom)}", [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
+                # A collider moves with its MuJoCo body. Its entity path is not below the body's path, so that one click
+                # hides all colliders.
+                frame = rr.CoordinateFrame(f"tf#/{entity}")
+                yield f"{place}/{join(geom_name(self._model, geom))}", [*archetypes, frame]
 
-    def _series(self) -> Iterator[tuple[str, list[Any]]]:
+    def _series(self) -> StaticEntities:
         for channel in self.frames.channels:
             if len(channel.entities) == 1:
                 yield channel.entities[0], [series(channel.names)]
@@ -358,19 +307,12 @@ class RecordedEnvironment:
             names = [self._model.body(b).name for b in contact.bodies]
             yield self.paths.data("contacts", contact.sensor), [series(names)]
 
-    def _arrow_styles(self) -> Iterator[tuple[str, list[Any]]]:
-        radius = 0.02 * self._size
-        for contact in self._contacts:
-            path = self.paths.overlay("contacts", contact.sensor)
-            yield path, [rr.Arrows3D.from_fields(colors=[rerun_shapes.FORCE], radii=[radius])]
-        if self._velocity is not None:
-            for name, shade in (("command", rerun_shapes.COMMANDED), ("actual", rerun_shapes.ACTUAL)):
-                path = self.paths.overlay("velocity", name)
-                yield path, [rr.Arrows3D.from_fields(colors=[shade], radii=[radius])]
-
 
 def series(names: Any, first: int = 0) -> Any:
-    """Return names and colours of the lines of a plot; commands and targets have paler colours."""
+    """Return the names and colours of the lines of a plot.
+
+    Commands and targets have paler colours than measured values.
+    """
     shades = []
     for i, name in enumerate(names):
         shade = np.array(_PALETTE[(first + i) % len(_PALETTE)])
@@ -380,7 +322,6 @@ def series(names: Any, first: int = 0) -> Any:
 
 
 def _position_controlled(env: ManagerBasedRLEnv) -> dict[str, bool]:
-    """Return for each joint whether an actuator controls its position; an undriven joint counts as controlled."""
     robot = env.scene.robot
     free = {
         joint
@@ -391,12 +332,7 @@ def _position_controlled(env: ManagerBasedRLEnv) -> dict[str, bool]:
     return {joint: joint not in free for joint in robot.joint_names}
 
 
-def _part(model: Any, geom: int) -> str:
-    return rr.escape_entity_path_part(geom_name(model, geom))
-
-
 def _tile(size: float) -> float:
-    """Return an edge of 1, 2 or 5 times a power of ten that is near two thirds of the robot's height, m."""
     wanted = size / 1.5
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(power * max(k for k in (1, 2, 5) if k * power <= wanted * 1.001))

@@ -1,14 +1,13 @@
-"""What is recorded between frames: ends of episodes, interval events, messages, and the scalars of a training.
+"""Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
-A chunk of one row takes about 1.5 kB, whatever it contains, so the scalars of several iterations are written at a time.
-A killed training loses the last of them here. ``iterations.jsonl`` contains the scalars of every iteration.
+A rerun chunk of one row has about 1.5 kB of metadata, so the training scalars of several iterations are written
+together. The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all of them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,117 +20,80 @@ from wheelleg_exp.recording.layout import EnvPaths
 from wheelleg_exp.recording.writing.recorded_frames import Stamp
 from wheelleg_exp.state.tensor_trees import host_copy
 
-EPISODES, EVENTS = "episodes", "events"
-
-
-@dataclass(frozen=True)
-class LogEntry:
-    """One line of the log.
-
-    Attributes:
-        stamp: the time.
-        kind: ``EPISODES``, ``EVENTS`` or ``RECORDING``.
-        text: the text.
-        level: the severity by rerun's names.
-    """
-
-    stamp: Stamp
-    kind: str
-    text: str
-    level: str
-
-
-def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> LogEntry | None:
-    """Return the log entry of an episode that ended in this step; None when no episode ended."""
-    manager = env.termination_manager
-    failed = bool(host_copy(manager.terminated[env_id]))
-    if not failed and not host_copy(manager.time_outs[env_id]):
-        return None
-    reasons = [name for name in manager.active_terms if manager.get_term(name)[env_id]]
-    seconds = int(env.episode_length_buf[env_id]) * env.step_dt
-    text = f"env {env_id}: ended by {ending(reasons)} after {seconds:.2f} s"
-    return LogEntry(stamp, EPISODES, text, "WARN" if failed else "INFO")
-
-
-def fired_events(env: ManagerBasedRLEnv, env_id: int) -> list[str]:
-    """Return the interval events that fired for the environment at the last step."""
-    # A timer shared by all environments has one flag.
-    return [name for name, due in env.event_manager.fired.items() if host_copy(due[env_id if len(due) > 1 else 0])]
-
-
-RECORDING = "recording"
+EPISODES, EVENTS, RECORDING = "episodes", "events", "recording"
+_ITERATIONS_PER_CHUNK = 10
 Columns = tuple[str, list[Stamp], Any]
 
 
 class EventLog:
-    """The log entries that are not in the file yet.
+    """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events fire after a step is recorded, so they are read one step later, or between two steps.
-
-    Args:
-        env: the environment.
+    Interval events fire after a control step is recorded, so the recorder reads interval events one control step later,
+    or between two control steps.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
         self._env = env
-        self._lines: dict[str, list[LogEntry]] = defaultdict(list)
+        self._lines: dict[str, list[tuple[Stamp, str, str]]] = defaultdict(list)
         self._fired: dict[str, list[Stamp]] = defaultdict(list)
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Log the ends of episodes in a recorded step; the interval events of the step follow later."""
+        """Log the ends of episodes at a recorded control step.
+
+        The interval events of this control step are logged later.
+        """
+        manager = self._env.termination_manager
         for env_id, paths in envs:
-            end = episode_end(self._env, env_id, stamp)
-            if end is not None:
-                self._lines[paths.data(layout.LOG, end.kind)].append(end)
+            failed = bool(host_copy(manager.terminated[env_id]))
+            if failed or host_copy(manager.time_outs[env_id]):
+                reasons = [name for name in manager.active_terms if manager.get_term(name)[env_id]]
+                seconds = int(self._env.episode_length_buf[env_id]) * self._env.step_dt
+                text = f"env {env_id}: ended by {ending(reasons)} after {seconds:.2f} s"
+                self._lines[paths.data(layout.LOG, EPISODES)].append((stamp, text, "WARN" if failed else "INFO"))
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events that followed the last recorded step, if that was ``step``."""
+        """Log the interval events that followed the last recorded control step, if its number is ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
         stamp, envs = awaiting
         for env_id, paths in envs:
-            for name in fired_events(self._env, env_id):
-                self._fired[paths.data("events", name)].append(stamp)
-                entry = LogEntry(stamp, EVENTS, f"env {env_id}: {name}", "INFO")
-                self._lines[paths.data(layout.LOG, EVENTS)].append(entry)
+            for name, due in self._env.event_manager.fired.items():
+                # An event timer that all environments share has a single flag.
+                if host_copy(due[env_id if len(due) > 1 else 0]):
+                    self._fired[paths.data("events", name)].append(stamp)
+                    self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
 
     def say(self, text: str, level: str, stamp: Stamp) -> None:
-        """Log a message about the recording itself."""
-        self._lines[layout.join(layout.LOG, RECORDING)].append(LogEntry(stamp, RECORDING, text, level))
+        """Log a message about the recording."""
+        self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:
-        """Yield each entry once, as columns."""
+        """Yield each log entry once, as columns of rerun entities."""
         for entity, entries in self._lines.items():
-            texts, levels = [e.text for e in entries], [e.level for e in entries]
-            yield entity, [e.stamp for e in entries], rr.TextLog.columns(text=texts, level=levels)
+            stamps, texts, levels = map(list, zip(*entries, strict=True))
+            yield entity, stamps, rr.TextLog.columns(text=texts, level=levels)
         for entity, stamps in self._fired.items():
             yield entity, stamps, rr.Scalars.columns(scalars=np.ones(len(stamps)))
         self._lines.clear()
         self._fired.clear()
 
 
-_ITERATIONS_PER_CHUNK = 10
-
-Point = tuple[Stamp, float]
-
-
 class TrainingScalars:
-    """The scalars that are not in the file yet.
+    """The training scalars that are not yet written to the recording.
 
-    Attributes:
-        keys: every key so far, in the order of appearance.
+    ``keys`` are all scalar keys in order of first occurrence.
     """
 
     def __init__(self, keys: Sequence[str] = ()) -> None:
         self.keys = list(keys)
-        self._points: dict[str, list[Point]] = defaultdict(list)
+        self._points: dict[str, list[tuple[Stamp, float]]] = defaultdict(list)
         self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Add the scalars of an iteration and return whether one of the keys is new."""
+        """Add the training scalars of an iteration, and return whether one of the scalar keys is new."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():
@@ -140,7 +102,7 @@ class TrainingScalars:
         return bool(new)
 
     def pieces(self, *, everything: bool) -> Iterator[Columns]:
-        """Yield the columns of each key once: when there are enough iterations for a chunk, or ``everything``."""
+        """Yield the columns of each key once: when a chunk has enough iterations, or with ``everything``."""
         if self._iterations < _ITERATIONS_PER_CHUNK and not everything:
             return
         for key, points in self._points.items():

@@ -1,4 +1,4 @@
-"""The numbers of one frame, read from the environment's buffers, and the frames that wait in memory to be written."""
+"""Read the numbers of one frame from the environment's buffers, and buffer frames until they are written."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.state.tensor_trees import host_copy
 
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")
+_FIRST_CAPACITY = 256
 _GRAVITY = ("g_x", "g_y", "g_z")
 _FREE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
@@ -25,13 +26,10 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 
 @dataclass(frozen=True)
 class Channel:
-    """One row of numbers in each frame.
+    """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
 
-    Attributes:
-        key: name within a frame.
-        names: name of each number.
-        read: returns the row, (len(names),).
-        entities: one entity for the whole row, or one for each number; empty for a row that is only drawn.
+    ``entities`` is one rerun entity for the whole row, or one rerun entity for each number, or empty if the row is only
+    used for drawing.
     """
 
     key: str
@@ -40,41 +38,33 @@ class Channel:
     entities: tuple[str, ...]
 
 
-def robot_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Return the channels of one environment's robot and commands.
+def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
+    """Return the channels of one environment's robot and managers.
 
-    Poses have no channel. They are computed from ``qpos`` when the frames are written.
+    Body poses have no channel, because they are computed from ``qpos`` when the frames are written.
     """
+    parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     return [
-        *_base(env, env_id, paths),
-        *_commands(env, env_id, paths),
-        *_joints(env, env_id, paths),
-        *_contacts(env, env_id, paths),
+        *(channel for part in parts for channel in part(env, env_id, paths)),
+        _episode(env, env_id, paths, episodes),
     ]
 
 
 def velocity_command(env: ManagerBasedRLEnv) -> str | None:
     """Return the name of the first command that is a planar velocity (v_x, v_y, w_z) in the base's axes."""
     manager = env.command_manager
-    for name in manager.active_terms:
-        if isinstance(manager.get_term(name), UniformVelocityCommand):
-            return name
-    return None
-
-
-def has_forces(sensor: Any) -> bool:
-    """Return whether a sensor of the scene measures contact forces."""
-    return isinstance(sensor, ContactSensor)
+    names = (name for name in manager.active_terms if isinstance(manager.get_term(name), UniformVelocityCommand))
+    return next(names, None)
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a channel whose numbers have one entity."""
+    """Return a channel whose numbers all belong to one rerun entity."""
     return Channel(key, tuple(names), read, (entity,))
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a reader of one environment's row."""
-    return lambda: host_copy(read()[env_id])
+    """Return a function that reads one environment's values from a tensor as one row."""
+    return lambda: host_copy(read()[env_id]).ravel()
 
 
 def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
@@ -95,7 +85,7 @@ def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]
 
 
 def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
-    """Return a name for each coordinate of qpos (or qvel): the joint's, with a suffix where it has several."""
+    """Return the name of each coordinate of qpos or qvel: the joint, with a suffix for several coordinates."""
     ball = ("w", "x", "y", "z") if len(free) == len(_FREE) else ("x", "y", "z")
     names = []
     for j in range(model.njnt):
@@ -111,12 +101,12 @@ def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
 
 
 def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """A velocity command has one entity for each number, so that each can be plotted with the measured velocity."""
     velocity, found = velocity_command(env), []
     for name in env.command_manager.active_terms:
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
+            # Each number of a velocity command has its own entity, so that it can be plotted with the measured value.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
@@ -148,25 +138,16 @@ def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channe
 
 
 def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """The net forces of the last physics step, and the largest norm in the sensor's history, which terms read."""
     found = []
     for name, sensor in env.scene.sensors.items():
-        if not has_forces(sensor):
+        if not isinstance(sensor, ContactSensor):
             continue
         names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
-        read = flat(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
+        read = row(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
         found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
         peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
         found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
     return found
-
-
-def flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a reader of one environment's numbers as one row."""
-    return lambda: host_copy(read()[env_id]).ravel()
-
-
-_FIRST_CAPACITY = 256
 
 
 @dataclass(frozen=True)
@@ -179,11 +160,7 @@ class Stamp:
 
 
 class Frames:
-    """The frames of one environment since the last flush.
-
-    Args:
-        channels: the channels of a frame, in the order in which they are read.
-    """
+    """The frames of one environment since the last flush, read from ``channels`` in their order."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
@@ -195,7 +172,7 @@ class Frames:
         self.count = 0
 
     def append(self) -> None:
-        """Read every channel into a new row."""
+        """Read every channel into a new row of the buffer."""
         if self.count == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
         row = self._rows[self.count]
@@ -204,7 +181,7 @@ class Frames:
         self.count += 1
 
     def blocks(self) -> dict[str, Array]:
-        """Return the rows (n, width) of each channel by its key."""
+        """Return the buffered rows (n, width) of each channel by the channel's key."""
         rows = self._rows[: self.count]
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
@@ -214,36 +191,24 @@ class Frames:
 
 
 class Episodes:
-    """Counts episodes: a row that does not continue the previous row starts one, after a reset or between samples."""
+    """A counter of recorded episodes. A row that does not continue the previous row starts a new episode."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Count a row, given its control step and its step within the episode, from 1."""
+        """Count a recorded row, given its control step and its step within the episode, counted from 1."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Continue after a row that is already recorded."""
+        """Resume the count of episodes after a row that an earlier process recorded."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 
-def learning_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Return the channels of one environment's managers."""
-    return [
-        *_actions(env, env_id, paths),
-        *_observations(env, env_id, paths),
-        *_rewards(env, env_id, paths),
-        *_terminations(env, env_id, paths),
-        *_episode(env, env_id, paths, episodes),
-    ]
-
-
 def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """The policy's output, and the processed actions of the terms."""
     manager = env.action_manager
     terms = {name: manager.get_term(name) for name in manager.active_terms}
     raw = {name: term.action_dim for name, term in terms.items()}
@@ -270,24 +235,18 @@ def _action_names(env: ManagerBasedRLEnv, widths: dict[str, int]) -> list[str]:
 
 
 def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """The observation that led to the recorded action, term by term; NaN before the first one is computed."""
     manager, found = env.observation_manager, []
     for group, terms in manager.active_terms.items():
         for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
-            if len(shape) > 2:  # images are not recorded as numbers
+            if len(shape) > 2:  # Images are not recorded as numbers.
                 continue
-            names = _labels(term, shape)
+            # The first of two axes is the observation history.
+            histories = [f"@{h}" for h in range(shape[0])] if len(shape) == 2 else [""]
+            names = [f"{term}[{i}]{history}" for history in histories for i in range(shape[-1])]
             read = _observation(env, env_id, group, term, len(names))
             key = ("observations", group, term)
             found.append(one("/".join(key), paths.data(*key), names, read))
     return found
-
-
-def _labels(term: str, shape: tuple[int, ...]) -> list[str]:
-    """Return a name for each number of a term; the leading axis of two is the history."""
-    if len(shape) == 1:
-        return [f"{term}[{i}]" for i in range(shape[0])]
-    return [f"{term}[{i}]@{h}" for h in range(shape[0]) for i in range(shape[1])]
 
 
 def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, width: int) -> Callable[[], Any]:
@@ -305,7 +264,7 @@ def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, wid
 
 
 def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Each term's weighted value per second, and the learner's reward per second."""
+    # The row contains the weighted value of each reward term per second, and the total reward per second.
     manager, names = env.reward_manager, env.reward_manager.active_terms
     places = tuple(paths.data("rewards", name) for name in names)
     terms = Channel("rewards", tuple(names), lambda: host_copy(manager.step_reward[:, env_id]), places)
@@ -321,8 +280,7 @@ def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     return [Channel("terminations", tuple(names), read, places)]
 
 
-def _episode(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """The number of the episode, the step within it, and whether it ends with this row."""
+def _episode(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> Channel:
     manager = env.termination_manager
 
     def read() -> Sequence[float]:
@@ -330,4 +288,4 @@ def _episode(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Epi
         return (episodes.number, int(host_copy(env.episode_length_buf[env_id])), failed, over)
 
     names = ("number", "step", "terminated", "truncated")
-    return [Channel("episode", names, read, tuple(paths.data("episode", name) for name in names))]
+    return Channel("episode", names, read, tuple(paths.data("episode", name) for name in names))

@@ -6,7 +6,6 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -26,18 +25,20 @@ from wheelleg_exp.recording.writing.recording_file import RecordingFile
 from wheelleg_exp.recording.writing.resume_recording import EarlierRecording
 from wheelleg_exp.state.tensor_trees import host_copy
 
-ROWS_TOGETHER = 16  # fewer frames wait for more, because a chunk has about 1.5 kB of metadata
+# At least 16 frames are written together, because each rerun chunk has about 1.5 kB of metadata.
+ROWS_TOGETHER = 16
 _US = 1e6
 
 
 class Recorder:
-    """Writes the motion, numbers and words of some environments to a rerun file.
+    """A writer of the motion, numbers, and messages of chosen environments to a rerun file.
 
-    A recorder draws no random number and changes no state, so a rollout is bit-identical with and without it. Append
-    ``capture`` to ``env.observers``. Frames wait in memory until ``flush``.
+    A recorder draws no random number and changes no environment state, so a rollout is bitwise identical with and
+    without a recorder. Append ``capture`` to ``env.observers``. Frames remain in memory until ``flush`` writes them to
+    the file.
 
-    Timelines: ``step`` (the environment's control steps), ``sim_time`` (step times step duration) and, if an
-    iteration is given, ``iteration``.
+    The timelines are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the step duration) and,
+    if a training iteration is given, ``iteration``.
 
     Args:
         path: the file.
@@ -47,13 +48,8 @@ class Recorder:
         env_ids: the recorded environments.
         purpose: selects the layout.
         about: additional values of the property ``wheelleg``: run id, task, checkpoint.
-        keep_until: resume an existing file: keep its rows up to and including this control step, and drop later rows.
-            None refuses an existing file.
-        flush_every: frames after which everything is written to the file; None writes only at ``flush``.
-
-    Raises:
-        RunDirectoryError: the file exists and is not resumed, or cannot be read or written.
-        ConfigError: an environment does not exist, or two channels have the same entity.
+        keep_until: the last control step of an existing file that is kept; None refuses an existing file.
+        flush_every: frames after which all data is written to the file; None writes only at ``flush``.
     """
 
     def __init__(
@@ -97,38 +93,36 @@ class Recorder:
             raise
 
     def frames_within(self, megabytes: float) -> int:
-        """Return a number of frames that certainly fit into a file of a size in MB."""
-        room = megabytes * recorded_environment.MEGABYTE - recorded_environment.static_bytes(
-            self._env.scene.model, len(self._environments)
-        )
-        frame = recorded_environment.total_cost(recorded.cost for recorded in self._environments).frame(ROWS_TOGETHER)
-        return max(int(room / frame), 0)
+        """Return a number of frames that is certain to fit into a file of ``size`` MB."""
+        room = megabytes * recorded_environment.MEGABYTE - self._static_bytes()
+        return max(int(room / self._frame_bytes()), 0)
 
     def megabytes(self, frames: int) -> float:
-        """Return a size in MB, rounded up to a tenth, into which a number of frames certainly fits."""
-        frame = recorded_environment.total_cost(recorded.cost for recorded in self._environments).frame(ROWS_TOGETHER)
-        room = frames * frame + recorded_environment.static_bytes(self._env.scene.model, len(self._environments))
+        """Return a file size in MB, rounded up to a tenth, that suffices for the given number of frames."""
+        room = frames * self._frame_bytes() + self._static_bytes()
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
-    def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
-        """Start a segment: from now on, ``capture`` records every environment.
+    def _static_bytes(self) -> float:
+        return recorded_environment.static_bytes(self._env.scene.model, len(self._environments))
 
-        Args:
-            iteration: the training iteration of the frames; assign the attribute ``iteration`` to change it later.
-            steps: frames after which the segment stops automatically; None means unlimited.
-            last_words: a log message for the automatic stop.
+    def _frame_bytes(self) -> float:
+        return sum(recorded.frame_bytes(ROWS_TOGETHER) for recorded in self._environments)
+
+    def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
+        """Start a segment, during which ``capture`` records every chosen environment.
+
+        After ``steps`` frames, the segment stops and logs the message ``last_words``. None means unlimited.
+        ``iteration`` is the training iteration of the frames; assign the attribute ``iteration`` to change it later.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
         self._active = steps is None or steps > 0
 
     def sample(self, due: int, enough: int, most: int) -> None:
-        """Start or continue a sample of each environment: from now on, ``capture`` records whole episodes.
+        """Start or resume a sample of each environment, during which ``capture`` records complete episodes.
 
-        Args:
-            due: the control step after which an episode of the sample can start.
-            enough: frames of an environment after which no other episode is started; 0 records nothing.
-            most: frames after which even the current episode is cut off.
+        Episodes of the sample start after the control step ``due``. After ``enough`` frames of an environment, the
+        sample includes no further episode; 0 records nothing. After ``most`` frames, the current episode is truncated.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:
@@ -138,16 +132,16 @@ class Recorder:
             recorded.sample.begin(enough, most, taken=taken, is_in_episode=goes_on)
 
     def frames_until(self, step: int) -> int:
-        """Return the number of recorded frames up to a control step, the largest of all environments."""
+        """Return the number of frames recorded up to a control step, in the environment with the most frames."""
         return max(bisect_right(recorded.sample.steps, step) for recorded in self._environments)
 
     def stop(self) -> None:
-        """Stop the segment and write it to the file."""
+        """Stop the segment and write the buffered frames to the file."""
         self._active = False
         self.flush()
 
     def capture(self) -> None:
-        """Record the state after a control step; do nothing outside of segments and samples."""
+        """Record the environments' state after a control step; do nothing outside of segments and samples."""
         step = self._env.common_step_counter
         self._events.look_back(step - 1)
         lengths = host_copy(self._env.episode_length_buf)
@@ -161,16 +155,16 @@ class Recorder:
             self._capturing = False
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
-        """Record the scalars of a training iteration; ``a/b`` gets the entity ``training/a/b``."""
+        """Record the scalars of a training iteration; the scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
         if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
             self._stale = True
 
     def say(self, text: str, level: str = "WARN") -> None:
-        """Log a message about the recording itself."""
+        """Log a message about the recording."""
         self._events.say(text, level, self._stamp(self._env.common_step_counter))
 
     def document(self, name: str, text: str) -> None:
-        """Write a markdown text to ``documents/<name>``; a later text of the same name replaces it."""
+        """Write a markdown text to ``documents/<name>``; a later text of the same name replaces an earlier one."""
         archetype = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._file.static(layout.join(layout.DOCUMENTS, name), archetype)
         if name not in self._documents:
@@ -178,25 +172,23 @@ class Recorder:
             self._stale = True
 
     def has_document(self, name: str) -> bool:
-        """Return whether a text has the name, also in the resumed recording."""
+        """Return whether the recording, or the recording that this one resumes, contains a text with the name."""
         return name in self._documents
 
     def flush(self, *, everything: bool = True) -> None:
-        """Write the buffered data to the file.
+        """Write the buffered data to the file; raise SimulationFailure if writing fails, for example on a full disk.
 
-        Args:
-            everything: whether to write small amounts as well: scalars of a few iterations, and a few frames.
-
-        Raises:
-            SimulationFailure: the disk is full or broken.
+        Without ``everything``, small amounts stay in memory: scalars of a few iterations, and a few frames.
         """
         if not self._capturing:
             self._events.look_back(self._env.common_step_counter)
         for recorded in self._environments:
-            if everything or len(recorded.stamps) >= ROWS_TOGETHER:
-                self._send_frames(recorded)
-        for piece in (*self._events.pieces(), *self._scalars.pieces(everything=everything)):
-            entity, stamps, columns = piece
+            if recorded.stamps and (everything or len(recorded.stamps) >= ROWS_TOGETHER):
+                moments = times(recorded.stamps)
+                for entity, columns in recorded.columns():
+                    self._file.columns(entity, moments, columns)
+                recorded.clear()
+        for entity, stamps, columns in (*self._events.pieces(), *self._scalars.pieces(everything=everything)):
             self._file.columns(entity, times(stamps), columns)
         if self._stale:
             self._file.blueprint(self.blueprint())
@@ -204,11 +196,7 @@ class Recorder:
         self._file.flush()
 
     def close(self) -> None:
-        """Write the buffered data and close the file; a second call does nothing.
-
-        Raises:
-            SimulationFailure: the disk is full or broken.
-        """
+        """Write the buffered data and close the file; a second call does nothing."""
         self._active = False
         if self._file.is_open:
             try:
@@ -218,36 +206,33 @@ class Recorder:
 
     @property
     def unfinished(self) -> str | None:
-        """The reason why the closed file has no index; None when it has one, or is open."""
+        """The reason why the closed file has no index; None if the file has an index or is open."""
         return self._file.unfinished
 
     def blueprint(self) -> Any:
-        """Return the layout for the data recorded so far."""
+        """Return the layout of rerun's viewer for the data that has been recorded."""
         layouts, purpose, documents, training = self.layout_state()
         return blueprint(layouts, purpose, documents=documents, training=training)
 
     def layout_state(self) -> tuple[list[EnvLayout], Purpose, list[str], list[str]]:
-        """Return the arguments of the layout: environments, purpose, names of texts, keys of training scalars."""
+        """Return the arguments of ``blueprint``: layouts, purpose, names of texts, keys of training scalars."""
         layouts = [recorded.layout for recorded in self._environments]
         return layouts, self._purpose, list(self._documents), list(self._scalars.keys)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open(self, earlier: EarlierRecording | None) -> None:
-        """Write the rows of the resumed file, and everything static: properties, shapes, names, the layout."""
+        """Write the rows of the resumed recording, and all static data: properties, shapes, names, and the layout."""
         if earlier is not None:
             self._file.chunks(earlier.chunks)
             self._restore(earlier)
         self._file.property(layout.OWN, self._about)
-        self._file.property(
-            recorded_environment.ROBOT, recorded_environment.robot_facts(self._env, self._environments[0].layout)
-        )
+        robot = recorded_environment.robot_facts(self._env, self._environments[0].layout)
+        self._file.property(recorded_environment.ROBOT, robot)
         self._file.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         seen: set[str] = set()
         for recorded in self._environments:
@@ -286,17 +271,9 @@ class Recorder:
         iteration = self.iteration if iteration is None else iteration
         return Stamp(step, 1000 * round(step * self._env.step_dt * _US), -1 if iteration is None else iteration)
 
-    def _send_frames(self, recorded: RecordedEnvironment) -> None:
-        if not recorded.stamps:
-            return
-        moments = times(recorded.stamps)
-        for entity, columns in recorded.columns():
-            self._file.columns(entity, moments, columns)
-        recorded.clear()
-
 
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
-    """Return the timelines of frames; the iteration is among them when every frame has one."""
+    """Return the rerun timelines of frames; the timeline ``iteration`` exists only if every frame has an iteration."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
     columns = [
         rr.TimeColumn(layout.STEP, sequence=steps),

@@ -1,4 +1,4 @@
-"""The file of a recording while it grows."""
+"""Write the file of a growing recording."""
 
 from __future__ import annotations
 
@@ -19,20 +19,11 @@ from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, e
 
 
 class RecordingFile:
-    """Writes chunks to ``path``; chunks wait in memory until ``flush``.
+    """A growing recording. Chunks remain in memory until ``flush`` writes them to ``path``.
 
-    Args:
-        path: the file; a missing folder is created.
-        recording_id: the recording's id.
-        name: the name that the viewer shows.
-        aside: whether the file has a temporary name until ``take_place``, because ``path`` exists.
-
-    Attributes:
-        unfinished: the reason why the closed file has no index; None when the file has one, or is open.
-
-    Raises:
-        RunDirectoryError: the file exists, or cannot be created.
-        SimulationFailure: the disk is full or broken.
+    With ``aside``, the recording has a temporary file name until ``take_place`` is called. ``unfinished`` is the reason
+    why the closed file has no index; None if the file has an index or is open. The constructor raises RunDirectoryError
+    if the path exists. Methods raise SimulationFailure if writing fails.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
@@ -51,7 +42,7 @@ class RecordingFile:
         self.flush()
 
     def static(self, entity: str, *archetypes: Any) -> None:
-        """Send what holds at all times."""
+        """Add static archetypes of a rerun entity."""
         columns = {}
         for archetype in archetypes:
             batches = archetype.as_component_batches() if hasattr(archetype, "as_component_batches") else archetype
@@ -64,19 +55,19 @@ class RecordingFile:
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
-        """Send rerun's columns of components with their timelines."""
+        """Add columns of rerun components with their timelines."""
         self._chunks.append(Chunk.from_columns(entity, times, columns))
 
     def chunks(self, chunks: Iterable[Chunk]) -> None:
-        """Send chunks of another recording."""
+        """Add chunks of another recording."""
         self._chunks += chunks
 
     def blueprint(self, blueprint: Any) -> None:
-        """Make ``blueprint`` the layout that the recording opens with."""
+        """Set the default layout of rerun's viewer for the recording."""
         self._blueprint = blueprint
 
     def take_place(self) -> None:
-        """Move the file to its path, over the existing file; a loss of power leaves the old or the new file."""
+        """Move the recording's file atomically to its final path and replace an existing file."""
         self.flush()
         if self._written != self.path:
             with for_people(self.path):
@@ -92,11 +83,7 @@ class RecordingFile:
         self._written.unlink(missing_ok=True)
 
     def flush(self) -> None:
-        """Write everything sent so far to the file.
-
-        Raises:
-            SimulationFailure: the disk is full or broken.
-        """
+        """Write all buffered chunks and the layout to the file."""
         chunks, self._chunks = self._chunks, []
         blueprint, self._blueprint = self._blueprint, None
         with self._guarded():
@@ -106,11 +93,7 @@ class RecordingFile:
                 self._write(encoded_blueprint(blueprint))
 
     def close(self) -> None:
-        """Finish the file: merge its small chunks and write an index. A second call does nothing.
-
-        Raises:
-            SimulationFailure: the disk is full or broken.
-        """
+        """Close the file, merge the file's small chunks, and write an index. A second call does nothing."""
         if not self.is_open:
             return
         try:
@@ -129,12 +112,11 @@ class RecordingFile:
 
     def _close(self) -> None:
         self.is_open = False
-        with self._guarded():  # some file systems report a full disk only here
+        with self._guarded():  # Some file systems report a full disk only when a file is closed.
             os.close(self._descriptor)
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Convert an OSError to an error that names the file."""
         try:
             yield
         except OSError as error:
@@ -145,7 +127,6 @@ class RecordingFile:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -154,12 +135,11 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _create_exclusively(path: Path) -> int:
-    """Create a file that does not exist and return its descriptor, so that two recorders never share a file."""
+    # An existing file is an error, so that two recorders never share a file.
     with for_people(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError:
-            raise RunDirectoryError(
-                f"the recording '{path}' exists and is not overwritten", expected="a free path"
-            ) from None
+            message = f"the recording '{path}' exists and is not overwritten"
+            raise RunDirectoryError(message, expected="a free path") from None

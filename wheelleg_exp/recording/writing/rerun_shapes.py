@@ -18,9 +18,9 @@ from wheelleg_exp.sim.robot import Robot
 
 
 def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
-    """Return the positions (nq,) with every joint at its default and the base at the model's position.
+    """Return qpos (nq,) with every joint at its default position and the base at the MuJoCo model's pose.
 
-    The present pose is not used, because sizes in robot heights must not depend on the start of a recording.
+    The robot's height, which scales all arrows, must not depend on the pose at the start of a recording.
     """
     qpos: Array = model.qpos0.copy()
     for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
@@ -29,13 +29,13 @@ def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
 
 
 def weight(model: mujoco.MjModel, root: int) -> float:
-    """Return the weight of the tree below ``root``, N (1 N without mass or gravity)."""
+    """Return the weight of a MuJoCo body and all its descendants, N; 1 N without mass or gravity."""
     weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
     return weight if weight > 0 else 1.0
 
 
 def roll_pitch_yaw(quaternion: Array) -> Array:
-    """Return the angles (n, 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll) for unit quaternions (n, 4), wxyz."""
+    """Return roll, pitch, and yaw (n, 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll) for unit quaternions (n, 4), wxyz."""
     w, x, y, z = quaternion.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
@@ -49,30 +49,22 @@ def xyzw(wxyz: Array) -> Array:
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Return a geom's name, or ``geom_<number>``."""
+    """Return the name of a MuJoCo geom, or ``geom_<number>`` for a geom without a name."""
     return model.geom(geom).name or f"geom_{geom}"
 
 
 def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
-    """Return rerun's shape of a geom in the frame of its body: one archetype, and a pose if the archetype has none.
+    """Return rerun's archetypes of a MuJoCo geom in the frame of its body; empty for planes and signed distance fields.
 
-    MuJoCo sizes are half sizes. The origin of a rerun capsule is the centre of one cap; that of a MuJoCo capsule is its
-    centre. So the origin is shifted by half the length along the geom's z axis.
-
-    Returns:
-        Archetypes for one entity; empty for a type that is not drawn (planes, signed distance fields).
+    MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a rerun capsule
+    is the centre of one cap, at half the capsule's length along the geom's z axis.
     """
-    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    make = _SHAPES.get(kind)
+    make = _SHAPES.get(mujoco.mjtGeom(int(model.geom_type[geom])))
     return [] if make is None else make(model, geom)
 
 
 def _common(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    return {
-        "quaternions": [xyzw(model.geom_quat[geom])],
-        "colors": [colour(model, geom)],
-        "fill_mode": "solid",
-    }
+    return {"quaternions": [xyzw(model.geom_quat[geom])], "colors": [colour(model, geom)], "fill_mode": "solid"}
 
 
 def _box(model: mujoco.MjModel, geom: int) -> list[Any]:
@@ -124,15 +116,13 @@ _SHAPES = {
 
 
 COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
-
 ANGLES = ("roll", "pitch", "yaw")
-
 Columns = tuple[str, Any]
 Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the columns of every channel that has entities."""
+    """Yield the rerun columns of every channel that has entities."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -143,35 +133,29 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
 
 
 def vector_columns(rows: Array) -> Any:
-    """Return rows (n, width) as a column of vectors."""
+    """Return rows (n, width) as a rerun column of vectors."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
 
 
 def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-    """Yield roll, pitch and yaw of the base, rad."""
+    """Yield the rerun columns of the base's roll, pitch, and yaw, rad."""
     for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
         yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the pose columns of the bodies (model id to entity)."""
+    """Yield the pose columns of MuJoCo bodies; ``bodies`` maps the body's model id to the rerun entity."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
-        yield (
-            entity,
-            rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body])),
-        )
+        yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """The contact forces of one sensor, as numbers and as arrows at the bodies that are in contact.
+    """The contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
 
-    Attributes:
-        sensor: the sensor's name.
-        bodies: model ids of the sensed bodies.
-        scale: arrow length, m/N.
+    ``bodies`` are the model ids of the sensed bodies, and ``scale`` is the arrow length in m/N.
     """
 
     sensor: str
@@ -179,7 +163,7 @@ class Contacts:
     scale: float
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the force norms, N, and the arrows, from the origin of each body in contact."""
+        """Yield the force norms, N, and the force arrows, which start at the origin of each body in contact."""
         force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
         norm = np.linalg.norm(force, axis=2)
         yield paths.data("contacts", self.sensor), vector_columns(norm)
@@ -191,13 +175,10 @@ class Contacts:
 
 @dataclass(frozen=True)
 class VelocityArrows:
-    """Commanded and actual planar velocity above the base, in the base's yaw frame, as in Isaac Lab.
+    """Arrows above the base for the commanded and the actual planar velocity in the base's yaw frame.
 
-    Attributes:
-        command: channel of the velocity command.
-        root: model id of the base.
-        lift: height of the arrows above the base, m.
-        scale: arrow length, m per m/s.
+    ``command`` is the channel of the velocity command, ``root`` the model id of the base, ``lift`` the height of the
+    arrows above the base in m, and ``scale`` the arrow length in m per m/s.
     """
 
     command: str
@@ -206,7 +187,7 @@ class VelocityArrows:
     scale: float
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield one arrow for the command and one for the robot's velocity in each frame."""
+        """Yield for each frame one arrow for the velocity command and one arrow for the robot's velocity."""
         origin = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift]
         yaw = blocks["orientation"][:, 2]
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
@@ -223,13 +204,10 @@ def in_world(planar: Array, yaw: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ground:
-    """A checkered patch that follows the robot in whole tiles, so that the ground looks infinite.
+    """A checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
 
-    Attributes:
-        root: model id of the base.
-        tile: edge of a tile, m.
-        tiles: tiles along an edge of the patch, even.
-        origin: the plane's point below the environment's origin, m.
+    ``root`` is the model id of the base. ``tile`` is the edge length of a tile in m. ``tiles`` is the number of tiles
+    along an edge of the patch, which is even. ``origin`` is the point of the plane below the environment's origin in m.
     """
 
     root: int
@@ -238,7 +216,7 @@ class Ground:
     origin: Array
 
     def mesh(self, light: Sequence[int], dark: Sequence[int]) -> Any:
-        """Return the patch, centred."""
+        """Return the mesh of the ground patch around the patch's centre."""
         i, j = (axis.ravel() for axis in np.meshgrid(np.arange(self.tiles), np.arange(self.tiles)))
         corner = np.stack((i, j), axis=1) - self.tiles / 2
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -254,7 +232,7 @@ class Ground:
         )
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the patch's position: the multiple of two tiles nearest to the base, so that colours do not flip."""
+        """Yield the ground patch's position near the base, a multiple of two tiles so that colours do not flip."""
         del paths
         position = blocks["xpos"][:, self.root, :2]
         step = 2 * self.tile

@@ -1,4 +1,4 @@
-"""Resume an earlier recording: what it keeps, and where it is moved when it cannot be resumed."""
+"""Resume an earlier recording, or rename an earlier recording that cannot be resumed."""
 
 from __future__ import annotations
 
@@ -23,24 +23,12 @@ _SCALARS = "Scalars:scalars"
 
 
 class EarlierRecording:
-    """The rows of an earlier recording up to a control step, and what a recorder needs to continue after them.
+    """The rows of an earlier recording up to a control step, for a recorder that continues the recording.
 
-    A last message that is cut off is left out. The file does not change.
-
-    Args:
-        path: the file.
-        until: last control step whose rows are kept.
-
-    Attributes:
-        chunks: the kept rows and texts.
-        documents: names of the texts.
-        keys: keys of the training's scalars.
-        started: when the recording started.
-        last: the control step and the last value of each entity that counts episodes or their steps.
-        steps: the control steps of the frames, by the same entities.
-
-    Raises:
-        RunDirectoryError: the file is not a recording of the present layout, or is damaged.
+    An incomplete last message of the earlier recording is omitted. The file does not change. ``last`` contains the last
+    control step and value of each rerun entity that counts episodes or the control steps of an episode. ``steps``
+    contains all control steps of these entities. The constructor raises RunDirectoryError for a damaged file and for
+    another program's file.
     """
 
     def __init__(self, path: Path, until: int) -> None:
@@ -52,7 +40,8 @@ class EarlierRecording:
         self.steps: defaultdict[str, list[int]] = defaultdict(list)
         contents = Contents(path)
         if contents.health.damaged:
-            raise self._problem(f"{contents.health.damaged} of its messages are damaged", "an undamaged recording")
+            reason = f"{contents.health.damaged} messages of the file are damaged"
+            raise self._problem(reason, "an undamaged recording")
         try:
             self.chunks = [
                 chunk
@@ -61,10 +50,10 @@ class EarlierRecording:
                 for chunk in (self._static(entity, piece.batch) if piece.is_static else self._rows(entity, piece.batch))
             ]
         except (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise self._problem("its rows are not those of this program", "an undamaged recording") from error
+            raise self._problem("another program wrote the rows of the file", "an undamaged recording") from error
         if self.started is None:
-            expected = "a recording in the present layout of this program, or no file at this path"
-            raise self._problem("another program or layout wrote it", expected)
+            expected = "a recording in the current layout of this program, or no file at this path"
+            raise self._problem("another program or layout wrote the file", expected)
 
     def _problem(self, reason: str, expected: str) -> RunDirectoryError:
         return RunDirectoryError(f"cannot resume the recording '{self._path}': {reason}", expected=expected)
@@ -82,8 +71,7 @@ class EarlierRecording:
     def _static(self, entity: str, batch: pa.RecordBatch) -> Iterator[Chunk]:
         name = layout.key_below(layout.DOCUMENTS, entity)
         if name is not None:
-            if name not in self.documents:
-                self.documents.append(name)
+            self.documents += [] if name in self.documents else [name]
             yield from Chunk.from_record_batch(batch)
         elif entity == _PROPERTIES and "started" in batch.schema.names and _is_present_format(batch):
             self.started = str((python_values(batch.column("started"))[-1] or [""])[0])
@@ -94,8 +82,7 @@ class EarlierRecording:
         steps = np.asarray(batch.column(layout.STEP))
         step = int(steps.max())
         if (key := layout.key_below(layout.TRAINING, entity)) is not None:
-            if key not in self.keys:
-                self.keys.append(key)
+            self.keys += [] if key in self.keys else [key]
         elif entity.endswith(("episode/number", "episode/step")):
             self.steps[entity] += steps.tolist()
             if step > self.last.get(entity, (-1, 0.0))[0]:
@@ -109,14 +96,10 @@ def _is_present_format(batch: pa.RecordBatch) -> bool:
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
-    """Move an earlier recording aside unless it can be resumed, and remove the files of an interrupted resume.
+    """Rename an earlier recording unless it can be resumed, and remove the files of an interrupted resume.
 
-    Args:
-        path: the recording.
-        go_on: whether the recording is to be resumed; otherwise no file exists yet.
-
-    Returns:
-        What became of the earlier recording; None when there is nothing to report.
+    Return a sentence for the user if the earlier recording is missing or was renamed; otherwise None. A run that was
+    not resumed has no earlier recording.
     """
     if not go_on:
         return None
@@ -132,7 +115,6 @@ def move_aside(path: Path, *, go_on: bool) -> str | None:
 
 
 def _renamed(path: Path) -> Path:
-    """Rename a file to the first free name of ``<name>.damaged``, ``<name>.damaged-2``, and so on."""
     number = 1
     while True:
         target = path.with_name(f"{path.name}.damaged" + (f"-{number}" if number > 1 else ""))

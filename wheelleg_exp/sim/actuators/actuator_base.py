@@ -23,7 +23,12 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # parameters that every joint of a group needs
+NEEDED = (
+    "stiffness",
+    "damping",
+    "effort_limit",
+    "velocity_limit",
+)  # Every joint of an actuator group needs values of these parameters.
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
 LimitPerJoint = Limit | Mapping[str, Limit]
@@ -32,10 +37,11 @@ Stream = Callable[[], torch.Generator]
 
 
 class ActuatorBase(Stateful):
-    """A group of joints driven by one model. The model's attributes are its saved state (``state``).
+    """Base class of actuator models; a model drives one group of joints.
 
-    Each parameter is a number or a mapping from joint expressions to values. Once the simulations run, ``stiffness``,
-    ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the group).
+    A checkpoint saves the tensors that the method ``state`` returns. Each parameter is a number or a mapping from joint
+    expressions to values. Once the simulations run, ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit``
+    are tensors (N, joints of the group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -49,9 +55,9 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # False if the controls depend only on the targets
+    reads_state: ClassVar[bool] = True  # False if the MuJoCo controls depend only on the joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
-    settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
+    settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
     def __init__(
         self,
@@ -64,31 +70,19 @@ class ActuatorBase(Stateful):
         delay: Delay | None = None,
     ) -> None:
         self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
-        self._config: dict[str, Any] = {
-            "stiffness": stiffness,
-            "damping": damping,
-            "effort_limit": effort_limit,
-            "velocity_limit": velocity_limit,
-            "armature": armature,
-        }
+        values = (stiffness, damping, effort_limit, velocity_limit, armature)
+        self._config: dict[str, Any] = dict(zip((*NEEDED, "armature"), values, strict=True))
         self._delay_bounds = delay
         self.delay: TargetDelay | None = None
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the model's files; called first.
+        """Read the actuator model's files from the robot's folder, before any other method is called.
 
-        Args:
-            folder: the robot's folder, which contains the files.
-            key: the group's config key.
-            device: device of the tensors.
+        ``key`` is the config key of the actuator group.
         """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the group's joints among ``joint_names``, and make a tensor of each parameter on ``device``.
-
-        Raises:
-            ConfigError: an expression matches nothing, or a joint has no value.
-        """
+        """Find the actuator group's joints and make a tensor of each parameter; ConfigError if a joint has no value."""
         indices, self.joint_names = match_names(
             self.joint_names_expr, joint_names, key=f"{key}.joint_names_expr", what="joint"
         )
@@ -101,13 +95,12 @@ class ActuatorBase(Stateful):
                 raise error
             per_joint[name] = spread
         self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
-            torch.tensor(per_joint[name], dtype=torch.float32, device=device)
-            for name in ("stiffness", "damping", "effort_limit", "velocity_limit")
+            torch.tensor(per_joint[name], dtype=torch.float32, device=device) for name in NEEDED
         )
         self._per_joint = per_joint
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Write the group's armatures to the spec, and add one MuJoCo actuator per joint with the joint's name."""
+        """Write the joints' armatures to the MuJoCo spec, and add one MuJoCo actuator with each joint's name."""
         for index, name in enumerate(self.joint_names):
             armature = self._per_joint["armature"][index]
             if armature is not None:
@@ -116,16 +109,11 @@ class ActuatorBase(Stateful):
             self._shape(actuator, index)
 
     def _shape(self, actuator: Any, index: int) -> None:
+        """Set the gains of one joint's MuJoCo actuator; ``index`` is the joint's index in the actuator group."""
         raise NotImplementedError
 
     def start(self, shape: tuple[int, int], dt: float, stream: Stream) -> None:
-        """Give every environment its own parameters, and allocate the model's memory; called before the first step.
-
-        Args:
-            shape: environments and joints of the robot, (N, J).
-            dt: physics step, s.
-            stream: returns the group's random stream.
-        """
+        """Expand the parameters to (N, J) and allocate the actuator model's memory; ``dt`` is the physics step, s."""
         for name in NEEDED:
             setattr(self, name, getattr(self, name).expand(shape[0], -1).clone())
         if self._delay_bounds is not None:
@@ -133,12 +121,9 @@ class ActuatorBase(Stateful):
         self.connect(shape[0], dt, stream)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the model's memory; called once, before the first step.
+        """Allocate the actuator model's memory for N environments and a physics step ``dt``, s, before the first step.
 
-        Args:
-            num_envs: number of environments, N.
-            dt: physics step, s.
-            stream: returns the group's random stream; a model without random numbers does not call it.
+        ``stream`` returns the actuator group's random stream; a model without random numbers does not call ``stream``.
         """
 
     def begin(self, env_ids: torch.Tensor) -> None:
@@ -148,23 +133,12 @@ class ActuatorBase(Stateful):
         self.reset(env_ids)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the model's memory of ``env_ids``."""
-
-    @property
-    def follows_targets(self) -> bool:
-        """Whether the controls depend only on the present targets, not on the state or on past targets."""
-        return not self.reads_state and self.delay is None
+        """Clear the actuator model's memory of the environments ``env_ids``."""
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` of the delayed targets.
-
-        Args:
-            targets: the targets of all joints.
-            data: the robot's state at the start of the step.
-        """
-        return self._of_joints(
-            self.control(targets if self.delay is None else self.delay.push(targets), data), "control"
-        )
+        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` of the delayed targets."""
+        delayed = targets if self.delay is None else self.delay.push(targets)
+        return self._of_joints(self.control(delayed, data), "control")
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return ``computed_torque`` for the delayed targets of the last step."""
@@ -172,7 +146,6 @@ class ActuatorBase(Stateful):
         return self._of_joints(torque, "computed_torque")
 
     def _of_joints(self, value: torch.Tensor, method: str) -> torch.Tensor:
-        """Return a value; ConfigError unless it has the shape (N, joints of the group)."""
         shape = self.stiffness.shape
         if getattr(value, "shape", None) != shape:
             message = f"'{dotted_name(self)}.{method}' returns {described(value)}"
@@ -181,12 +154,7 @@ class ActuatorBase(Stateful):
         return value
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group), before each physics step.
-
-        Args:
-            targets: the targets of all joints.
-            data: the robot's state at the start of the step.
-        """
+        """Return the MuJoCo controls (N, joints of the group) for the targets and the state before a physics step."""
         raise NotImplementedError("a model needs 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:

@@ -1,7 +1,7 @@
 """Learned drives: networks that were trained on measurements of a real drive.
 
-The network's file is stored next to the robot's file (``NETWORKS``). It is copied there from the user's asset
-folders, and a run stores it with its robot.
+The TorchScript file of a network is stored next to the robot's file, in the folder ``NETWORKS``. The command that
+starts a run copies the TorchScript file from the user's asset folders into the run directory.
 """
 
 from __future__ import annotations
@@ -49,16 +49,8 @@ _RUNS_AT_LOADING = b"__setstate__"
 class Network(Kept):
     """A network from a TorchScript file, with constant weights.
 
-    TorchScript can read and write files, also while it is loaded. A file is therefore refused unless it consists of
-    the operations that networks need.
-
-    Args:
-        file: the file.
-        key: the config key that names it, for messages.
-        device: device of the network.
-
-    Raises:
-        ConfigError: the file is not TorchScript, or contains an operation that is not on the list.
+    TorchScript code can read and write files, even while torch loads the network. Therefore a TorchScript file raises
+    ConfigError if it contains operations that networks do not need. ``key`` is the config key of the TorchScript file.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
@@ -85,19 +77,21 @@ class Network(Kept):
         require_bounded(ZipFile(io.BytesIO(data)))
         reader = torch._C.PyTorchFileReader(io.BytesIO(data))
         if any(_RUNS_AT_LOADING in reader.get_record(name) for name in reader.get_all_records() if "code/" in name):
-            raise self._refused(f"contains a '{_RUNS_AT_LOADING.decode()}', which would run while the file is loaded")
+            raise self._refused(
+                f"the network file contains a '{_RUNS_AT_LOADING.decode()}', which would run while the file is loaded"
+            )
 
     def weights(self) -> dict[str, torch.Tensor]:
         """Return the weights by name."""
         return dict(self._module.state_dict())
 
     def __call__(self, *inputs: Any) -> Any:
-        """Run the network without optimisation passes, which would change bits between the first calls."""
+        """Run the network without TorchScript's optimisation passes, which change the last bits of the results."""
         with torch.no_grad(), torch.jit.optimized_execution(False):
             return self._module.forward(*inputs)
 
     def tried(self, *inputs: Any, count: int) -> Any:
-        """Run the network once; ConfigError if it rejects the inputs, or does not return ``count`` torques first."""
+        """Run the network once; ConfigError if the network fails, or if its first output is not ``count`` torques."""
         try:
             found = self(*inputs)
             torques = found[0] if isinstance(found, tuple) else found
@@ -111,7 +105,6 @@ class Network(Kept):
 
 
 def _kinds(block: Any) -> Iterator[str]:
-    """Yield the kind of each operation of a graph."""
     for node in block.nodes():
         yield node.kind()
         for inner in node.blocks():
@@ -119,7 +112,7 @@ def _kinds(block: Any) -> Iterator[str]:
 
 
 class ActuatorNet(DCMotor):
-    """A drive whose torque comes from a network, limited by a motor's torque-speed line; its gains are NaN.
+    """An actuator model whose network computes torques; a torque-speed line limits them, and the gains are NaN.
 
     Args:
         network_file: the TorchScript file, below an asset folder.
@@ -142,17 +135,16 @@ class ActuatorNet(DCMotor):
         self._file = network_file
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the network; ConfigError if the file is not a network."""
         self.network = Network(folder / NETWORKS / self._file, f"{key}.network_file", device)
 
     def _motion(self, targets: JointTargets, data: RobotData) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the position errors of the group's joints, rad, and their speeds, rad/s, (N, k)."""
+        """Return the position errors, rad, and the speeds, rad/s, of the actuator group's joints, both (N, k)."""
         ids = self.joint_ids
         return targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids]
 
 
 class ActuatorNetMLP(ActuatorNet):
-    """A perceptron on position errors and speeds of the present and of earlier physics steps (Hwangbo et al., 2019).
+    """A perceptron on the position errors and speeds of the present and previous physics steps (Hwangbo et al., 2019).
 
     The inputs of the network are (rows, 2 len(input_idx)) numbers, one row per joint; its output is one number per row.
     Errors and speeds before an episode count as 0. Target speeds and feed-forward efforts are ignored.
@@ -199,26 +191,24 @@ class ActuatorNetMLP(ActuatorNet):
         fill_rows(self._past, env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the network's torque, N·m."""
         error, speed = self._motion(targets, data)
         now = torch.stack((error, speed), dim=1).unsqueeze(1)
         self._past.copy_(torch.cat((now, self._past[:, :-1]), dim=1))
-        seen = self._past[:, self._steps].permute(0, 3, 2, 1)  # (N, k, error or speed, steps)
+        seen = self._past[:, self._steps].permute(0, 3, 2, 1)
         pos, vel = seen[:, :, 0] * self._scales[0], seen[:, :, 1] * self._scales[1]
         inputs = torch.cat((vel, pos) if self._swapped else (pos, vel), dim=2)
         return self.network(inputs.flatten(0, 1)).view_as(error) * self._scales[2]
 
 
 class ActuatorNetLSTM(ActuatorNet):
-    """An LSTM on position errors and speeds, whose memory replaces a history (Rudin et al., 2022).
+    """An LSTM that computes torques from the present position errors and speeds (Rudin et al., 2022).
 
-    The network has an LSTM named ``lstm``, batch first. Its inputs are (rows, 1, 2) numbers, one row per joint, and the
-    memory; its outputs are one torque per row, N·m, and the memory. The memory is 0 at the start of an episode. Target
-    speeds and feed-forward efforts are ignored.
+    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The inputs of the network are (rows, 1,
+    2) numbers, one row per joint, and the LSTM's hidden state. The outputs are one torque per row, N·m, and the new
+    hidden state. The hidden state is 0 at the start of an episode. Target speeds and feed-forward efforts are ignored.
     """
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the network; ConfigError if it is invalid or has no LSTM."""
         super().read_files(folder, key, device)
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
@@ -243,7 +233,6 @@ class ActuatorNetLSTM(ActuatorNet):
             fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the network's torque, N·m."""
         error, speed = self._motion(targets, data)
         inputs = torch.stack((error.flatten(), speed.flatten()), dim=1).unsqueeze(1)
         torque, (hidden, cell) = self.network(inputs, (self._hidden, self._cell))

@@ -1,4 +1,4 @@
-"""PD drives inside the solver and outside of it, and motors whose torque depends on speed or position."""
+"""PD actuators inside and outside of MuJoCo's solver, and motors whose largest torque depends on speed or position."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ class ImplicitActuator(ActuatorBase):
         actuator.forcerange = (-limit, limit)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return kp q* + kd qd* + tau_ff; the drive subtracts kp q + kd qd itself."""
-        del data
+        del data  # MuJoCo's solver subtracts kp q + kd qd.
         ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]
@@ -51,7 +50,7 @@ class IdealPDActuator(ActuatorBase):
     """Explicit PD: a torque that is computed from the state before each physics step, clipped, and applied."""
 
     def _shape(self, actuator: Any, index: int) -> None:
-        del index  # the torque is computed and clipped here, not in the engine
+        del index
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
         actuator.gainprm[0] = 1.0
@@ -65,11 +64,9 @@ class IdealPDActuator(ActuatorBase):
         return self._clipped(self._computed, data)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m."""
         return self._drive(targets, data.joint_pos, data.joint_vel)
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
-        """Return clip(torque, ±effort_limit)."""
         del data
         return torch.clamp(torque, -self.effort_limit, self.effort_limit)
 
@@ -82,7 +79,7 @@ LookupRow = Annotated[Sequence[float], Length(3)]
 
 
 class DCMotor(IdealPDActuator):
-    """PD whose torque is limited to the torque of a direct-current motor at the joint's present speed.
+    """A PD actuator with the torque limit of a direct-current motor at the joint's present speed.
 
     The line from the stall torque ``saturation_effort`` to the no-load speed ``velocity_limit`` and the constant
     ``effort_limit`` bound the torque:
@@ -91,7 +88,7 @@ class DCMotor(IdealPDActuator):
         tau <= min(saturation_effort (1 - v / velocity_limit), effort_limit)
         tau >= max(saturation_effort (-1 - v / velocity_limit), -effort_limit)
 
-    A joint beyond the speed at which the line reaches ``-effort_limit`` is braked with ``effort_limit``.
+    Above the speed at which the torque-speed line reaches ``-effort_limit``, the motor brakes with ``effort_limit``.
 
     Args:
         effort_limit: largest torque at any speed, N·m.
@@ -114,7 +111,6 @@ class DCMotor(IdealPDActuator):
         self._saturation = saturation_effort
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
-        """Clip the torque to the motor's line and the effort limit."""
         beyond = self.velocity_limit * (1 + self.effort_limit / self._saturation)
         speed = torch.clamp(data.joint_vel[:, self.joint_ids], -beyond, beyond) / self.velocity_limit
         top = torch.minimum(self._saturation * (1 - speed), self.effort_limit)
@@ -130,7 +126,7 @@ def _delays_in_order(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_delays_in_order)
 class DelayedPDActuator(IdealPDActuator):
-    """``IdealPDActuator`` on delayed targets; each reset draws one delay for each environment.
+    """An ``IdealPDActuator`` with delayed joint targets; each reset draws one delay per environment.
 
     Args:
         min_delay: shortest delay, physics steps.
@@ -165,9 +161,9 @@ def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_angles_rise)
 class RemotizedPDActuator(DelayedPDActuator):
-    """``DelayedPDActuator`` whose largest torque depends on the joint's position, as with a linkage.
+    """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, such as a motor with a linkage.
 
-    The table is interpolated linearly between its rows, and is constant beyond its first and last row.
+    The lookup table is interpolated linearly between rows, and is constant before its first and after its last row.
 
     Args:
         joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,
@@ -195,7 +191,6 @@ class RemotizedPDActuator(DelayedPDActuator):
         self._angles, _, self._largest = torch.tensor(self._table, device=device).T.contiguous()
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
-        """Clip the torque to the table's value at the joint's position."""
         position = data.joint_pos[:, self.joint_ids]
         above = torch.bucketize(position, self._angles).clamp(1, len(self._angles) - 1)
         low, high = self._angles[above - 1], self._angles[above]

@@ -39,11 +39,11 @@ Convention = Literal["world", "ros", "opengl"]
 CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
 DepthClipping = Literal["max", "zero", "none"]
 DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
-# Rotation from the axes of ``world`` to those of each convention, (w, x, y, z).
+# The rotation from the axes of ``world`` to the axes of each convention, (w, x, y, z).
 _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
-    "world": (1.0, 0.0, 0.0, 0.0),  # looks along x, up is z
-    "ros": (0.5, -0.5, 0.5, -0.5),  # looks along z, up is -y
-    "opengl": (0.5, 0.5, -0.5, -0.5),  # looks along -z, up is y
+    "world": (1.0, 0.0, 0.0, 0.0),
+    "ros": (0.5, -0.5, 0.5, -0.5),
+    "opengl": (0.5, 0.5, -0.5, -0.5),
 }
 
 
@@ -70,12 +70,12 @@ class CameraData(Kept):
 
     @property
     def quat_w_ros(self) -> torch.Tensor:
-        """Orientation, axes x right, y down, z forward, (w, x, y, z), (N, 4)."""
+        """Camera orientation (w, x, y, z), (N, 4), for axes x right, y down, z forward."""
         return convert_convention(self.quat_w_world, "world", "ros")
 
     @property
     def quat_w_opengl(self) -> torch.Tensor:
-        """Orientation, axes x right, y up, z backward, (w, x, y, z), (N, 4)."""
+        """Camera orientation (w, x, y, z), (N, 4), for axes x right, y up, z backward."""
         return convert_convention(self.quat_w_world, "world", "opengl")
 
     def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
@@ -100,7 +100,7 @@ class CameraData(Kept):
 
 
 def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check the ``offset`` of a camera."""
+    """Check the position, orientation and convention of a camera's ``offset``."""
     yield from offset_fits(given)
     convention = (given["offset"] or {}).get("convention", "ros")
     if convention not in _FROM_WORLD:
@@ -162,11 +162,11 @@ def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(_range_of_angles)
 @relation(camera_offset_fits)
 class Camera(LazySensor):
-    """A camera on a body, rendered by MuJoCo for one environment after another; as Isaac Lab's, for few environments.
+    """A camera on a body that MuJoCo renders separately for each environment; use it for few environments.
 
-    The first read needs a graphics driver that renders without a display (EGL or OSMesa). An environment's image shows
-    its own robot and the ground. Colours come from the compiled model and its lights. With the same driver, the same
-    state gives the same image.
+    The first read needs a graphics driver that renders without a display (EGL or OSMesa). The image of an environment
+    shows only the robot of that environment and the ground. Colours come from the compiled model and its lights. With
+    the same driver, the same state gives the same image.
 
     Args:
         body_name: expression of the body.
@@ -217,21 +217,18 @@ class Camera(LazySensor):
         self._aperture = (horizontal_aperture, vertical_aperture)
         self._shift = (horizontal_aperture_offset, vertical_aperture_offset)
         self._pinhole = PinholePattern(width, height, focal_length, *self._aperture, *self._shift)
+        self.image_shape = (height, width)
         self._body, self._offset, self._data_types = body_name, in_world_convention(offset), tuple(data_types)
         self._range = (float(clipping_range[0]), float(clipping_range[1]))
         self._clipping: DepthClipping = depth_clipping_behavior
         self._max_num_envs = max_num_envs
-
-    @property
-    def image_shape(self) -> tuple[int, int]:
-        """Rows and columns of an image."""
-        return self._pinhole.height, self._pinhole.width
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
         height, width = self.image_shape
+        # In MuJoCo, a positive principal length shifts the image's centre to the left and up.
         spec.body(self._mount.body).add_camera(
             name=self._name_in_model,
             pos=self._offset["pos"],
@@ -239,7 +236,7 @@ class Camera(LazySensor):
             resolution=[width, height],
             sensor_size=self._aperture,
             focal_length=[self._focal_length] * 2,
-            principal_length=[-self._focal_length * shift for shift in self._shift],  # positive is left and up
+            principal_length=[-self._focal_length * shift for shift in self._shift],
         )
 
     @property
@@ -247,11 +244,6 @@ class Camera(LazySensor):
         return f"sensor/{self.name}"
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled.
-
-        Raises:
-            ConfigError: there are more environments than ``max_num_envs``.
-        """
         super().connect(sim, stream)
         if mistake := too_many(sim.num_envs, self._max_num_envs, self.key):
             raise mistake
@@ -273,12 +265,7 @@ class Camera(LazySensor):
         self._pictures = CameraPictures(sim.model, self._name_in_model, width, height, self._range, layers)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Render the images of the environments ``ids``.
-
-        Raises:
-            NoGraphics: this machine cannot render; the message names the sensor and what to install.
-            SimulationFailure: the graphics driver failed.
-        """
+        """Render the images of the environments ``ids``; NoGraphics or SimulationFailure if rendering fails."""
         data, quat = self._data, self._mount.quat_w[ids]
         turn = self._mount.rot_w[ids]
         data.pos_w[ids] = self._mount.pos_w[ids] + rotation.rotate(turn, self._offset_pos.expand(len(turn), 3))
@@ -302,7 +289,7 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        return self._numbers[kind][seen["geom"].long()]  # geom -1, the background, selects the last entry
+        return self._numbers[kind][seen["geom"].long()]  # Geom id -1 is the background and selects the last entry.
 
     def state_dict(self) -> dict[str, Any]:
         return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
@@ -314,7 +301,7 @@ class Camera(LazySensor):
 
 
 def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]]:
-    """Return the labels of a segmentation's ids, and the id of each geom followed by that of the background."""
+    """Return the label of each segmentation id, and the id of each geom followed by the background's id."""
     if kind == "semantic_segmentation":
         numbers = [1 if is_ground(model.geom(g).name) else 2 for g in range(model.ngeom)]
         return {0: _BACKGROUND, 1: "ground", 2: "robot"}, [*numbers, 0]
@@ -334,7 +321,7 @@ RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 class RayCasterCamera(RayCaster):
     """A depth camera on a body that casts rays and sees only the ground, for any number of environments.
 
-    As Isaac Lab's; it needs no graphics driver. The distance of a pixel is the length of the ray through its centre.
+    The camera needs no graphics driver. The distance of a pixel is the length of the ray through its centre.
 
     Args:
         body_name: expression of the body.
@@ -371,15 +358,10 @@ class RayCasterCamera(RayCaster):
             update_period=update_period,
         )
         self._pinhole, self._data_types = pattern, tuple(data_types)
+        self.image_shape = (pattern.height, pattern.width)
         self._clipping: DepthClipping = depth_clipping_behavior
 
-    @property
-    def image_shape(self) -> tuple[int, int]:
-        """Rows and columns of an image."""
-        return self._pinhole.height, self._pinhole.width
-
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
         self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
         self._cosines = self._pinhole.rays(sim.device)[1][:, 0]

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
-FIELDS = ("found", "force", "pos", "normal", "tangent")  # in MuJoCo's order; force in the contact's frame, normal first
+# The sizes of the fields in MuJoCo's order. The force is in the contact's frame, and its normal component is first.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
-NORMAL = ("found", "force", "normal")  # the fields that normal forces need
+FIELDS = tuple(_SIZES)
+NORMAL = ("found", "force", "normal")  # The normal force is computed from these fields.
 
 
 def data_flags(fields: tuple[str, ...]) -> int:
@@ -40,18 +41,15 @@ def width(fields: tuple[str, ...]) -> int:
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
     """Return the sum over contacts of pressures (N, B, 1, S) times normals (N, B, S, 3), (N, B, 3)."""
-    if pressures.is_cuda:  # a batched product of tiny matrices is ten times slower on a GPU than this sum
+    if pressures.is_cuda:  # On a GPU, a batched product of tiny matrices is ten times slower than this sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 
 
 class ContactPairs:
-    """Reads the contacts of B sensed bodies with M other bodies. The normal points away from the sensed body.
+    """Reads the contacts of B sensed bodies with M other bodies from the engine's live values, (N, B * M, S, W).
 
-    Args:
-        readings: the engine's live values of all contacts, (N, B * M, S, W).
-        bodies: the number of sensed bodies, B.
-        fields: the reported fields, a subset of ``FIELDS``.
+    The contact normal points away from the sensed body. ``fields`` is a subset of ``FIELDS``.
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
@@ -74,7 +72,7 @@ class ContactPairs:
     def points(self) -> torch.Tensor:
         """Return the mean position of the contacts, m, (N, B, M, 3), world axes; NaN without a contact."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # unused slots contain zeros
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # The unused slots of a sensor contain zeros.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -94,17 +92,9 @@ def _time(name: str, doc: str) -> property:
 
 
 class ContactSensorData(Kept):
-    """Measurements of a contact sensor for N environments and B bodies; ``_w`` is world axes.
+    """Measurements of a contact sensor for N environments and B bodies; the suffix ``_w`` means world axes.
 
-    Reading a quantity that the sensor does not track raises ConfigError.
-
-    Args:
-        key: the sensor's config key.
-        num_envs: number of environments, N.
-        bodies: number of sensed bodies, B.
-        history_length: physics steps in the history, T.
-        track_air_time: whether contact and air times are tracked.
-        device: device of the tensors.
+    Reading a quantity that the sensor does not track raises ConfigError. ``history_length`` is T physics steps.
 
     Attributes:
         forces: net normal force of each step in the history, N, (N, B, 3), newest first.
@@ -119,7 +109,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # the same forces in one tensor, made at the first read
+        self._history: torch.Tensor | None = None  # The first read creates this tensor of all forces.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -141,12 +131,12 @@ class ContactSensorData(Kept):
         return self._history
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
-        """Replace the forces of the history, each (N, B, 3), newest first."""
-        self.forces[:] = forces  # in place: captured parts of a step refer to this list
+        """Replace the force history, a sequence of (N, B, 3), newest first."""
+        self.forces[:] = forces  # Change the list in place, because captured CUDA graphs refer to the list.
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
-        """Add a sample (N, B, 3) and drop the oldest, in the environments of the mask ``due`` (N,); None means all."""
+        """Add a force sample (N, B, 3) and drop the oldest sample, in the environments of the mask ``due`` (N,)."""
         kept = [newest, *self.forces[:-1]]
         if due is not None:
             rows = due.view(-1, 1, 1)
@@ -159,38 +149,31 @@ class ContactSensorData(Kept):
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
     def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
-        """Allocate the forces from ``count`` filtered bodies."""
+        """Allocate the tensors of the forces from ``count`` filtered bodies."""
         n, bodies, _ = self.net_forces_w.shape
         self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
         self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
         self.friction = torch.zeros_like(self.filtered[:, 0]) if track_friction_forces else None
 
     def take_pairs(
-        self,
-        newest: torch.Tensor,
-        points: torch.Tensor | None,
-        friction: torch.Tensor | None,
-        due: torch.Tensor | None,
+        self, newest: torch.Tensor, points: torch.Tensor | None, friction: torch.Tensor | None, due: torch.Tensor | None
     ) -> None:
-        """Add a sample for each pair of sensed and filtered body, each (N, B, M, 3), as ``take_forces`` does."""
+        """Add a force sample (N, B, M, 3) of each pair of a sensed and a filtered body, as ``take_forces`` does."""
         before = self.force_matrix_w_history
-        taken = {
-            "filtered": torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1),
-            "points": points,
-            "friction": friction,
-        }
+        filtered = torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1)
+        taken = {"filtered": filtered, "points": points, "friction": friction}
         for name, value in taken.items():
             if value is not None and due is not None:
                 value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(self, name))
             setattr(self, name, value)
 
     def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return the tracked quantities of pairs of bodies, by attribute."""
+        """Return the tracked quantities of the pairs of sensed and filtered bodies, by attribute name."""
         found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
         return {name: value for name, value in found.items() if value is not None}
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
-        """Make the poses of the sensed bodies available."""
+        """Store the source of the sensed bodies' poses."""
         self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
 
     @property
@@ -244,7 +227,7 @@ class ContactSensorData(Kept):
             self._refuse("contact and air times are not tracked", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Zero forces and times of ``ids``."""
+        """Set the forces and times of the environments ``ids`` to zero."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
         for name, value in self.of_pairs().items():
             setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
@@ -257,7 +240,7 @@ _WIDTH = width(NORMAL)
 
 
 class ContactSensor(SensorBase):
-    """Sum of the normal contact forces on each body, world axes, over the last physics step; friction excluded.
+    """Sum of the normal contact forces on each body in the last physics step, world axes, without friction.
 
     Args:
         body_names: expressions of the sensed bodies.
@@ -265,19 +248,13 @@ class ContactSensor(SensorBase):
         track_air_time: whether to track contact and air times.
         force_threshold: force above which a body is in contact, N.
         max_contacts: maximum number of contacts of one body that are summed.
-        update_period: time between two measurements, s; 0 measures after every physics step.
-        filter_body_names: expressions of bodies, or ``ground``, whose forces are also reported separately; null means
-            none.
+        filter_body_names: expressions of bodies, or ``ground``, whose forces are also reported separately; null: none.
         track_pose: whether the data has the bodies' poses.
         track_contact_points: whether the data has the mean position of the contacts with each filtered body.
         track_friction_forces: whether the data has the friction from each filtered body.
-
-    Attributes:
-        data: the measurement, available after ``connect``.
     """
 
     data: ContactSensorData
-    _norms: list[torch.Tensor | None]  # norm of each step in the history, computed at the first read
     _largest_norm: torch.Tensor | None
 
     def __init__(
@@ -313,7 +290,11 @@ class ContactSensor(SensorBase):
         self.filter_names: list[str] = []
         if self._filters:
             _, self.filter_names = match_names(self._filters, [GROUND, *robot.body_names], key=key, what="body")
-        self._require_filters()
+        for option, is_tracked in self._tracked.items():
+            if is_tracked and not self._filters:
+                message = "needs the bodies whose contacts are reported separately"
+                expected = f"false, or bodies or ground in {self.key}.filter_body_names"
+                raise ConfigError(message, key=f"{self.key}.{option}", expected=expected)
         for body in self.body_names:
             self._sense(spec, body, NORMAL, {})
         for body, other in product(self.body_names, self.filter_names):
@@ -324,15 +305,6 @@ class ContactSensor(SensorBase):
     @property
     def _fields_of_pairs(self) -> tuple[str, ...]:
         return FIELDS if any(self._tracked.values()) else NORMAL
-
-    def _require_filters(self) -> None:
-        for name, is_tracked in self._tracked.items():
-            if is_tracked and not self._filters:
-                raise ConfigError(
-                    "needs the bodies whose contacts are reported separately",
-                    key=f"{self.key}.{name}",
-                    expected=f"false, or bodies or ground in {self.key}.filter_body_names",
-                )
 
     def _sense(
         self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, Any], suffix: str = ""
@@ -347,7 +319,6 @@ class ContactSensor(SensorBase):
         )
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
         n, bodies, device = sim.num_envs, len(self.body_names), sim.device
         numbers = 3 * n * bodies * self._history_length
@@ -359,33 +330,22 @@ class ContactSensor(SensorBase):
         self._counts = self._readings[:, :, 0, 0]
         self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
         if self.filter_names:
-            self._connect_pairs(sim.view("sensordata")[:, end:])
+            fields, others = self._fields_of_pairs, len(self.filter_names)
+            form = n, bodies * others, self._slots, width(fields)
+            readings = sim.view("sensordata")[:, end : end + form[1] * form[2] * form[3]]
+            self._pairs = ContactPairs(readings.view(form), bodies, fields)
+            self.data.add_filters(others, **self._tracked)
         if self._track_pose:
             self.data.add_pose(self._robot, self.body_names)
-        self._norms, self._largest_norm = [None] * self._history_length, None
+        self._largest_norm = None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
-    def _connect_pairs(self, readings: torch.Tensor) -> None:
-        fields, bodies, others = self._fields_of_pairs, len(self.body_names), len(self.filter_names)
-        form = len(readings), bodies * others, self._slots, width(fields)
-        self._pairs = ContactPairs(readings[:, : form[1] * form[2] * form[3]].view(form), bodies, fields)
-        self.data.add_filters(others, **self._tracked)
-
     def max_force_norm(self) -> torch.Tensor:
-        """Largest norm over the history, N, (N, B)."""
+        """Return the largest force norm of each body over the history, N, (N, B)."""
         if self._largest_norm is None:
-            self._largest_norm = functools.reduce(torch.maximum, map(self._norm, range(self._history_length)))
+            norms = (torch.linalg.vector_norm(force, dim=-1) for force in self.data.forces)
+            self._largest_norm = functools.reduce(torch.maximum, norms)
         return self._largest_norm
-
-    def _clear_norms(self) -> None:
-        self._norms[:] = [None] * self._history_length
-        self._largest_norm = None
-
-    def _norm(self, age: int) -> torch.Tensor:
-        norm = self._norms[age]
-        if norm is None:
-            norm = self._norms[age] = torch.linalg.vector_norm(self.data.forces[age], dim=-1)
-        return norm
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
@@ -403,39 +363,24 @@ class ContactSensor(SensorBase):
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
-        if due is None:
-            self._norms[:] = [None, *self._norms[:-1]]
-            self._largest_norm = None
-        else:
-            self._clear_norms()
+        self._largest_norm = None
         if self.filter_names:
-            self._measure_pairs(due)
+            points = self._pairs.points() if self._tracked["track_contact_points"] else None
+            friction = self._pairs.friction_forces() if self._tracked["track_friction_forces"] else None
+            self.data.take_pairs(self._pairs.normal_forces(), points, friction, due)
         if self.track_air_time:
             self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
-
-    def _measure_pairs(self, due: torch.Tensor | None) -> None:
-        tracked = self._tracked
-        self.data.take_pairs(
-            self._pairs.normal_forces(),
-            self._pairs.points() if tracked["track_contact_points"] else None,
-            self._pairs.friction_forces() if tracked["track_friction_forces"] else None,
-            due,
-        )
 
     def reset(self, ids: torch.Tensor) -> None:
         super().reset(ids)
         self.data.reset(ids)
         self._found.index_fill_(0, ids, 0.0)
-        self._norms[:] = [None if norm is None else norm.index_fill(0, ids, 0.0) for norm in self._norms]
         self._largest_norm = None
-
-    def overflowed(self, ids: torch.Tensor) -> torch.Tensor:
-        """Return which of ``ids`` had more contacts on one body than ``max_contacts`` since their reset, (n,) bool."""
-        return (self._found.index_select(0, ids) > self._slots).any(dim=1)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
-        return {"overflow": self.overflowed(env_ids).mean(dtype=torch.float32)}
+        overflowed = (self._found.index_select(0, env_ids) > self._slots).any(dim=1)
+        return {"overflow": overflowed.mean(dtype=torch.float32)}
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -454,27 +399,17 @@ class ContactSensor(SensorBase):
             value.copy_(saved[name])
         for name in self.data.of_pairs():
             setattr(self.data, name, saved[name].clone())
-        self._clear_norms()
+        self._largest_norm = None
 
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        """Add up the time in contact and in the air; when a phase has just ended, store its duration."""
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
         for mode, active in (("contact", contact), ("air", ~contact)):
             current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
-            self._advance(current, last, active, elapsed, due)
-
-    def _advance(
-        self,
-        current: torch.Tensor,
-        last: torch.Tensor,
-        active: torch.Tensor,
-        elapsed: float | torch.Tensor,
-        due: torch.Tensor | None,
-    ) -> None:
-        """Add up the time in contact or in the air; when a phase has just ended, store its duration."""
-        ended = ~active & (current > 0.0)
-        lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
-        if due is not None:
-            rows = due.unsqueeze(1)
-            lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
-        last.copy_(lasted)
-        current.copy_(counted)
+            ended = ~active & (current > 0.0)
+            lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
+            if due is not None:
+                rows = due.unsqueeze(1)
+                lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
+            last.copy_(lasted)
+            current.copy_(counted)

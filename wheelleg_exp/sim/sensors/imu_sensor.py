@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class ImuNoise(Kept):
-    """Errors of an accelerometer (m/s^2) or a gyroscope (rad/s), independent for each axis.
+    """Noise and bias of an accelerometer (m/s^2) or a gyroscope (rad/s), independent for each axis.
 
     Args:
         std: standard deviation of the white noise of each measurement.
@@ -34,7 +34,7 @@ class ImuNoise(Kept):
 
 
 class ImuData(Kept):
-    """Measurements of an IMU under Isaac Lab's names; ``_b`` is the IMU's own axes.
+    """Measurements of an IMU under Isaac Lab's names; the suffix ``_b`` means the axes of the IMU.
 
     Attributes:
         pos_w: position, m, (N, 3).
@@ -58,10 +58,10 @@ class ImuData(Kept):
 
 @relation(offset_fits)
 class Imu(SensorBase):
-    """Pose, velocities and accelerations of a frame on a body, as Isaac Lab's ``Imu``.
+    """A sensor of the pose, velocities and accelerations of a frame on a body, like Isaac Lab's ``Imu``.
 
     Accelerations are finite differences of velocity over the last physics step. Velocities that events write do not
-    appear as accelerations. After a reset accelerations are 0.
+    appear as accelerations. After a reset, the accelerations are 0.
 
     Args:
         body_name: expression of the body.
@@ -69,10 +69,6 @@ class Imu(SensorBase):
         gravity_bias: added to the acceleration, world axes, m/s^2; by default minus gravity, as an IMU at rest reads.
         accelerometer: errors of ``lin_acc_b``; null means none.
         gyroscope: errors of ``ang_vel_b``; null means none.
-        update_period: time between two measurements, s; 0 measures after every physics step.
-
-    Attributes:
-        data: the measurement, available after ``connect``.
     """
 
     data: ImuData
@@ -99,7 +95,6 @@ class Imu(SensorBase):
         self.body_names = [self._mount.body]
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
         n, device = sim.num_envs, sim.device
         self._offset_pos, self._offset_quat = offset_pose(self._offset, device)
@@ -108,7 +103,7 @@ class Imu(SensorBase):
         self._gravity = torch.nn.functional.normalize(gravity, dim=0)
         self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
         self.data = ImuData(n, device)
-        self._before = torch.zeros(n, 6, device=device)  # velocities at the start of the last physics step
+        self._before = torch.zeros(n, 6, device=device)  # the IMU's velocities at the start of the last physics step
         self._acc = torch.zeros(n, 6, device=device)
         self._is_new = torch.ones(n, dtype=torch.bool, device=device)
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
@@ -122,7 +117,6 @@ class Imu(SensorBase):
         return self._offset_pos, self._offset_quat
 
     def update(self) -> None:
-        """Compute accelerations after a physics step, and measure the environments whose update period is over."""
         now = self._velocities()
         self._acc = (now - self._before) / self._dt
         self._before = now
@@ -159,19 +153,12 @@ class Imu(SensorBase):
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
-        """Write the present measurement of the environments of the mask ``due`` (None means all) to ``data``."""
+        """Measure the environments of the mask ``due`` (None means all) and write the results to ``data``."""
         body = self._mount.rot_w
         rot = body @ self._turn
-        vectors = torch.stack(
-            (
-                self._before[:, :3],
-                self._before[:, 3:],
-                self._acc[:, :3] + self._gravity_bias,
-                self._acc[:, 3:],
-                self._gravity.expand_as(self._before[:, :3]),
-            ),
-            dim=1,
-        )
+        velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)
+        felt, gravity = acceleration[0] + self._gravity_bias, self._gravity.expand_as(velocity[0])
+        vectors = torch.stack((*velocity, felt, acceleration[1], gravity), dim=1)
         lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
         error = self._bias_b + self._noise_b
         seen = {

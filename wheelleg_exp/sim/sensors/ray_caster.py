@@ -11,6 +11,7 @@ import torch
 from wheelleg_exp.constraints import Interval, NonNegative, Positive, Targeted, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.class_members import alias_of
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.sensors.ray_patterns import PatternBase
 from wheelleg_exp.sim.sensors.sensor_base import LazySensor, Mount, Offset, offset_fits, offset_pose
@@ -49,7 +50,7 @@ class RayCasterData(Kept):
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
-    """Casts rays from a body to the ground; other geoms do not stop a ray. As Isaac Lab's, it measures on reading.
+    """A sensor that casts rays from a body; only the ground stops the rays. The rays are cast when ``data`` is read.
 
     Args:
         body_name: expression of the body.
@@ -90,7 +91,6 @@ class RayCaster(LazySensor):
         self.body_names = [self._mount.body]
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
         starts, directions = self._pattern.checked_rays(sim.device)
         pos, quat = offset_pose(self._offset, sim.device)
@@ -107,10 +107,7 @@ class RayCaster(LazySensor):
         self.drift = torch.zeros(sim.num_envs, 6, device=sim.device)
         self._stream = stream() if bool(ranges.any()) else None
 
-    @property
-    def device(self) -> torch.device:
-        """Device of the tensors."""
-        return self._sim.device
+    device = alias_of("_sim.device", "Device of the sensor's tensors.")
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -136,12 +133,9 @@ class RayCaster(LazySensor):
     def _cast(
         self, ids: torch.Tensor | slice, pos: torch.Tensor, drift: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the rays' origins, m, their directions (n, R, 3), and their lengths, m, (n, R); negative is a miss.
+        """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length is a miss.
 
-        Args:
-            ids: the environments.
-            pos: position of the body, m, (n, 3).
-            drift: the errors drawn for these episodes, m, (n, 6).
+        ``pos`` is the position of the body, m, (n, 3); ``drift`` has the errors drawn for these episodes, m, (n, 6).
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])
@@ -154,14 +148,14 @@ class RayCaster(LazySensor):
         return starts, directions, self._distances(ids, starts, directions)
 
     def _distances(self, ids: torch.Tensor | slice, starts: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-        """Return the lengths of rays (n, R, 3) to the ground, m, (n, R); negative is a miss."""
+        """Return the lengths of rays (n, R, 3) to the ground, m, (n, R); a negative length is a miss."""
         if self._looks_down and self.terrain.has_formula:
             return starts[..., 2] - self.terrain.height_at(starts[..., :2])
         only = None if isinstance(ids, slice) else ids
         return self._sim.ray(starts, directions, (GROUND_GROUP,), only).float()
 
     def _turn(self, ids: torch.Tensor | slice) -> torch.Tensor:
-        """Return the matrices (n, 3, 3) that rotate the pattern into world axes."""
+        """Return the matrices (n, 3, 3) that rotate the ray pattern into world axes."""
         matrix = self._mount.rot_w[ids]
         if self._alignment == "base":
             return matrix

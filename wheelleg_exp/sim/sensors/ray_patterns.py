@@ -28,7 +28,8 @@ class PatternBase(Kept):
     def checked_rays(self, device: torch.device) -> Rays:
         """Return the rays; ConfigError, with a key below the sensor's, if ``rays`` returns anything invalid."""
         if type(self).__module__ == __name__:
-            count = len(self.rays(torch.device("meta"))[0])  # the meta device gives shapes without allocating memory
+            # Torch's meta device gives the shape of the rays without allocating memory.
+            count = len(self.rays(torch.device("meta"))[0])
             require_memory(24 * count, "pattern", f"{count:,} rays")
         with blamed("pattern", self):
             given = self.rays(device)
@@ -91,11 +92,7 @@ class LidarPattern(PatternBase):
     """
 
     def __init__(
-        self,
-        channels: Count,
-        vertical_fov_range: Interval,
-        horizontal_fov_range: Interval,
-        horizontal_res: Positive,
+        self, channels: Count, vertical_fov_range: Interval, horizontal_fov_range: Interval, horizontal_res: Positive
     ) -> None:
         self._channels, self._vertical = channels, vertical_fov_range
         self._horizontal, self._resolution = horizontal_fov_range, horizontal_res
@@ -130,7 +127,6 @@ class BpearlPattern(PatternBase):
         self._elevations = own if vertical_ray_angles is None else list(vertical_ray_angles)
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the rays, (R, 3) each: for each angle about z, all beams."""
         count = math.ceil(self._fov / self._resolution - 1e-9)
         azimuth = -self._fov / 2 + self._resolution * torch.arange(count, device=device)
         elevation = torch.tensor(self._elevations, device=device)
@@ -141,6 +137,8 @@ class BpearlPattern(PatternBase):
 class PinholePattern(PatternBase):
     """Rays through the centres of the pixels of a camera that looks along x, row by row from the upper left.
 
+    ``intrinsics`` has the rows of the intrinsic matrix, px.
+
     Args:
         width: px.
         height: px.
@@ -149,9 +147,6 @@ class PinholePattern(PatternBase):
         vertical_aperture: height of the image plane; null makes pixels square.
         horizontal_aperture_offset: offset of the image's centre to the right, in focal lengths.
         vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
-
-    Attributes:
-        intrinsics: the rows of the intrinsic matrix, px.
     """
 
     def __init__(

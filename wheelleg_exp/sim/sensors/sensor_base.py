@@ -26,15 +26,10 @@ class SensorBase(Kept):
 
     A subclass adds its elements to the spec, connects to the running simulations, and measures in ``measure``. Its
     tensors are (N, ...) on the engine's device. ``state_dict`` must contain everything that later steps depend on.
+    ``name`` and ``terrain`` are set before ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
-
-    Attributes:
-        name: the sensor's name in the scene, set before ``add_to``.
-        terrain: the scene's ground, set before ``add_to``.
-        body_names: names of the sensed bodies.
-        data: the measurement, under the names of Isaac Lab's sensor of the same kind.
     """
 
     name: str
@@ -52,29 +47,18 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """The sensor itself: its settings are attributes, which terms written for Isaac Lab read from ``cfg``."""
+        """The sensor itself, because terms written for Isaac Lab read settings from ``cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Add the sensor's elements to the spec, before the scene is compiled.
-
-        Args:
-            spec: the scene's spec.
-            name: the sensor's name.
-            robot: the robot, before compilation.
-
-        Raises:
-            ConfigError: an expression of the sensor matches nothing.
-        """
+        """Add the sensor's elements to the spec before the scene is compiled; ConfigError if a name is missing."""
         del spec, robot
         self.name, self.body_names = name, []
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; called once, after the scene has been compiled.
+        """Connect the sensor to the running simulations, once, after the scene has been compiled.
 
-        Args:
-            sim: the simulations.
-            stream: returns the sensor's random stream; a sensor without random numbers does not call it.
+        ``stream`` returns the sensor's random stream; a sensor without random numbers does not call ``stream``.
         """
         del stream
         self._sim = sim
@@ -82,7 +66,7 @@ class SensorBase(Kept):
         self._elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
 
     def update(self) -> None:
-        """Measure, after a physics step, the environments whose update period is over.
+        """After a physics step, measure the environments whose update period has passed.
 
         As in Isaac Lab, each environment has its own timer, and the first step of an episode is measured.
         """
@@ -95,16 +79,14 @@ class SensorBase(Kept):
         self._elapsed.masked_fill_(due, 0.0)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Measure.
+        """Measure the environments of the mask ``due`` (N,); None means all.
 
-        Args:
-            due: mask (N,) of the environments to measure; None means all. The others keep their measurement.
-            elapsed: time since the last measurement, s, (N,) or one number for all.
+        ``elapsed`` is the time since the last measurement, s, (N,) or one number for all environments.
         """
         raise NotImplementedError("a sensor needs 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the measurement of ``env_ids``; reset events write their new state later."""
+        """Clear the measurements of the environments ``env_ids``, before reset events write the new state."""
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
@@ -114,10 +96,10 @@ class SensorBase(Kept):
         return type(self).refresh is not SensorBase.refresh
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Update the measurement of ``env_ids`` after their state was written, before the first observation."""
+        """Measure the environments ``env_ids`` after their state was written, before the first observation."""
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries, by name, about limits that the sensor could not keep in episodes that end now."""
+        """Return log entries, by name, about limits that the sensor exceeded in episodes that end now."""
         del env_ids
         return {}
 
@@ -128,7 +110,7 @@ class SensorBase(Kept):
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that later measurements depend on."""
+        """Return the sensor's state that later measurements depend on."""
         return {} if self.update_period == 0.0 else {"elapsed": self._elapsed.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -147,10 +129,11 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 
 
 class LazySensor(SensorBase):
-    """Measures when ``data`` is read, at most once for each state; a subclass writes to ``_data`` in ``sense``.
+    """A sensor that measures when ``data`` is read, at most once per state; ``sense`` writes to ``_data``.
 
-    With an update period the sensor stores its measurement. Each environment is then measured at its reset and at the
-    first physics step after the period, whether or not ``data`` is read. So reading never changes a result.
+    A sensor with an update period stores its measurements. It measures each environment at the reset and at the first
+    physics step after each period, even if ``data`` is not read. Reading ``data`` never changes the results of a lazy
+    sensor.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.
@@ -165,7 +148,6 @@ class LazySensor(SensorBase):
         raise NotImplementedError("a lazy sensor needs 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Attach to the running simulations; a subclass creates its ``_data``."""
         super().connect(sim, stream)
         self._outdated: torch.Tensor | slice | None = slice(None)
         self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
@@ -174,13 +156,12 @@ class LazySensor(SensorBase):
     def data(self) -> Any:
         """The measurement, read-only."""
         if self._outdated is not None:
-            with blamed(self.key, self, has_worked=True):  # an error here is the sensor's, not the reading term's
+            with blamed(self.key, self, has_worked=True):
                 self.sense(self._outdated)
             self._outdated = None
         return self._data
 
     def update(self) -> None:
-        """Mark the measurement as outdated after a physics step, or measure when the period is over."""
         if self.update_period == 0.0:
             self._outdated = slice(None)
         else:
@@ -194,7 +175,6 @@ class LazySensor(SensorBase):
         fill_rows(self._is_new, env_ids, True)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Mark the written ``env_ids`` as outdated; with an update period, measure those that start an episode."""
         if self.update_period == 0.0:
             if not isinstance(self._outdated, slice):
                 seen = env_ids if self._outdated is None else torch.cat((self._outdated, env_ids)).unique()
@@ -205,7 +185,6 @@ class LazySensor(SensorBase):
         fill_rows(self._is_new, env_ids, False)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; without an update period the next read measures again."""
         super().load_state_dict(saved)
         self._outdated = slice(None) if self.update_period == 0.0 else None
         self._is_new.fill_(False)
@@ -215,14 +194,13 @@ Offset = Mapping[Literal["pos", "rot"], Sequence[float]]
 
 
 def offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check an ``offset``: ``pos`` (x, y, z), m, and ``rot`` (w, x, y, z)."""
+    """Check a sensor's ``offset``, which has ``pos`` (x, y, z), m, and ``rot`` (w, x, y, z)."""
     offset = given["offset"] or {}
     if len(offset.get("pos", (0, 0, 0))) != 3:
         yield Broken("offset.pos", f"{offset['pos']!r} is not a position", "3 finite numbers")
     if len(offset.get("rot", (1, 0, 0, 0))) != 4 or not any(offset.get("rot", (1, 0, 0, 0))):
-        yield Broken(
-            "offset.rot", f"{offset['rot']!r} is not an orientation", "4 finite numbers (w, x, y, z), not all zero"
-        )
+        expected = "4 finite numbers (w, x, y, z), not all zero"
+        yield Broken("offset.rot", f"{offset['rot']!r} is not an orientation", expected)
 
 
 def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
@@ -233,17 +211,19 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
     return pos, torch.nn.functional.normalize(rot, dim=0)
 
 
+def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
+    """Make a property of the mount that reads one of two attributes of the robot's data."""
+
+    def get(self: Mount) -> torch.Tensor:
+        # The root's pose and velocity are part of the state. The engine must compute the poses and velocities of links.
+        data = self._robot.data
+        return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
+
+    return property(get, doc=doc)
+
+
 class Mount(Kept):
-    """The body of the robot that a sensor is mounted on.
-
-    Args:
-        expression: expression of the body.
-        robot: the robot, before compilation.
-        key: the config key of the expression.
-
-    Raises:
-        ConfigError: the expression matches no body, or several bodies.
-    """
+    """The robot's body on which a sensor is mounted; ConfigError unless the expression matches one body."""
 
     def __init__(self, expression: str, robot: Robot, key: str) -> None:
         found, names = robot.find_bodies([expression], key=key)
@@ -251,33 +231,10 @@ class Mount(Kept):
             raise ConfigError(f"'{expression}' matches {', '.join(names)}", key=key, expected="one body")
         self.body, self.index, self._robot = names[0], found[0], robot
 
-    @property
-    def pos_w(self) -> torch.Tensor:
-        """Position of the body's frame, m, (N, 3)."""
-        # The root's pose is part of the state. The pose of any other link makes the engine compute it after each step.
-        data = self._robot.data
-        return data.root_pos_w if self.index == 0 else data.body_pos_w[:, self.index]
-
-    @property
-    def quat_w(self) -> torch.Tensor:
-        """Orientation of the body's frame (w, x, y, z), (N, 4)."""
-        data = self._robot.data
-        return data.root_quat_w if self.index == 0 else data.body_quat_w[:, self.index]
-
-    @property
-    def rot_w(self) -> torch.Tensor:
-        """Rotation matrix of the body's frame, (N, 3, 3)."""
-        data = self._robot.data
-        return data.root_rot_w if self.index == 0 else data.body_rot_w[:, self.index]
-
-    @property
-    def lin_vel_w(self) -> torch.Tensor:
-        """Velocity of the origin of the body's frame, m/s, world axes, (N, 3)."""
-        data = self._robot.data
-        return data.root_link_lin_vel_w if self.index == 0 else data.body_link_lin_vel_w[:, self.index]
-
-    @property
-    def ang_vel_w(self) -> torch.Tensor:
-        """Angular velocity of the body, rad/s, world axes, (N, 3)."""
-        data = self._robot.data
-        return data.root_ang_vel_w if self.index == 0 else data.body_ang_vel_w[:, self.index]
+    pos_w = _of_body("root_pos_w", "body_pos_w", "Position of the body's frame, m, (N, 3).")
+    quat_w = _of_body("root_quat_w", "body_quat_w", "Orientation of the body's frame (w, x, y, z), (N, 4).")
+    rot_w = _of_body("root_rot_w", "body_rot_w", "Rotation matrix of the body's frame, (N, 3, 3).")
+    lin_vel_w = _of_body(
+        "root_link_lin_vel_w", "body_link_lin_vel_w", "Velocity of the frame's origin, m/s, world axes, (N, 3)."
+    )
+    ang_vel_w = _of_body("root_ang_vel_w", "body_ang_vel_w", "Angular velocity of the body, rad/s, world axes, (N, 3).")

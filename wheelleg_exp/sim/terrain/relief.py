@@ -1,26 +1,15 @@
-"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile; height map; cache."""
+"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile; height map."""
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import inspect
-import io
-import json
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from wheelleg_exp.errors import ConfigError, WheellegError
-from wheelleg_exp.files import write_bytes
-from wheelleg_exp.paths import cache_dir
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.progress import with_progress
 from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
@@ -28,11 +17,9 @@ from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 
 @dataclass(frozen=True)
 class Tile:
-    """Heights of one tile; the first index is along x, the second along y.
+    """The heights of one tile, m; the first index is along x, the second along y.
 
-    Attributes:
-        heights: heights of the corners of cells (nx + 1, ny + 1), or of the cells (nx, ny), m.
-        boxes: whether heights belong to cells, with vertical edges.
+    Heights belong to the corners of cells (nx + 1, ny + 1), or, with ``boxes``, to cells (nx, ny) with vertical edges.
     """
 
     heights: npt.NDArray[np.float32]
@@ -46,16 +33,10 @@ class Tile:
 
 
 class HeightMap:
-    """Tiles in rows along x and columns along y, centred on the world's origin.
+    """The layout of tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
     Between corners the surface is that of MuJoCo's height fields: two triangles per cell, which meet on the diagonal
     from the cell's lowest to its highest x and y.
-
-    Args:
-        tiles: the tiles row by row.
-        rows: number of rows.
-        size: edges of a tile, m.
-        device: device of the tensors.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
@@ -80,20 +61,24 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # stride between neighbours along x
+        along_x = cells[..., 1] + slanted  # The stride between neighbours along x.
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
         height = a + torch.where(u >= v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
         return torch.where(inside, height, 0.0).to(xy.dtype)
 
+    def heights_at(self, points: Array) -> Array:
+        """Return the heights (...) at points (..., 2) as NumPy arrays, m; the map must be on the CPU."""
+        return self.height_at(torch.from_numpy(points)).numpy()
 
-_MARGIN = 0.001  # margin in the assignment of kinds to columns, as in Isaac Lab
+
+_MARGIN = 0.001  # Isaac Lab uses this margin when it assigns kinds of tiles to columns.
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Arguments of a generated ground (see ``TerrainGenerator``)."""
+    """The arguments that generate a ground (see ``TerrainGenerator``)."""
 
     size: tuple[float, float]
     num_rows: int
@@ -109,14 +94,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class Relief:
-    """A generated ground. Coordinates are relative to its centre.
+    """A generated ground, with coordinates relative to the centre of the ground.
 
-    Attributes:
-        tiles: the tiles row by row.
-        kinds: index of each tile's sub-terrain, (rows, cols).
-        difficulties: difficulty of each tile, (rows, cols).
-        origins: origin of each tile, m, (rows, cols, 3).
-        patches: flat patches by name, m, (rows, cols, P, 3).
+    ``tiles`` are in order of rows; ``kinds`` (the index of each tile's sub-terrain) and ``difficulties`` are (rows,
+    cols); ``origins`` are (rows, cols, 3), m, and flat ``patches`` (rows, cols, P, 3), m, by name.
     """
 
     tiles: Sequence[Tile]
@@ -127,16 +108,14 @@ class Relief:
 
 
 def make_relief(layout: Layout) -> Relief:
-    """Generate the ground; equal arguments give equal grounds.
-
-    Raises:
-        ConfigError: a tile does not have enough flat patches, or its border covers the tile.
-    """
+    """Generate the ground; equal arguments give equal grounds. ConfigError if a tile cannot be made."""
     rng = np.random.default_rng(layout.seed)
     shape = (layout.num_rows, layout.num_cols)
     names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())
     kinds, difficulties, origins = np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros((*shape, 3))
-    origins[..., :2] = _centres(layout)
+    rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
+    cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
+    origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
     patches = _no_patches(layout, origins)
     tiles: dict[tuple[int, int], Tile] = {}
     for row, col in with_progress("making tiles", _order(layout)):
@@ -150,7 +129,7 @@ def make_relief(layout: Layout) -> Relief:
         for name in patches:
             patches[name][row, col] = origins[row, col]
         for name, wanted in part.flat_patches.items():
-            found = wanted.find(_height_function(alone), origin, layout.size, rng, f"{key}.flat_patches.{name}")
+            found = wanted.find(alone.heights_at, origin, layout.size, rng, f"{key}.flat_patches.{name}")
             patches[name][row, col] += found
     ordered = [tiles[index] for index in np.ndindex(shape)]
     return Relief(ordered, kinds, difficulties, origins, patches)
@@ -203,14 +182,8 @@ def _highest(tile: Tile, share: float) -> float:
     return float(tile.heights[tuple(windows)].max())
 
 
-def _centres(layout: Layout) -> Array:
-    rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
-    cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
-    return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-
-
 def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
-    """Allocate the flat patches of each name; tiles without patches of a name will contain their origin."""
+    """Allocate the flat patches of each name, filled with the tiles' origins for tiles without patches."""
     counts: dict[str, int] = {}
     for name, part in layout.sub_terrains.items():
         for patch, wanted in part.flat_patches.items():
@@ -221,78 +194,3 @@ def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
                     expected="the same number on all sub-terrains",
                 )
     return {name: np.zeros((*origins.shape[:2], count, 3)) for name, count in counts.items()}
-
-
-def _height_function(height_map: HeightMap) -> Callable[[Array], Array]:
-    return lambda points: height_map.height_at(torch.from_numpy(points)).numpy()
-
-
-_PATCHES = "patches/"
-
-
-def cached_relief(layout: Layout) -> Relief:
-    """Return a ground from the cache, or generate it and store it.
-
-    Raises:
-        ConfigError: the ground cannot be generated.
-    """
-    entry = cache_dir() / "terrains" / f"{relief_key(layout)}.npz"
-    with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return _read(entry.read_bytes())
-    relief = make_relief(layout)
-    with suppress(WheellegError):  # without a cache entry the ground is generated again next time
-        write_bytes(entry, _packed(relief))
-    return relief
-
-
-def relief_key(layout: Layout) -> str:
-    """Return the sha256 of a layout and of the code that generates a ground."""
-    own = [_digest(Path(inspect.getfile(part))) for part in (make_relief, Tile)]
-    parts = {"layout": _plain(layout), "code": own, "numpy": np.__version__}
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON; an object becomes its values, its class, and the hashes of its classes' source files."""
-    if isinstance(value, Mapping):
-        return {str(name): _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if not hasattr(value, "__dict__"):
-        return value
-    kinds = [kind for kind in type(value).__mro__ if kind is not object]
-    code = [_digest(Path(inspect.getfile(kind))) for kind in kinds]
-    return {"class": type(value).__qualname__, "code": code, "values": _plain(vars(value))}
-
-
-@functools.cache
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _packed(relief: Relief) -> bytes:
-    buffer = io.BytesIO()
-    patches: dict[str, Any] = {_PATCHES + name: places for name, places in relief.patches.items()}
-    np.savez(
-        buffer,
-        heights=np.concatenate([tile.heights.ravel() for tile in relief.tiles]),
-        shapes=np.array([tile.heights.shape for tile in relief.tiles]),
-        boxes=np.array([tile.boxes for tile in relief.tiles]),
-        kinds=relief.kinds,
-        difficulties=relief.difficulties,
-        origins=relief.origins,
-        **patches,
-    )
-    return buffer.getvalue()
-
-
-def _read(packed: bytes) -> Relief:
-    with np.load(io.BytesIO(packed), allow_pickle=False) as held:
-        shapes = held["shapes"]
-        parts = np.split(held["heights"], np.cumsum(shapes.prod(axis=1))[:-1])
-        tiles = [
-            Tile(part.reshape(shape), bool(boxes))
-            for part, shape, boxes in zip(parts, shapes, held["boxes"], strict=True)
-        ]
-        patches = {name.removeprefix(_PATCHES): held[name] for name in held.files if name.startswith(_PATCHES)}
-        return Relief(tiles, held["kinds"], held["difficulties"], held["origins"], patches)

@@ -20,9 +20,9 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-# No `from __future__ import annotations`: user-defined dataclasses in other modules inherit these annotations, which
-# must therefore be types, not strings.
-_POINTS = 10  # points on each ring around a patch, as in Isaac Lab
+# Do not import annotations from __future__ here: user-defined dataclasses in other modules inherit the annotations of
+# this module, which must be types, not strings.
+_POINTS = 10  # Like Isaac Lab, compare the heights at this many points on each ring around a patch.
 _ROUNDS = 1000
 
 
@@ -57,19 +57,14 @@ class FlatPatches(Kept):
         rng: np.random.Generator,
         key: str,
     ) -> Array:
-        """Return patches (P, 3) relative to the tile's origin, m.
+        """Return patches (P, 3) relative to the tile's origin, m; ConfigError if the tile has too few flat patches.
 
-        Args:
-            height_at: returns heights (...) at points (..., 2) relative to the tile's centre.
-            origin: the tile's origin (3,).
-            size: edges of the tile.
-            rng: the ground's random generator.
-            key: the config key of the patches, for the message.
-
-        Raises:
-            ConfigError: the tile does not have enough flat patches.
+        ``height_at`` returns heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
+        tile's origin, ``size`` has the edges of the tile, m, and ``key`` is the config key of the patches.
         """
-        low, high = np.transpose([self._bounds(axis, origin, size) for axis in range(2)])
+        half, ranges = np.array(size) / 2, np.array([self.x_range, self.y_range])
+        low = np.maximum(ranges[:, 0] + origin[:2], -half)
+        high = np.maximum(np.minimum(ranges[:, 1] + origin[:2], half), low)
         radii = np.atleast_1d(np.asarray(self.patch_radius, dtype=float))
         angles = np.linspace(0.0, 2 * np.pi, _POINTS, endpoint=False)
         ring = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
@@ -89,23 +84,15 @@ class FlatPatches(Kept):
             expected="a smaller patch_radius, a larger max_height_diff or wider ranges",
         )
 
-    def _bounds(self, axis: int, origin: Array, size: Sequence[float]) -> tuple[float, float]:
-        low, high = (self.x_range, self.y_range)[axis]
-        half = size[axis] / 2
-        return max(low + origin[axis], -half), max(min(high + origin[axis], half), max(low + origin[axis], -half))
 
-
-EDGE = 1e-9  # m: tolerance with which a point on an edge counts as inside
+EDGE = 1e-9  # m; a point that is this close to an edge counts as inside
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The points of a tile's heights, relative to its centre.
+    """The points of a tile's heights, relative to the tile's centre, m; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    Attributes:
-        x: m, (nx, 1), ascending.
-        y: m, (1, ny), ascending.
-        half: half edges of the area inside the tile's flat rim, m.
+    ``half`` has half the edges of the area inside the tile's flat rim, m.
     """
 
     x: Array
@@ -117,22 +104,17 @@ class Grid:
         """Distance of each point from the nearest edge, positive inside, m, (nx, ny)."""
         return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
-    @property
-    def from_centre(self) -> Array:
-        """The larger of the distances along x and y from the centre, m, (nx, ny)."""
-        return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE
-
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
         """Return which points lie in the central square of a width, (nx, ny)."""
-        return self.from_centre <= width / 2
+        return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE <= width / 2
 
 
 @dataclass(kw_only=True)
 class SubTerrain(Kept):
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. They become boxes with vertical edges, or a height field whose edges are slopes one cell
-    wide. Each box slows down all environments a little; a height field slows down only the robots on it.
+    A subclass returns heights. Heights become boxes with vertical edges, or a height field whose edges are slopes one
+    cell wide. Each box slows down all environments a little; a height field slows down only the robots on it.
 
     Args:
         proportion: relative share of the tiles.
@@ -151,10 +133,7 @@ class SubTerrain(Kept):
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return the heights over a grid, m, (nx, ny); equal arguments must give equal heights.
 
-        Args:
-            difficulty: 0 is the easiest, 1 the hardest.
-            grid: the points.
-            rng: the ground's random generator.
+        The difficulty is 0 on the easiest and 1 on the hardest tile; ``rng`` is the ground's random generator.
         """
         raise NotImplementedError
 
@@ -167,7 +146,7 @@ def at(difficulty: float, interval: Any) -> float:
 
 @dataclass(kw_only=True)
 class RandomUniform(SubTerrain):
-    """Random heights in equal steps within a range, interpolated linearly; the difficulty has no effect.
+    """Random heights in multiples of a step within a range, interpolated linearly; the difficulty has no effect.
 
     Args:
         noise_range: lowest and highest height, m.
@@ -183,11 +162,11 @@ class RandomUniform(SubTerrain):
         del difficulty
         low, high = self.noise_range
         steps = int(np.floor((high - low) / self.noise_step + 1e-9))
-        return _between(
-            grid,
-            self.downsampled_scale,
-            lambda shape: low + self.noise_step * rng.integers(steps + 1, size=shape).astype(float),
-        )
+
+        def draw(shape: tuple[int, int]) -> Array:
+            return low + self.noise_step * rng.integers(steps + 1, size=shape).astype(float)
+
+        return _between(grid, self.downsampled_scale, draw)
 
 
 @dataclass(kw_only=True)
@@ -254,8 +233,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw heights on a lattice, and interpolate them linearly, first along x, then along y.
 
-    The lattice starts at the tile's first own point inside the rim. If it started at the edge of the rim, then with a
-    rim of half a cell every height would be the mean of four draws, which has half of their standard deviation.
+    The lattice starts at the tile's first point inside the flat rim. With a lattice that started at the edge of a rim
+    of half a cell, every height would be the mean of four draws, which has half of their standard deviation.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -278,7 +257,7 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # position of the second step as a share of the way from platform to edge, as in Isaac Lab
+_SECOND = 0.6  # Isaac Lab's position of the second step, as a share of the way from the platform to the edge.
 
 
 @dataclass(kw_only=True)
@@ -294,7 +273,7 @@ class Flat(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidStairs(SubTerrain):
-    """Stairs that rise on all four sides towards a level top.
+    """Pyramid stairs that rise from all four sides to a level top.
 
     Args:
         step_height_range: step height of the easiest and the hardest tile, m.
@@ -331,7 +310,6 @@ class RandomGrid(SubTerrain):
     platform_width: NonNegative
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the squares; the tile is level outside of the grid."""
         a = at(difficulty, self.grid_height_range)
         counts = [max(1, int(2 * half / self.grid_width + 1e-9)) for half in grid.half]
         drawn = rng.uniform(-a, a, counts)

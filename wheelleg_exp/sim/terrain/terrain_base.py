@@ -19,15 +19,11 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
-_FAR = 1e3  # m: height at which the rays of a probe start
+_FAR = 1e3  # m; the rays of a probe start at this height
 
 
 class Probe:
-    """Measures heights of the ground by rays, in a model without the robot that is compiled on first use.
-
-    Args:
-        add_to: adds the ground to a spec.
-    """
+    """Measures the ground's heights by rays. The first measurement compiles a model without the robot."""
 
     def __init__(self, add_to: Callable[[mujoco.MjSpec], None]) -> None:
         self._add_to = add_to
@@ -55,13 +51,14 @@ class Probe:
 
 GROUND = "ground"
 TERRAIN_KEY = "env.scene.terrain"
-GROUND_GROUP = 0  # the geom group that is reserved for the ground
+GROUND_GROUP = 0  # The geom group that is reserved for the ground.
 
 
 class TerrainBase(Kept):
     """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
-    MuJoCo has no restitution, and one friction coefficient: ``env.robot.friction_source`` selects one of the two.
+    MuJoCo has no restitution, and one friction coefficient: ``env.robot.friction_source`` selects one of the two
+    friction coefficients.
 
     Args:
         static_friction: the ground's coefficient at rest.
@@ -108,7 +105,7 @@ class TerrainBase(Kept):
         raise NotImplementedError("a ground needs 'add_to(spec)'")
 
     def friction(self, source: str) -> float:
-        """Return the ``static`` or the ``dynamic`` coefficient."""
+        """Return the ``static`` or the ``dynamic`` friction coefficient."""
         return self.static_friction if source == "static" else self.dynamic_friction
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
@@ -116,23 +113,13 @@ class TerrainBase(Kept):
         return grid_origins(num_envs, spacing, device)
 
     def read_files(self, folder: Path) -> None:
-        """Read the ground's files; called first.
-
-        Args:
-            folder: the robot's folder, which contains the files.
-        """
+        """Read the ground's files from the robot's folder, before any other method is called."""
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Compute the origins of the environments; called once, before ``add_to``.
+        """Compute the origins of the environments, once, before ``add_to``.
 
-        On tiles, the column of environment i is ``floor(i / (N / cols))``, and its row is drawn from the rows up to
-        ``max_init_terrain_level``, as in Isaac Lab.
-
-        Args:
-            num_envs: number of environments, N.
-            spacing: distance between neighbours on a grid, m.
-            device: device of the tensors.
-            stream: returns the ground's random stream; a ground without random numbers does not call it.
+        ``spacing`` is the distance between neighbours on a grid, m. ``stream`` returns the ground's random stream; a
+        ground without random numbers does not call ``stream``.
         """
         self._probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
@@ -141,6 +128,7 @@ class TerrainBase(Kept):
             self.env_origins = self.origins(num_envs, spacing, device)
             self._require_shape("origins", self.env_origins, (num_envs, 3))
             return
+        # As in Isaac Lab, the column of environment i is floor(i / (N / cols)), and its row is random.
         rows, cols, _ = self.terrain_origins.shape
         self.max_terrain_level = rows
         highest = rows - 1 if self.max_init_terrain_level is None else min(self.max_init_terrain_level, rows - 1)
@@ -155,11 +143,7 @@ class TerrainBase(Kept):
             raise ConfigError(message, key=TERRAIN_KEY, where=where, expected=f"a tensor of shape {shape}")
 
     def lay(self, spec: mujoco.MjSpec) -> None:
-        """Add the ground to the scene's spec with ``add_to``, and check the result.
-
-        Raises:
-            ConfigError: ``add_to`` adds no geom or a geom with another name, or heights have a wrong shape.
-        """
+        """Add the ground to the scene's spec; ConfigError if ``add_to`` or ``height_at`` returns a wrong result."""
         before = Counter(geom.name for geom in spec.geoms)
         self.add_to(spec)
         added = Counter(geom.name for geom in spec.geoms) - before
@@ -174,14 +158,10 @@ class TerrainBase(Kept):
             self._require_shape("height_at", self.height_at(points), tuple(points.shape[:-1]))
 
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
-        """Move environments to a harder or an easier tile of their column; a ground without tiles does nothing.
+        """Move environments ``env_ids`` (n,) one tile up or down in their column; the masks are (n,) bool.
 
         As in Isaac Lab, an environment that passes the last row moves to a random row, and the first row is the lowest.
-
-        Args:
-            env_ids: the environments, (n,).
-            move_up: which of them move one row up, (n,) bool.
-            move_down: which of them move one row down, (n,) bool.
+        The method has no effect on a ground without tiles.
         """
         if self.terrain_origins is None:
             return
@@ -195,7 +175,7 @@ class TerrainBase(Kept):
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         """Return the height of the ground at points (..., 2) of the world, m, (...); 0 for points without ground.
 
-        A subclass may override this with a formula. Otherwise the height is measured by rays from above.
+        A subclass may override ``height_at`` with a formula. By default, rays from above measure the height.
         """
         return self._probe.height_at(xy)
 
@@ -209,7 +189,7 @@ class TerrainBase(Kept):
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the levels, which a curriculum changes; empty without tiles."""
+        """Return the state of the ground: the terrain level of each environment, or nothing if it has no tiles."""
         return {} if self.terrain_origins is None else {"terrain_levels": self.terrain_levels.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -227,8 +207,7 @@ def is_ground(name: str) -> bool:
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
     """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
 
-    Layout as in Isaac Lab: ``rows = ceil(N / floor(sqrt(N)))``, x decreases with the row, y increases with the column,
-    and the grid is centred.
+    As in Isaac Lab, ``rows = ceil(N / floor(sqrt(N)))``, x decreases with the row, and y increases with the column.
     """
     rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
     cols = math.ceil(num_envs / rows)
@@ -240,7 +219,7 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
 
 
 class Plane(TerrainBase):
-    """An infinite plane at height 0. Its friction and restitution are those of ``TerrainBase``."""
+    """An infinite plane at height 0, with the friction and restitution of ``TerrainBase``."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         spec.worldbody.add_geom(

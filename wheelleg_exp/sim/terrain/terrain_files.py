@@ -21,13 +21,18 @@ from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, Probe, Te
 from wheelleg_exp.sim.terrain.terrain_generator import add_tile
 
 Array = npt.NDArray[np.float64]
-Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, the middle, the edges, m
+Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, centre, edges, m
 Start = Annotated[Sequence[Annotated[Sequence[float], Length(2)]], NotEmpty()]
 _LARGEST = 1 << 28  # numbers in a file
 
 
 class _FromFile(TerrainBase):
-    """Base class of grounds from a file."""
+    """A ground from a file.
+
+    Args:
+        start: origins of the environments, in turn, (x, y), m.
+        flat_patches: the flat patches to find, by name.
+    """
 
     def __init__(
         self,
@@ -44,7 +49,6 @@ class _FromFile(TerrainBase):
         self._wanted = dict(flat_patches or {})
 
     def read_files(self, folder: Path) -> None:
-        """Read the file: heights at the corners of cells, centre, and edges."""
         file = folder / FOLDER / self.file
         kind, known = file.suffix.lower(), self._kinds()
         if kind not in known:
@@ -69,13 +73,8 @@ class _FromFile(TerrainBase):
             rng = np.random.default_rng(stream().initial_seed())
             alone = HeightMap([self._tile], 1, self._edges, torch.device("cpu"))
             for name, wanted in self._wanted.items():
-                found = wanted.find(
-                    lambda points: alone.height_at(torch.from_numpy(points)).numpy(),
-                    np.zeros(3),
-                    self._edges,
-                    rng,
-                    f"{TERRAIN_KEY}.flat_patches.{name}",
-                )
+                key = f"{TERRAIN_KEY}.flat_patches.{name}"
+                found = wanted.find(alone.heights_at, np.zeros(3), self._edges, rng, key)
                 places = torch.as_tensor(found + np.array([*self._centre, 0.0]), dtype=torch.float32, device=device)
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
@@ -90,7 +89,6 @@ class _FromFile(TerrainBase):
         add_tile(spec, GROUND, self.dynamic_friction, self._tile, self._centre, self._edges)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 outside."""
         return self._map.height_at(xy - self._middle.to(xy))
 
 
@@ -102,11 +100,6 @@ class HeightField(_FromFile):
             map (right is x, up is y); relative to an asset folder.
         size: edges along x and y, m.
         height_range: heights of the values 0 and 1 (black and white in an image), m; null reads the values as metres.
-        static_friction: the ground's coefficient at rest.
-        dynamic_friction: the ground's coefficient in motion.
-        restitution: the ground's coefficient of restitution.
-        start: origins of the environments, in turn, (x, y), m.
-        flat_patches: the flat patches to find, by name.
     """
 
     def __init__(
@@ -139,7 +132,7 @@ class HeightField(_FromFile):
 
         try:
             picture = imread(file)
-        except Exception as error:  # matplotlib raises many kinds of errors
+        except Exception as error:  # Matplotlib raises many kinds of errors for a damaged image.
             raise ConfigError(f"'{self.file}' is not an image", key=self._key, expected="a .png file") from error
         grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
         return self._scaled(grey[::-1].T)
@@ -166,12 +159,7 @@ class Mesh(_FromFile):
     Args:
         file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.
         horizontal_scale: edge of a cell, m.
-        static_friction: the ground's coefficient at rest.
-        dynamic_friction: the ground's coefficient in motion.
-        restitution: the ground's coefficient of restitution.
         scale: length of one unit of the file, m.
-        start: origins of the environments, in turn, (x, y), m.
-        flat_patches: the flat patches to find, by name.
     """
 
     def __init__(
@@ -215,11 +203,10 @@ class Mesh(_FromFile):
         require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
         x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        # A ray exactly along an edge of the mesh may miss it: cast two rays, slightly to either side of each point.
+        # A ray exactly along an edge of the mesh may miss the mesh. Cast one ray slightly to each side of a point.
         probe, inset = Probe(add_to), 1e-6 * edges
-        near = [
-            (points + side * inset * (0.6, 0.4)).clip(low[:2] + inset / 3, high[:2] - inset / 3) for side in (-1, 1)
-        ]
+        inner = low[:2] + inset / 3, high[:2] - inset / 3
+        near = [(points + side * inset * (0.6, 0.4)).clip(*inner) for side in (-1, 1)]
         found = np.max([probe.height_at(torch.from_numpy(p), outside=float(low[2])).numpy() for p in near], axis=0)
         middle = (low + high) / 2
         return found, (float(middle[0]), float(middle[1])), (float(edges[0]), float(edges[1]))

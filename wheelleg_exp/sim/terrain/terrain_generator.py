@@ -27,7 +27,7 @@ from wheelleg_exp.constraints import (
 )
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.progress import with_progress
-from wheelleg_exp.sim.terrain.relief import HeightMap, Layout, Tile, cached_relief
+from wheelleg_exp.sim.terrain.relief import HeightMap, Layout, Tile, make_relief
 from wheelleg_exp.sim.terrain.sub_terrains import SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, TerrainBase
 
@@ -40,7 +40,7 @@ def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: Any) -> No
 
 
 def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
-    """Add a box between two corners (3,), m."""
+    """Add a box of the ground between two corners (3,), m."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2)
 
@@ -50,13 +50,7 @@ def add_tile(
 ) -> None:
     """Add a tile as a height field or boxes, which extend below the lowest height by a tenth of the tile's edge.
 
-    Args:
-        spec: the scene's spec.
-        name: name of the geom, or prefix of the boxes' names.
-        friction: friction coefficient.
-        tile: the heights.
-        centre: centre of the tile, m.
-        size: edges of the tile, m.
+    ``name`` is the name of the geom or the prefix of the boxes' names; ``centre`` and ``size`` are in m.
     """
     heights = tile.heights.astype(float)
     corner = np.array(centre) - np.array(size) / 2
@@ -69,36 +63,19 @@ def add_tile(
             low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
             add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
     else:
-        add_field(spec, name, friction, heights, centre, size, depth)
-
-
-def add_field(
-    spec: mujoco.MjSpec,
-    name: str,
-    friction: float,
-    heights: npt.NDArray[np.float64],
-    centre: tuple[float, float],
-    size: tuple[float, float],
-    depth: float,
-) -> None:
-    """Add a height field that is not level; MuJoCo's rows are along y, and its data is scaled to [0, 1]."""
-    lowest, span = heights.min(), np.ptp(heights)
-    columns, rows = heights.shape
-    spec.add_hfield(
-        name=name,
-        nrow=rows,
-        ncol=columns,
-        size=[size[0] / 2, size[1] / 2, span, depth],
-        userdata=((heights - lowest) / span).T.ravel(),
-    )
-    add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
+        # MuJoCo scales the heights to [0, 1], and its rows are along y.
+        span, (columns, rows) = highest - lowest, heights.shape
+        data = ((heights - lowest) / span).T.ravel()
+        half = [size[0] / 2, size[1] / 2, span, depth]
+        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=half, userdata=data)
+        add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
 
 
 def _boxes(heights: npt.NDArray[np.float64]) -> list[tuple[int, int, int, int, float]]:
     """Return boxes ``(i0, i1, j0, j1, top)`` of cells whose tops are the heights: the smaller of two decompositions.
 
-    One makes boxes of the cells of each height. The other makes boxes of the cells of each height or above, so that
-    boxes overlap.
+    One decomposition makes boxes of the cells of each height. The other decomposition makes boxes of the cells of each
+    height or above, so that boxes overlap.
     """
     levels = np.unique(heights)
     apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
@@ -120,7 +97,7 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
 
 
 ORIGIN_WINDOW = 0.25  # share of a tile's edge
-_BYTES = 40  # memory per cell in numpy, torch and MuJoCo
+_BYTES = 40  # bytes per cell in NumPy, torch and MuJoCo
 
 
 def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -193,7 +170,7 @@ class TerrainGenerator(TerrainBase):
         require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
         seed = stream().initial_seed() if self._seed is None else self._seed
         self.layout = replace(self.layout, seed=seed)
-        self.relief = cached_relief(self.layout)
+        self.relief = make_relief(self.layout)
         self._map = HeightMap(self.relief.tiles, self.layout.num_rows, self.size, device)
         self.terrain_origins = torch.as_tensor(self.relief.origins, dtype=torch.float32, device=device)
         self.flat_patches = {
@@ -218,5 +195,4 @@ class TerrainGenerator(TerrainBase):
             add_box(spec, name, self.dynamic_friction, (x0, y0, -depth), (x1, y1, 0.0))
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 outside of the tiles."""
         return self._map.height_at(xy)

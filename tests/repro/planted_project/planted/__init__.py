@@ -1,1 +1,1 @@
-"""Terms that break a promise each, to show that the proofs see it."""
+"""Terms that each break one reproducibility promise, to show that the proofs detect it."""

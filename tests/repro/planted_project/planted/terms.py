@@ -1,4 +1,4 @@
-"""Terms that break a promise each, and one that keeps them all."""
+"""Terms that each break one reproducibility promise, and one term that breaks no promise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _constant(env: Any, value: float) -> torch.Tensor:
 
 
 def entropy(env: Any) -> torch.Tensor:
-    """Draw from the system, not from a named stream."""
+    """Draw random numbers from the operating system, not from a named stream."""
     return _constant(env, os.urandom(1)[0] / 255.0)
 
 
@@ -37,26 +37,26 @@ def observers(env: Any) -> torch.Tensor:
 
 
 def hidden_steps(env: Any) -> torch.Tensor:
-    """Count steps where no ``state_dict`` finds them."""
+    """Count steps in a variable that no ``state_dict`` contains."""
     _steps[env] = _steps.get(env, 0) + 1
     return _constant(env, _steps[env] / 100.0)
 
 
 def outside_file(env: Any) -> torch.Tensor:
-    """Read a file that no snapshot holds."""
+    """Read a file that the run's snapshot does not contain."""
     return _constant(env, float(Path(os.environ["PLANTED_FILE"]).read_text()))
 
 
 def own_draw(env: Any, env_ids: torch.Tensor, generator: torch.Generator) -> None:
-    """Draw from the term's own stream and change nothing."""
+    """Draw random numbers from the term's own stream, and change no state."""
     torch.rand(len(env_ids), generator=generator)
 
 
 def global_draw(env: Any, env_ids: torch.Tensor) -> None:
-    """Draw from the generator that everybody shares and change nothing."""
+    """Draw random numbers from torch's global generator, and change no state."""
     torch.rand(len(env_ids))
 
 
 def borrowed_draw(env: Any, env_ids: torch.Tensor) -> None:
-    """Draw from the stream of another term and change nothing."""
+    """Draw random numbers from the stream of a different term, and change no state."""
     torch.rand(len(env_ids), generator=env.streams.get("env.events.reset_base"))

@@ -1,6 +1,6 @@
 """Make a tree of bodies from a graph of joints: parents, poses at zero, and the joints that close loops.
 
-An equality stands for a joint that closes a loop if MuJoCo has one with the same effect.
+A MuJoCo equality replaces a joint that closes a loop, if one with the joint's effect exists.
 """
 
 from __future__ import annotations
@@ -44,19 +44,18 @@ class Node:
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
-        """Return a joint's frame in this body."""
         return joint.frames[joint.side(self.link)]
 
 
 @dataclass
 class Tree:
-    """Nodes with parents before children, level by level, and the joints that close loops."""
+    """The spanning tree: bodies with parents before children, level by level, and the joints that close loops."""
 
     nodes: list[Node] = field(default_factory=list)
     closures: list[Joint] = field(default_factory=list)
 
     def depth_first(self) -> list[Node]:
-        """Return the nodes in the order in which nested bodies are written."""
+        """Return the tree's nodes in depth-first order."""
         children: dict[str | None, list[Node]] = {}
         for node in self.nodes:
             children.setdefault(node.parent.path if node.parent else None, []).append(node)
@@ -70,11 +69,11 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the pose in the parent as drawn in the file."""
+    """Return the body's pose in its parent, as drawn in the USD file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
-HINGE_REACH = 0.05  # m between the two points of a loop's hinge
+HINGE_REACH = 0.05  # m
 
 
 def is_exact(joint: Joint) -> bool:
@@ -83,10 +82,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a closing joint that no equality can replace, and the joint to open in its place; None if there is none.
+    """Return a loop-closing joint that no equality can replace, and a joint of the loop to open in its place; or None.
 
-    The joint to open is in the same loop, can become an equality, and has no drive; the one furthest from the root
-    wins.
+    The joint to open can become an equality and has no drive. Of several such joints, the function returns the one
+    furthest from the root.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -103,7 +102,6 @@ def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[
 
 
 def _loop(by_path: dict[str, Node], joint: Joint) -> list[Node]:
-    """Return the nodes whose joints are in the loop that a joint closes."""
     chains = []
     for link in joint.links:
         chain = []
@@ -121,7 +119,7 @@ def _driven(joint: Joint) -> bool:
 
 
 def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
-    """Return the equalities that replace joints that close loops."""
+    """Return the MuJoCo equalities that replace the joints that close loops."""
     found = (_closure(stage, joint) for joint in joints)
     return tuple(closure for closure in found if closure is not None)
 
@@ -141,7 +139,6 @@ def _closure(stage: Stage, joint: Joint) -> Closure | None:
 
 
 def _anchors(joint: Joint) -> Iterator[tuple[Pose, Pose]]:
-    """Yield pairs of points that a loop's joint holds together; a hinge has a second pair along its axis."""
     first, second = joint.frames
     yield first.pose(), second.pose()
     if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
@@ -153,7 +150,6 @@ OF_COORDINATES = ("drive:", "state:", "physics:lowerLimit", "physics:upperLimit"
 
 
 def _leave_coordinates(stage: Stage, joint: Joint) -> None:
-    """Report a joint's properties of its coordinate, which is not in the model; a drive with a warning."""
     reason = "the joint closes a loop, so it has no coordinate in the model"
     for prop in joint.prim.GetAuthoredProperties():
         name = prop.GetName()
@@ -166,14 +162,10 @@ def _leave_coordinates(stage: Stage, joint: Joint) -> None:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    The tree grows level by level, so an unmarked loop opens at the joint furthest from the root. If no equality can
-    replace that joint, another joint of the loop is opened if possible.
+    The tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from the root.
+    If no equality can replace this joint, a different joint of the loop is opened if possible.
 
-    Args:
-        stage: the open stage.
-        links: its bodies.
-        joints: its joints; those to the world decide the base.
-        base: ``floating`` drops joints that fix a root to the world, ``fixed`` removes the free joint.
+    The base ``floating`` drops joints that fix a root to the world; ``fixed`` removes the free joint.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -181,7 +173,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # Opening another joint changes the whole tree, so the tree is built again after each trade.
+    # Opening another joint changes the whole tree, so the loop builds the tree again after each exchange of joints.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -214,7 +206,7 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    """Treat a generic joint without limits from the root to the world as a fixed one, as PhysX does."""
+    """Treat a generic joint without limits from the root to the world as a fixed joint, as PhysX does."""
     marks = stage.articulation_prims
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
@@ -245,7 +237,6 @@ def _articulate(stage: Stage, joints: list[Joint]) -> None:
 
 
 def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link]]:
-    """Drop joints that fix bodies to the world; return the remaining joints, and the bodies, which stay roots."""
     kept: list[Joint] = []
     released: list[Link] = []
     for joint in joints:
@@ -258,7 +249,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """Grows trees breadth first; a joint to a body that is already placed closes a loop."""
+    """Builder of breadth-first spanning trees; a joint to a body that is already in a tree closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -267,7 +258,6 @@ class _Builder:
         self._used: set[str] = set()
 
     def grown(self) -> Tree:
-        """Return all trees and the joints that close loops."""
         for root, joint in find_roots(self.stage, self.graph):
             self._grow(root, joint)
         for link in self.graph.links:
@@ -276,7 +266,6 @@ class _Builder:
         return self.tree
 
     def note(self) -> None:
-        """Record the decisions of the final tree."""
         for node in self.tree.nodes:
             if node.joint is None and self.base == "fixed" and not node.link.kinematic:
                 self.stage.ledger.assume(node.link.path, "--base fixed", "no free joint")
@@ -285,7 +274,7 @@ class _Builder:
                 self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
 
     def _grow(self, root: Link, joint: Joint | None) -> None:
-        """Place ``root`` (by ``joint`` to the world, or free) and all bodies connected to it."""
+        """Add ``root`` (fixed by ``joint`` to the world, or free) and all bodies connected to ``root`` to the tree."""
         if root.path in self._placed:
             return
         self._place(root, None, joint, 0)
@@ -304,7 +293,7 @@ class _Builder:
             relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
             side = joint.side(link)
-            # At zero, the joint's frames in both bodies coincide.
+            # If the joint's coordinates are zero, its frames in both bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()
@@ -312,7 +301,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Treat each joint that is not an edge of the tree as a loop closure, or add it to its edge."""
+        """Treat each joint that is not in the tree as a loop closure, or add it to the edge between its two bodies."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -330,7 +319,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None if not given."""
+    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None if unknown."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
@@ -338,5 +327,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether joints carry MuJoCo's schema, with which several joints of one body add up."""
+    """Return whether the joints have MuJoCo's USD schema, with which the freedoms of a body's joints add up."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -1,6 +1,6 @@
 """Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
 
-A collider weighs its own mass, else a density times its volume.
+A collider's mass is its authored mass, or a density times its volume.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     """Return mass, centre, and tensor of each collider of a body, in the body's frame.
 
     A collider is the prim with CollisionAPI: its MassAPI applies to all shapes below it together. Shapes without volume
-    have no mass.
+    get no mass.
     """
     shapes: dict[str, list[tuple[Piece, Solid]]] = {}
     for piece in pieces:
@@ -71,16 +71,15 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     carrier = group[0][0].carrier
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
-    # The shapes of one collider share its MassAPI, so they count as one part.
+    # All shapes of one collider prim share one MassAPI, so the shapes count as one part.
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
-    if carrier.GetPath() == link.prim.GetPath():  # its MassAPI is the body's
+    if carrier.GetPath() == link.prim.GetPath():
         return whole
     return _with_own(stage, link, carrier, whole)
 
 
 def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
-    """Return a collider with mass, centre, and moments of its own MassAPI."""
     ledger, path = stage.ledger, carrier.GetPath()
     mass, tensor = ledger.read(carrier, "physics:mass"), part.tensor
     if given(mass):
@@ -125,7 +124,7 @@ def _solid(piece: Piece) -> Solid | None:
 
 
 def _volume(piece: Piece) -> MeshVolume:
-    """Return a mesh's volume mode: PhysX uses its hull; MuJoCo's and Newton's schemas can define another mode."""
+    """Return a mesh's volume mode: that of the convex hull, as in PhysX, unless MuJoCo's or Newton's schema sets it."""
     assert piece.carrier is not None
     for prim in (piece.prim, piece.carrier):
         model = prim.GetAttribute("newton:massModel")
@@ -139,7 +138,6 @@ def _volume(piece: Piece) -> MeshVolume:
 
 
 def _density(stage: Stage, link: Link, piece: Piece) -> float:
-    """Return kg/m³: of the collider, else of the body, else of the bound material, else water's."""
     assert piece.carrier is not None
     for prim in (piece.carrier, link.prim):
         value = stage.ledger.read(prim, "physics:density", "the body's mass")
@@ -157,24 +155,18 @@ def _density(stage: Stage, link: Link, piece: Piece) -> float:
     return WATER
 
 
-SMALLEST = 1e-15  # kg, kg m²; MuJoCo refuses less on moving bodies
+SMALLEST = 1e-15  # kg or kg m²
 
 
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
-    """Return a body's mass, centre, and principal moments.
+    """Return a body's mass, centre of mass, and principal moments of inertia.
 
-    Args:
-        stage: the open stage.
-        link: the body.
-        pieces: its shapes; those with a carrier count, switched off or not.
-        welded: whether the body cannot move in its parent, so that MuJoCo accepts a mass of zero.
-
-    Raises:
-        AssetError: the mass is too small for MuJoCo.
+    All colliders count, even if their collision is disabled. MuJoCo accepts a mass of zero only on a ``welded`` body,
+    which cannot move in its parent.
     """
     authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
     parts: list[Part] = []
-    if authored is None or center is None or moments is None:  # the colliders give the missing values
+    if authored is None or center is None or moments is None:
         parts = parts_of(stage, link, pieces)
     if authored is None and not parts and moments is None and welded and find_scene(stage) is not None:
         stage.ledger.assume(link.path, "no mass and no collider: none, as MuJoCo", "0 kg")
@@ -214,7 +206,7 @@ def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -
 def _moments(
     stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, authored: tuple[Vec3, Quat | None] | None
 ) -> tuple[Vec3, Quat]:
-    """Return moments and axes; each of them, if not authored, is that of the colliders, as in PhysX."""
+    """Return principal moments and axes; the colliders give an unauthored value, as in PhysX."""
     if authored is not None and authored[1] is not None:
         return authored[0], authored[1]
     if authored is not None and not parts:
@@ -252,7 +244,7 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
 
 
 def _center(stage: Stage, link: Link) -> Array | None:
-    """Return the authored centre in the body's frame, stretched by the prim's scale; -inf means not given."""
+    """Return the authored centre of mass in the body's frame, scaled by the prim's scale; -inf means not authored."""
     value = stage.ledger.read(link.prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None
@@ -303,7 +295,6 @@ def _authored_axes(stage: Stage, link: Link) -> Quat | None:
 def _computed_tensor(
     stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, for_moments: bool
 ) -> Array:
-    """Return the colliders' tensor, scaled to the mass, about ``center``."""
     if sum(part.mass for part in parts) <= 0:
         stage.ledger.assume(link.path, "no inertia and no collider: a sphere of 0.1 m, as PhysX", "0.4 m r²")
         stage.ledger.find("no_inertia", link.name, link.path, mass=mass)

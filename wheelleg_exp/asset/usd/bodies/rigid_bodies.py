@@ -15,7 +15,7 @@ from wheelleg_exp.asset.robot_description import unique_names
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas, variant_sets
 from wheelleg_exp.errors import AssetError
 
-LONGEST = 200  # characters of a name from metadata
+LONGEST = 200  # characters per name
 
 
 @dataclass(eq=False)
@@ -44,7 +44,7 @@ class Links:
         return iter(self.by_path.values())
 
     def owner(self, path: Sdf.Path) -> Link | None:
-        """Return the body at ``path`` or above it, None for prims of the world."""
+        """Return the rigid body at or above a prim path; None if the prim belongs to no rigid body."""
         climbed = []
         while path not in self._owners and not path.isEmpty:
             climbed.append(path)
@@ -54,16 +54,11 @@ class Links:
         return found
 
     def below(self, path: Sdf.Path) -> list[Link]:
-        """Return the bodies at or below ``path``."""
         return [link for link in self.by_path.values() if Sdf.Path(link.path).HasPrefix(path)]
 
 
 def find_links(stage: Stage) -> Links:
-    """Return the enabled rigid bodies.
-
-    Raises:
-        AssetError: there is no body, or more bodies than a robot has.
-    """
+    """Return the enabled rigid bodies."""
     prims = [prim for prim in stage.prims if "PhysicsRigidBodyAPI" in schemas(prim) and _enabled(stage, prim)]
     if not prims:
         raise _no_articulation(stage)
@@ -88,7 +83,6 @@ def _no_articulation(stage: Stage) -> AssetError:
 
 
 def _why_nothing(stage: Stage) -> str:
-    """Return why a stage's default prim has no bodies."""
     root = stage.root
     if not root.IsActive():
         return f", and {root.GetPath()} is switched off (active = false)"
@@ -109,7 +103,7 @@ def _what_to_choose(stage: Stage) -> str:
 
 
 def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
-    """Return the original names of prims with an encoded name (``tn__...``)."""
+    """Return the original name of each USD prim whose name is encoded (``tn__...``)."""
     out = {}
     for prim in prims:
         if prim.GetName().startswith("tn__"):
@@ -140,7 +134,7 @@ Velocity = tuple[float, float, float, float, float, float]
 def velocity_of(stage: Stage, link: Link) -> Velocity:
     """Return a body's saved velocity: m/s in the world, then rad/s about the body's own axes.
 
-    USD stores it in the space of the prim's transform, in stage lengths and degrees.
+    USD stores a body's velocity in the coordinates of the prim's parent, in stage lengths and degrees.
     """
     linear = stage.ledger.read(link.prim, "physics:velocity", "keyframe home, qvel")
     angular = stage.ledger.read(link.prim, "physics:angularVelocity", "keyframe home, qvel")

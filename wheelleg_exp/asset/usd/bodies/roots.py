@@ -17,7 +17,7 @@ Root = tuple[Link, "Joint | None"]
 
 @dataclass
 class Graph:
-    """Bodies and the joints at each of them; ``edges[None]`` are the joints to the world.
+    """The graph of bodies and joints: the joints at each body; ``edges[None]`` are the joints to the world.
 
     ``released`` are bodies whose joint to the world was dropped: they stay roots.
     """
@@ -33,22 +33,21 @@ class Graph:
                 self.edges.setdefault(link.path if link else None, []).append(joint)
 
     def at(self, link: Link | None) -> list[Joint]:
-        """Return the joints at a body, or at the world."""
         return self.edges.get(link.path if link else None, [])
 
     def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:
-        """Yield the bodies that joints connect to a body; joints that close loops only with ``closing``."""
+        """Yield the bodies that joints connect to a body; ``closing`` includes joints that close loops."""
         for joint in self.at(link):
             other = joint.other(link)
             if other is not None and (closing or not joint.closes):
                 yield other
 
     def component(self, start: Link) -> list[Link]:
-        """Return all bodies that joints of the tree connect to a body, itself first, level by level."""
+        """Return ``start`` and all bodies that tree joints connect to it, level by level."""
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
-        """Return the bodies that are reachable from a body, nearest first, and the distance of the last one."""
+        """Return the bodies that joints connect to a body, nearest first, and the distance of the farthest body."""
         depth, queue, order = {start.path: 0}, deque([start]), [start]
         while queue:
             link = queue.popleft()
@@ -61,10 +60,11 @@ class Graph:
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
-    """Return the roots of trees, best first.
+    """Return the root bodies of the spanning trees, in order of priority.
 
-    These are bodies joined to the world; bodies with ArticulationRootAPI; kinematic bodies; the centre of each floating
-    part below a prim with that schema, as PhysX chooses it; and bodies that are not a child of any joint.
+    The roots are bodies joined to the world; bodies with ArticulationRootAPI; kinematic bodies; the centre of each
+    floating part below a prim with ArticulationRootAPI, as PhysX chooses it; and bodies that are not a child of any
+    joint.
     """
     marks = stage.articulation_prims
     roots: dict[str, Root] = {}
@@ -107,7 +107,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the centres of the floating parts below articulation roots that contain no root yet."""
+    """Yield the centre body of each floating part that is below an articulation root and contains no root body yet."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:
@@ -127,19 +127,18 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 
 
 def centre(graph: Graph, part: list[Link]) -> Link:
-    """Return the body with the smallest distance to its farthest body.
+    """Return the centre body of a graph, whose largest distance to any body is the smallest.
 
-    A tie goes to the body with more joints, then to the first found. OpenUSD's physics parser, and so PhysX, chooses
-    the root of a floating articulation by this rule.
+    Of several centre bodies, the function returns the one with the most joints, or else the first found. OpenUSD's
+    physics parser, and so PhysX, roots a floating articulation at its centre body.
     """
     order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
     return min(
-        _middle(graph, part),
-        key=lambda link: (graph.distances(link, True)[1], -len(graph.at(link)), order[link.path]),
+        _middle(graph, part), key=lambda link: (graph.distances(link, True)[1], -len(graph.at(link)), order[link.path])
     )
 
 
-MANY = 200  # candidates for the centre in loops
+MANY = 200
 
 
 def _middle(graph: Graph, part: list[Link]) -> list[Link]:
@@ -147,7 +146,7 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}
-    # Cutting leaves layer by layer leaves the centre of a tree. Bodies in loops are never leaves, so they all remain.
+    # Cutting leaves layer by layer leaves the centre of a tree. Bodies in loops are never leaves.
     leaves = [path for path, count in degree.items() if count <= 1]
     while leaves and len(left) > 2:
         fresh = []
@@ -162,7 +161,6 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
 
 
 def _by_depth(graph: Graph, start: Link) -> Iterable[Link]:
-    """Yield the bodies of a part in depth-first order, joints in the order of their paths."""
     seen, stack = set(), [start]
     while stack:
         link = stack.pop()

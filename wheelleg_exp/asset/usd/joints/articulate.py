@@ -16,15 +16,16 @@ from wheelleg_exp.asset.usd.joints.joint_drives import clamped, force_range, rea
 from wheelleg_exp.asset.usd.joints.usd_joints import Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians
 
-CLOSE_M, CLOSE_RAD = 1e-5, 1e-4  # below this a drawing and its joint frames agree
+CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing saved state.
+    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing saved joint state.
 
-    A zero outside the limits is moved inside, except in a robot with ``loops``, which would come apart.
+    A zero coordinate outside the limits is moved inside the limits, except in a robot with ``loops``, because the loops
+    would open.
 
-    The coordinate is that of body1 relative to body0 about +axis. If the body is body0, its axis is negated, and
+    The coordinate is that of body1 relative to body0 about +axis. If the child body is body0, the axis is negated, and
     limits, targets, and gains stay as authored.
     """
     if node.joint is None:
@@ -39,7 +40,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
         rule = "the joint names the child as body0: the axis is negated"
         stage.ledger.assume(joint.path, rule, node.link.name)
     found = []
-    # From the other body, the same motion has its axes in reverse order and with negative sign.
+    # The motion of body0 relative to body1 has the joint's axes in reverse order and with negative sign.
     for axis in reversed(joint.axes) if node.reversed else joint.axes:
         direction = sign * (frame.rotation @ np.array(axis.axis))
         name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")
@@ -48,7 +49,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 
 
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
-    """Report a drawn pose that the joint cannot reach; use a reachable one as the saved state."""
+    """Report a drawn pose that the joint cannot reach; use the nearest reachable pose as the saved joint state."""
     assert node.joint is not None
     drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
     moved = zero.inverse() @ drawn
@@ -75,9 +76,9 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return the coordinates that move a body from zero to its drawn pose, as near as the joint allows.
+    """Return the joint coordinates that move a body from zero to its drawn pose, or as near as the joint allows.
 
-    Balls stay at zero, and so do several joints of one body.
+    The coordinates of a ball joint, and of a body with several joints, stay zero.
     """
     assert node.joint is not None
     if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
@@ -85,7 +86,7 @@ def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]
     if len(dofs) == 1:
         return [_coordinate(moved, dofs[0])]
     at_joint = node.frame_in_body(node.joint)
-    inside = at_joint.inverse() @ moved @ at_joint  # body1 against body0, in the joint's frame
+    inside = at_joint.inverse() @ moved @ at_joint
     inside = inside.inverse() if node.reversed else inside
     angles = _euler(inside.rotation)
     by_axis = {axis.suffix: axis for axis in node.joint.axes}
@@ -98,7 +99,6 @@ def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]
 
 
 def _euler(r: Array) -> tuple[float, float, float]:
-    """Return the angles of a rotation that is Rx(a) Ry(b) Rz(c)."""
     return (
         math.atan2(-r[1, 2], r[2, 2]),
         math.asin(max(-1.0, min(1.0, float(r[0, 2])))),
@@ -128,14 +128,12 @@ def _warn_if_apart(stage: Stage, node: Node, drawn: Frame, reached: Frame) -> No
     if metres < CLOSE_M and radians < CLOSE_RAD:
         return
     stage.ledger.assume(
-        node.link.path,
-        "drawn pose and joint frames differ: the frames win",
-        f"{metres:.4g} m, {radians:.4g} rad",
+        node.link.path, "drawn pose and joint frames differ: the frames win", f"{metres:.4g} m, {radians:.4g} rad"
     )
 
 
 def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction: Vec3, anchor: Vec3) -> Dof:
-    """Return one degree of freedom, ``direction`` and ``anchor`` (m) in the frame of the body below it."""
+    """Return one degree of freedom; ``direction`` and ``anchor`` (m) are in the frame of the joint's child body."""
     angular = axis.kind != "slide"
     limits, ref = read_range(stage, prim, axis), _ref(stage, prim, angular)
     state, speed = _state(stage, prim, axis)
@@ -159,7 +157,6 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
 
 
 def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
-    """Return MuJoCo's coordinate at USD's zero, in rad or m."""
     value = stage.ledger.read(prim, "mjc:ref", "joint ref")
     if value is None:
         return 0.0
@@ -167,7 +164,6 @@ def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
 
 
 def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float | None, float]:
-    """Return the saved coordinate, None if there is none, and the saved speed."""
     read, units, angular = stage.ledger.read, stage.units, axis.kind != "slide"
     position = read(prim, f"state:{axis.token}:physics:position", "keyframe home, qpos")
     velocity = read(prim, f"state:{axis.token}:physics:velocity", "keyframe home, qvel")

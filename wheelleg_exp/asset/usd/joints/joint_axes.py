@@ -1,4 +1,4 @@
-"""The axes that a joint leaves free, their range, and where it locks the other axes."""
+"""The free axes of a joint, the range of each free axis, and the position of each locked axis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLIDES, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class FreeAxis:
-    """One free axis of a joint, in the joint's frame. ``token`` is its name in drives and limits."""
+    """One free axis of a joint, in the joint's frame. ``token`` is the axis's name in USD drives and limits."""
 
     kind: Literal["hinge", "slide", "ball"]
     axis: Vec3
@@ -56,8 +56,9 @@ def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
 def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
     """Return the free axes of a generic joint, slides before hinges, and the offset of its locked axes.
 
-    An axis is locked if its low limit is above its high one (at 0), or equal to it (at that value). Three rotations are
-    a ball if none of them has limits, a drive, a state, or friction, which a ball cannot have per axis.
+    An axis is locked at 0 if its low limit is above its high limit, and at the limits' value if both limits are equal.
+    Three free rotations are a ball joint if none of the rotations has limits, a drive, a state, or friction, which a
+    ball cannot have per axis.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):
@@ -93,7 +94,6 @@ def _own(prim: Usd.Prim, token: str) -> bool:
 
 
 def _at(stage: Stage, prim: Usd.Prim, token: str, value: float) -> Frame:
-    """Return the frame of a locked axis at ``value`` in degrees or stage lengths."""
     if value == 0:
         return Frame.identity()
     stage.ledger.assume(prim.GetPath(), f"limits of {token} are equal: locked there", f"{value:g}")
@@ -111,12 +111,12 @@ def turned(axis: Array, angle: float) -> Array:
 
 
 Range = tuple[float, float]
-FAR = 1e6  # replaces the missing end of a range
-LOCKED = 1e-4  # rad or m: half range of a locked axis, because MuJoCo's range needs a width
+FAR = 1e6  # rad or m
+LOCKED = 1e-4  # rad or m
 
 
 def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
-    """Return the limits of one axis in rad or m, None if unlimited."""
+    """Return the limits of one joint axis in rad or m, None if unlimited."""
     if axis.kind == "ball":
         return _cone(stage, prim)
     if axis.token == "twist":
@@ -153,7 +153,7 @@ def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
 
 
 def _range(units: Units, low: float | None, high: float | None, angular: bool, one_sided: bool) -> Range | None:
-    """Return a range in rad or m; without ``one_sided``, a missing end means no limits."""
+    """Return a joint axis's range in rad or m, None if unlimited; ``one_sided`` allows a range with one missing end."""
     no_low, no_high = endless(low, angular), endless(high, angular)
     if (no_low and no_high) or ((no_low or no_high) and not one_sided):
         return None

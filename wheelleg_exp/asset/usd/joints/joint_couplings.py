@@ -1,6 +1,6 @@
 """Read joints that become tendons or couplings: distance joints, and PhysX's mimic joints.
 
-A distance joint is a tendon between two points, with a range, or with springs at its ends.
+A distance joint becomes a tendon between two points, with a range, or with springs at the ends of the range.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.asset.usd.joints.joint_axes import FAR, Range
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
-ROD = 1e-4  # relative width of a rigid rod's range, because MuJoCo's range needs a width
+ROD = 1e-4
 SPRING = "physxPhysicsDistanceJoint:"
 
 
@@ -49,7 +49,6 @@ def _distances(stage: Stage, prim: Usd.Prim) -> Range | None:
 
 
 def _range(stage: Stage, low: float | None, high: float | None) -> Range | None:
-    """Return the distances in m; a negative one means unlimited."""
     no_low, no_high = low is None or not low > 0, high is None or not 0 <= high < FAR
     if no_low and no_high:
         return None
@@ -90,7 +89,7 @@ def _wide(limits: Range) -> Range:
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
-    """Return PhysX's springs at the ends of the range, which are springs with a dead band in MuJoCo."""
+    """Return MuJoCo's spring with a dead band in place of PhysX's springs at the ends of a distance range."""
     read, units = stage.ledger.read, stage.units
     if read(prim, f"{SPRING}springEnabled", "tendon stiffness") is not True:
         return {}
@@ -105,7 +104,7 @@ SCHEMA = "PhysxMimicJointAPI:"
 
 
 def read_mimics(stage: Stage, dofs: Sequence[Dof]) -> tuple[Coupling, ...]:
-    """Return a coupling for each PhysxMimicJointAPI, of any axis."""
+    """Return a joint coupling for each PhysxMimicJointAPI of the stage."""
     by_path: dict[str, list[Dof]] = {}
     for dof in dofs:
         by_path.setdefault(dof.path, []).append(dof)
@@ -138,7 +137,6 @@ def _mimic(stage: Stage, prim: Usd.Prim, axis: str, dofs: Mapping[str, list[Dof]
 
 
 def _dof(dofs: Mapping[str, list[Dof]], path: str, axis: str | None) -> Dof | None:
-    """Return the coordinate of a joint by its axis; a joint with one coordinate needs no axis."""
     found = [dof for dof in dofs.get(path, ()) if dof.kind != "ball"]
     if len(found) == 1:
         return found[0]

@@ -1,4 +1,4 @@
-"""Read drives, passive forces, and limits on speed and effort of joints.
+"""Read drives, passive forces, and the velocity and effort limits of joints.
 
 Gains per degree become gains per rad, and targets stay inside the limits.
 """
@@ -21,14 +21,10 @@ KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", 
 
 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
-    """Return the drive of one axis, None if none is authored.
+    """Return the drive of one joint axis, None if no drive is authored.
 
-    Args:
-        stage: the open stage.
-        prim: the joint.
-        axis: the driven axis.
-        limits: the axis' range in rad or m; the target is clamped to it.
-        ref: coordinate of the joint at USD's zero.
+    The target is clamped to ``limits`` (rad or m). ``ref`` is the MuJoCo coordinate of the joint where USD's coordinate
+    is zero.
     """
     value = _values(stage, prim, axis.token)
     if value is None:
@@ -52,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report that a position actuator follows no speed; PhysX's drive rests ``shift`` (rad or m) from its target."""
+    """Report a target velocity that a position actuator ignores; PhysX's drive rests ``shift`` from its target."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -78,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return an effort limit (N·m or N), and record one that no motor has. Infinity means unlimited."""
+    """Return an effort limit (N·m or N; infinite if unlimited), and record a finding for a placeholder."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -86,7 +82,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Return a coordinate inside the limits, and record a change."""
+    """Clamp a joint coordinate to the limits, and record an assumption if the coordinate changes."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -94,9 +90,9 @@ def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range
     return inside
 
 
-Found = tuple[str, float | None]  # an attribute and its value in SI units, None if not given
+Found = tuple[str, float | None]  # name and SI value
 
-# Attributes in the order of precedence: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
+# The attributes are in order of priority: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
 _FRICTION = (
     *("mjc:frictionloss", "newton:friction"),
@@ -104,13 +100,13 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# PhysX ignores PhysxJointAPI if PhysxJointAxisAPI is applied, and uses these values if the axis authors none.
+# PhysX ignores PhysxJointAPI if PhysxJointAxisAPI is applied, and uses these fallback values for unauthored attributes.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
 @dataclass(frozen=True)
 class Passive:
-    """Armature in kg·m² (kg), friction loss in N·m (N), damping per rad/s (m/s), stiffness per rad (m)."""
+    """A joint's armature in kg·m² (kg), friction loss in N·m (N), damping per rad/s (m/s), stiffness per rad (m)."""
 
     armature: float
     frictionloss: float
@@ -119,7 +115,7 @@ class Passive:
 
 
 def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
-    """Return the passive forces on one axis; MuJoCo's schemas win over Newton's, and Newton's over PhysX's."""
+    """Return the passive forces on one axis; MuJoCo's schemas override Newton's, and Newton's override PhysX's."""
     units, angular = stage.units, axis.kind != "slide"
 
     def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
@@ -144,7 +140,8 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # Only this schema has a value for each axis of a joint; the other schemas have one for the whole joint.
+        # Only PhysxJointAxisAPI has a value for each joint axis; MuJoCo's, Newton's, and PhysxJointAPI's values apply
+        # to the whole joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
@@ -160,7 +157,7 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
 ) -> Iterable[Found]:
-    """Yield the values of PhysxJointAxisAPI for one axis. A ball gets the strictest value of its three axes."""
+    """Yield PhysxJointAxisAPI's values for one axis. A ball joint gets the strictest value of its three axes."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
     values = [value for _, value in found if value is not None]
@@ -174,7 +171,6 @@ def _per_axis(
 
 
 def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> float:
-    """Return the first given value; the report names the other authored values."""
     given = [(name, value) for name, value in found if value is not None]
     if not given:
         return 0.0
@@ -188,13 +184,13 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute has the winner's value, or is the winner's attribute on another axis of a ball."""
+    """Return whether an attribute has the winner's value, or is the winner on a different axis of a ball joint."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 
 
 def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None:
-    """Return the velocity limit of an axis in rad/s or m/s; MuJoCo has no such limit."""
+    """Return the velocity limit of a joint axis in rad/s or m/s."""
     angular = axis.kind != "slide"
 
     def to_si(value: float) -> float:
@@ -217,7 +213,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
 def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
     """Return the total force range of all motors of a joint, in N·m or N.
 
-    If only one end is authored, the other is MuJoCo's default, 0.
+    If only one end of the range is authored, the missing end is MuJoCo's default, 0.
     """
     low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
     if low is not None or high is not None:

@@ -1,4 +1,4 @@
-"""Read the joints: which bodies they join, where their frames are, and which axes they leave free."""
+"""Read the USD joints: the bodies that each joint connects, the joint frames, and the free axes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WELD = "a weld to the parent body"
 class Joint:
     """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
 
-    ``excluded`` is the file's excludeFromArticulation; ``closes`` is true if the joint is not part of the tree.
+    ``excluded`` is USD's excludeFromArticulation; ``closes`` is true if the joint is not part of the spanning tree.
     """
 
     path: str
@@ -37,20 +37,17 @@ class Joint:
 
     @property
     def kind(self) -> str:
-        """The name of the prim's type."""
         return str(self.prim.GetTypeName())
 
     @property
     def welds(self) -> bool:
-        """Whether no axis is free."""
         return not self.axes
 
     def side(self, link: Link | None) -> int:
-        """Return 0 if ``link`` is body0, else 1."""
+        """Return 0 if ``link`` is the joint's body0, and 1 if ``link`` is body1."""
         return 0 if self.links[0] is link else 1
 
     def other(self, link: Link | None) -> Link | None:
-        """Return the body on the other side."""
         return self.links[1 - self.side(link)]
 
 
@@ -65,7 +62,7 @@ def read_joints(stage: Stage, links: Links) -> list[Joint]:
 def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | None:
     ledger, path = stage.ledger, prim.GetPath()
     enabled = ledger.read(prim, "physics:jointEnabled", "the choice of joints") is not False
-    if not enabled and not _is_inactive_equality(prim):
+    if not enabled and not {"MjcEqualityWeldAPI", "MjcEqualityConnectAPI"} & set(schemas(prim)):
         ledger.leave(path, str(prim.GetTypeName()), "the joint is switched off")
         return None
     ends = _ends(stage, links, prim)
@@ -83,13 +80,7 @@ def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | Non
     return joint
 
 
-def _is_inactive_equality(prim: Usd.Prim) -> bool:
-    """Return whether MuJoCo's schemas store a disabled joint as an inactive equality."""
-    return any(name in ("MjcEqualityWeldAPI", "MjcEqualityConnectAPI") for name in schemas(prim))
-
-
 def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
-    """Return the free axes of a joint, and the offset of its locked axes; None for unknown kinds."""
     kind, same = str(prim.GetTypeName()), Frame.identity()
     if kind == "PhysicsRevoluteJoint":
         return single_axis(stage, prim, angular=True), same
@@ -116,7 +107,6 @@ End = tuple[Link | None, Frame]
 
 
 def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
-    """Return the bodies and joint frames at both ends, None if the joint has no effect."""
     ledger, path, kind = stage.ledger, prim.GetPath(), str(prim.GetTypeName())
     first, second = _end(stage, links, prim, 0), _end(stage, links, prim, 1)
     if first is None or second is None:
@@ -130,7 +120,6 @@ def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
 
 
 def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
-    """Return the body at one end and the joint's frame in it; None if the target does not exist."""
     targets = stage.ledger.targets(prim, f"physics:body{i}", "the body tree")
     if len(targets) > 1:
         stage.ledger.assume(prim.GetPath(), f"physics:body{i} names several prims: the first", str(targets[0]))
@@ -143,7 +132,7 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
 
 
 def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return the joint's frame in its body (or the world); localPos is stretched by the target's scale."""
+    """Return the joint's frame in body0 or body1 (or the world); the body's scale stretches localPos."""
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
     rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
     if not any(rotation):

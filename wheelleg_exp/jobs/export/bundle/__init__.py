@@ -1,7 +1,1 @@
-"""Files that are copied into a bundle: they run without this package and need NumPy, and MuJoCo to simulate.
-
-| module | what it is in a bundle |
-|---|---|
-| ``runner`` | the policy: from sensor readings to joint targets |
-| ``simulate`` | the robot in MuJoCo, driven by the runner |
-"""
+"""Files of a bundle, which run without this package: ``runner`` needs NumPy, and ``simulate`` also needs MuJoCo."""

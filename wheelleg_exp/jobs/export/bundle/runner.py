@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
-LARGEST = 2.0**64  # a reading of this size is treated as inf: sums of smaller ones cannot overflow
+LARGEST = 2.0**64  # A larger reading is treated as inf, because sums of smaller readings cannot overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -35,7 +35,7 @@ ACTIVATIONS: dict[str, Callable[..., Any]] = {
 
 
 def array(values: Any, missing: float = 0.0) -> np.ndarray:
-    """Return numbers as float32; null becomes ``missing``."""
+    """Return numbers as a float32 array; JSON's null becomes ``missing``."""
     return np.array([missing if value is None else value for value in values], F)
 
 
@@ -55,17 +55,11 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
-        self.history: np.ndarray | None = None  # the first sample fills every slot
+        self.history: np.ndarray | None = None  # The first sample fills the whole history.
         self.memory: dict[int, list[np.ndarray]] = {}
 
     def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the value of the term's function, before modifiers.
-
-        Args:
-            readings: what was measured and commanded, by name, SI.
-            action: the last action of the policy.
-            steps: control steps since the reset.
-        """
+        """Return the value of the term's function, before modifiers; ``steps`` counts control steps since the reset."""
         spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
         if kind == "last_action":
             return action[self.columns]
@@ -92,10 +86,10 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Sum the bounded travel of wheels and gyroscope past the command, m and rad."""
+        """Return the bounded travel of wheels and gyroscope minus the commanded travel, m and rad."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # before the first step, nothing is missing
+        if -1 in self.memory:  # The first step has no travel error.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             rolled = np.mean(forwards) * F(self.spec["wheel_radius"])
             missed = array([rolled, readings["base_ang_vel"][2]]) - before
@@ -105,7 +99,7 @@ class Term:
         return total
 
     def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
-        """Return a value after the modifier of this number; its memory stays for the next step."""
+        """Return a value after the modifier with this index; the modifier's state is stored for the next step."""
         kind = spec["kind"]
         if kind == "scale":
             return x * F(spec["multiplier"])
@@ -118,7 +112,8 @@ class Term:
             total = total + (x + before) / F(2) * F(spec["dt"])
             self.memory[number] = [total, x]
             return total
-        forward, feedback = array(spec["B"]), array(spec["A"])  # a digital filter; newest first
+        # The last kind of modifier is a digital filter, whose memory has the newest value first.
+        forward, feedback = array(spec["B"]), array(spec["A"])
         empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
         ins, outs = self.memory.get(number, empty)
         ins = np.concatenate((x[:, None], ins[:, :-1]), axis=1)
@@ -127,7 +122,7 @@ class Term:
         return y
 
     def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the term's part of the observation, with its history, flat; arguments as for ``value``."""
+        """Return the term's part of the observation, with its history, flat; ``value`` has equal arguments."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
             x = self.modified(number, spec, x)
@@ -142,14 +137,9 @@ class Term:
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
-    Args:
-        folder: the bundle.
-        onnx: run ``policy.onnx`` with onnxruntime, or with onnx.reference where onnxruntime is missing.
-
-    Attributes:
-        spec: ``policy.json``.
-        observation: what the network saw last, before normalisation.
-        action: what it answered, clipped as in training.
+    With ``onnx``, run ``policy.onnx`` with onnxruntime, or with onnx.reference where onnxruntime is missing.
+    ``observation`` is the network's last input, before normalisation; ``action`` is the network's last output, clipped
+    as in training.
     """
 
     def __init__(self, folder: str | Path = Path(__file__).parent, onnx: bool = False) -> None:
@@ -174,7 +164,7 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next readings fill every history, and rolling joints count from them."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # readings of the rolling joints at the reset, minus their defaults
+        self.zero = np.zeros(len(self.default))  # The readings of rolling joints at the reset minus their defaults.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -183,19 +173,15 @@ class Policy:
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Return the targets of all joints: ``position`` (rad), ``velocity`` (rad/s), ``effort`` (N·m), (J,) each.
 
-        Args:
-            readings: what the sensors measure now and the commands, by name; ``base_quat`` (w, x, y, z) can replace
-                ``projected_gravity``.
-
-        Raises:
-            ValueError: a reading is missing or not finite. The call then changes nothing.
+        ``readings`` are the present sensor values and commands, by name; ``base_quat`` (w, x, y, z) can replace
+        ``projected_gravity``. A reading that is missing or not finite raises ValueError and changes nothing.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
         return self.act(readings["joint_pos"])
 
     def observe(self, readings: Mapping[str, Any]) -> np.ndarray:
-        """Advance histories by a step's readings and return the observation of the network."""
+        """Append the readings of one step to the histories, and return the observation of the network."""
         found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
             if found["base_quat"].shape != (4,) or not np.isfinite(found["base_quat"]).all():
@@ -212,7 +198,7 @@ class Policy:
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
-            if group["history_order"] == "time":  # step by step, each with all terms
+            if group["history_order"] == "time":  # Each time step has all terms.
                 pieces.append(np.concatenate(histories, axis=1).ravel())
             else:  # term by term
                 pieces += [history.ravel() for history in histories]
@@ -236,7 +222,7 @@ class Policy:
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
     def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the targets for ``action``, as ``step`` does; advances the moving averages of the actions."""
+        """Return the joint targets for ``action``, as ``step`` does, and update the moving averages of the actions."""
         self.steps += 1
         self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
         return self.targets(joint_pos)
@@ -246,7 +232,7 @@ class Policy:
         return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
     def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
-        """Return the targets of one action term."""
+        """Return the joint targets of one action term."""
         raw = self.action[term["start"] : term["stop"]]
         kind = term["function"]
         if kind == "binary":
@@ -260,7 +246,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # a moving average, which starts at the joint positions
+            if "alpha" in term:  # The moving average of the action starts at the joint positions.
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x
@@ -282,10 +268,11 @@ class Policy:
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences of a step from the recorded steps (see ``largest_difference``).
+    """Return the largest differences of the runner from the steps in ``check.npz`` (see ``largest_difference``).
 
-    Observations follow from recorded readings and last actions, actions from the recorded observation, targets from
-    the recorded action. ``actions_float32`` is the network in float32, as in training, where the order of sums matters.
+    Each compared step starts from recorded values: observations from readings and last actions, actions from the
+    observation, and targets from the action. ``actions_float32`` compares the network in float32, as in training, where
+    the order of sums changes the rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -306,12 +293,12 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
 
 
 def largest_difference(found: Any, wanted: np.ndarray) -> float:
-    """Return the largest |found - wanted| / max(1, |wanted|)."""
+    """Return the largest |found - wanted| / max(1, |wanted|) of two arrays."""
     return float(np.max(np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted)), initial=0.0))
 
 
 def main(words: list[str]) -> int:
-    """Print the differences and return whether one is too large."""
+    """Print the differences, and return whether one of them is above its tolerance."""
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
     for name, difference in check(onnx="--onnx" in words).items():

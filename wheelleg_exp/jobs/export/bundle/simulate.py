@@ -1,7 +1,7 @@
 """The robot of this bundle in MuJoCo, driven by its policy: ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
 Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status is 1 if the
-robot fell. ``robot/scene.xml`` is training's own scene on level ground; drives work as they did in training.
+robot fell. ``robot/scene.xml`` contains the training's robot on level ground; drives work as in training.
 """
 
 from __future__ import annotations
@@ -21,15 +21,13 @@ from runner import Policy, array, projected_gravity
 
 HERE = Path(__file__).parent
 LAWS = ("implicit", "pd", "dc_motor")
-FALLEN = 0.5  # cosine of the tilt, 60 degrees
+FALLEN = 0.5  # cosine of 60 degrees, the tilt of a fallen robot
 
 
 class Robot:
     """The simulated robot: its readings, and drives that take targets.
 
-    Args:
-        spec: ``policy.json``.
-        scene: an MJCF with the robot, its drives as actuators named after the joints, and ground.
+    ``scene`` is an MJCF with the robot, its drives as actuators named after the joints, and ground.
     """
 
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
@@ -72,7 +70,7 @@ class Robot:
         velocity = np.empty(3)
         mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
         return {
-            "base_ang_vel": data.qvel[3:6],  # of a free joint these are in the body's own axes
+            "base_ang_vel": data.qvel[3:6],  # MuJoCo's angular velocity of a free joint is in body axes.
             "base_quat": data.qpos[3:7],
             "base_lin_vel": velocity + np.cross(data.qvel[3:6], self.root.ipos),
             "base_height": data.qpos[2:3],
@@ -100,13 +98,13 @@ class Robot:
         return found
 
     def drive(self, targets: Mapping[str, np.ndarray]) -> None:
-        """Turn targets into controls, before each physics step."""
+        """Turn joint targets into MuJoCo controls, before each physics step."""
         q, qd = self.data.qpos[self.qpos], self.data.qvel[self.qvel]
         for drive, actuators in self.drives:
             ids, limit = drive["joint_ids"], array(drive["effort_limit"], np.inf)
             kp, kd = array(drive["stiffness"]), array(drive["damping"])
             torque = kp * targets["position"][ids] + kd * targets["velocity"][ids] + targets["effort"][ids]
-            if drive["law"] != "implicit":  # the solver's own drive subtracts kp q + kd qd and clips
+            if drive["law"] != "implicit":  # MuJoCo's actuator subtracts kp q + kd qd and clips
                 torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
             if drive["law"] == "dc_motor":
                 stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
@@ -118,7 +116,7 @@ class Robot:
             self.data.ctrl[actuators] = torque
 
     def approached(self, name: str, asked: Any) -> np.ndarray:
-        """Return the next command on the way to the requested one, no faster than in training."""
+        """Return the command that approaches the requested command, at most as fast as in training."""
         now = self.commands.setdefault(name, np.zeros(len(asked)))
         most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
         now += np.clip(np.asarray(asked) - now, -most, most)
@@ -139,7 +137,7 @@ class Robot:
 
 
 def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
-    """Return in words which parts of a command are outside the ranges of the training."""
+    """Return a text that names the parts of a command outside the ranges of the training."""
     if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
         return []
     parts = zip(ranges.items(), command, strict=True)
@@ -148,7 +146,7 @@ def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
 
 
 def main() -> int:
-    """Simulate for a while, and print how well the robot stood."""
+    """Simulate for ``seconds``, and print the tilt and height of the robot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="how long")
     parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")

@@ -24,15 +24,10 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """One recorded source folder, and the present source of its content.
+    """A source folder that a run recorded, and the origin of the restored content.
 
-    Attributes:
-        root: the recorded folder.
-        how: ``restored`` (from commit and patch), ``installed`` (what is installed now), ``in place`` (the recorded
-            folder, unchanged), or ``missing``.
-        commit: the recorded commit.
-        tree: the id of the restored tree.
-        origin: the repository from which the commit was read.
+    ``how`` is ``restored`` (from commit and patch), ``installed`` (the package installed now), ``in place`` (the
+    recorded folder, unchanged), or ``missing``. ``origin`` is the repository from which the commit was read.
     """
 
     root: str
@@ -46,14 +41,9 @@ class RestoredTree:
 class RestoredSource:
     """All restored sources of a run.
 
-    Attributes:
-        trees: one for each recorded folder, the package's own first.
-        places: the folder of each top-level package or module.
-        config_dirs: the user's config folders.
-        projects: the user's projects.
-        source_roots: the folders of other packages whose source a new run keeps.
-        moved: the restored folder of each recorded folder.
-        notes: differences from the recorded state, one line each.
+    ``trees`` has an entry for each recorded folder; the first entry is the folder of this package. ``places`` maps each
+    top-level package or module to its folder. ``source_roots`` are the folders of further packages whose source a new
+    run records. ``moved`` maps each recorded folder to its restored folder.
     """
 
     trees: list[RestoredTree] = field(default_factory=list)
@@ -73,12 +63,12 @@ class RestoredSource:
         return self.moved[root] / Path(path).relative_to(root)
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return the trees as plain mappings."""
+        """Return the restored trees as plain mappings."""
         return [asdict(tree) for tree in self.trees]
 
 
 def describe_code(run: RunDirectory) -> str:
-    """Return a line that says whose code a replay of a run executes."""
+    """Return a sentence that names the code that a replay of a run executes."""
     main, *others = source_records(run)
     if main["commit"]:
         patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
@@ -93,17 +83,11 @@ def describe_code(run: RunDirectory) -> str:
 
 
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
-    """Restore every source that a run recorded below ``workplace``.
+    """Restore every source that a run recorded, below the existing folder ``workplace``.
 
-    Args:
-        run: the run.
-        workplace: an existing folder.
-        repositories: clones to search for commits, before the recorded folders and the current checkout.
-
-    Raises:
-        RunDirectoryError: the package's own source was not recorded, its commit is in no repository, or its code is too
-            old for a replay.
-        SimulationFailure: the disk is full.
+    The clones in ``repositories`` are searched for commits before the recorded folders and the current checkout.
+    RunDirectoryError means that the source of this package was not recorded, that no repository has the source's
+    commit, or that the source is too old for a replay.
     """
     source = RestoredSource()
     for number, record in enumerate(source_records(run)):
@@ -129,7 +113,12 @@ def _restore(
     candidates: Sequence[Path],
     source: RestoredSource,
 ) -> None:
-    destination = _destination(record["root"], number, workplace)
+    # The restored folder has its recorded name, because imports can depend on the name of a folder.
+    destination = (
+        workplace / "source" / str(number) / (_UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source")
+    )
+    with for_people(destination.parent):
+        destination.parent.mkdir(parents=True)
     try:
         origin = find_origin(record, candidates)
     except RunDirectoryError:
@@ -137,10 +126,8 @@ def _restore(
             raise
         _use_in_place(record, source)
         return
-    tree = restore_source(run, destination, origin, which=number)
-    source.trees.append(
-        RestoredTree(record["root"], "restored", record["commit"], tree, str(origin) if origin else None)
-    )
+    tree, place = restore_source(run, destination, origin, which=number), str(origin) if origin else None
+    source.trees.append(RestoredTree(record["root"], "restored", record["commit"], tree, place))
     source.moved[record["root"]] = destination
     folders = [destination / name for name in record["folders"]]
     if number == 0:
@@ -148,15 +135,6 @@ def _restore(
         source.places[PACKAGE] = folders.pop(0)
     _note_gaps(record, destination, source)
     source.source_roots += folders
-
-
-def _destination(root: str, number: int, workplace: Path) -> Path:
-    """Return a new folder for a tree, with the recorded name."""
-    name = _UNSAFE.sub("_", Path(root).name).strip(".") or "source"
-    folder = workplace / "source" / str(number)
-    with for_people(folder):
-        folder.mkdir(parents=True)
-    return folder / name
 
 
 def _require_entry(folder: Path, record: dict[str, Any]) -> None:
@@ -170,7 +148,7 @@ def _require_entry(folder: Path, record: dict[str, Any]) -> None:
 
 
 def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
-    """Note what the record left out."""
+    """Add a note about the files that the run did not record with its source."""
     for entry in record["refused"]:
         now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
@@ -209,7 +187,7 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use a folder that the run did not capture as it is now, and note what may differ."""
+    """Use the current state of a folder that the run did not record, and add a note about possible differences."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest

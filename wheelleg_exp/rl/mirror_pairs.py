@@ -11,22 +11,18 @@ import numpy as np
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
-_MAX_JOINT_DISTANCE = 0.02  # relative to the robot's size
-_FLIP = np.array([1.0, -1.0, 1.0])  # a mirror in the plane of the base's x and z axes
+_MAX_JOINT_DISTANCE = 0.02  # of the robot's size
+_FLIP = np.array([1.0, -1.0, 1.0])  # mirrors y
 MIRROR = np.diag(_FLIP)
-_MIN_AXIS_COSINE = 0.99  # between the axis of a joint and the mirrored axis of its image
+# The least cosine between the axis of a joint and the mirrored axis of the joint's image.
+_MIN_AXIS_COSINE = 0.99
 
 
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
     r"""Return the index of each joint's image. A joint that no expression matches is its own image.
 
-    Args:
-        names: the joints.
-        pairs: expressions that match full names on one side, and the name of the image, with ``\1`` for groups; None
-            removes a pair.
-
-    Raises:
-        ConfigError: an expression matches no joint, or the image does not exist.
+    ``pairs`` has expressions that match full names on one side, and the name of the image, with ``\1`` for groups; None
+    removes a pair.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -37,14 +33,11 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
             matches = [match for name in names if (match := re.fullmatch(expression, name))]
             images = [match.expand(image) for match in matches]
         except (re.error, IndexError) as error:
-            raise ConfigError(
-                f"cannot be read: {error}", key=key, expected="expressions, such as 'l(.*)': 'r\\1'"
-            ) from error
+            expected = "expressions, such as 'l(.*)': 'r\\1'"
+            raise ConfigError(f"the expression cannot be read: {error}", key=key, expected=expected) from error
         if not matches:
-            nearest = nearest_name(expression, names)
-            raise ConfigError(
-                "fits no joint", key=key, expected="the whole name of one of " + ", ".join(names), nearest=nearest
-            )
+            expected, nearest = "the whole name of one of " + ", ".join(names), nearest_name(expression, names)
+            raise ConfigError("the expression fits no joint", key=key, expected=expected, nearest=nearest)
         for match, other in zip(matches, images, strict=True):
             if other not in names:
                 expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
@@ -55,26 +48,21 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 
 
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
-    """Return the sign with which the image of each joint moves.
+    """Return the sign with which the image of each joint moves; ConfigError if two joints are not mirror images.
 
     With a mirror M, the image of a rotation by q about a is a rotation by q about -M a, and the image of a slide along
-    a is a slide along M a. Anchors, and centres and masses of the bodies that the joints move, must be images as well.
-
-    Args:
-        model: the compiled scene.
-        root: name of the robot's root body.
-        names: the joints.
-        images: the index of each one's image.
-
-    Raises:
-        ConfigError: two joints are not mirror images.
+    a is a slide along M a. The anchors of two joints, and the centres and masses of the bodies that they move, must be
+    mirror images as well. ``images`` has the index of each joint's image.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = model.body(root).id
     turn, origin = data.xmat[base].reshape(3, 3).T, data.xpos[base].copy()
     ids = [model.joint(name).id for name in names]
-    places = np.array([[turn @ (data.xanchor[j] - origin), _centre_of_mass(model, data, j, turn, origin)] for j in ids])
+    bodies = [model.jnt_bodyid[joint] for joint in ids]
+    # The anchor of each joint, and the centre of mass of the body that the joint moves, in the axes of the base.
+    pairs = zip(data.xanchor[ids], data.xipos[bodies], strict=True)
+    places = np.array([[turn @ (anchor - origin), turn @ (centre - origin)] for anchor, centre in pairs])
     axes = np.array([turn @ data.xaxis[j] for j in ids])
     size = float(np.abs(places).max()) or 1.0
     found = []
@@ -83,53 +71,34 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
         cosine = float(axes[other] @ (_FLIP * axis)) * (-1.0 if hinge else 1.0)
         apart = float(np.linalg.norm(places[other] - _FLIP * place, axis=1).max())
         mass, its = (float(model.body_mass[model.jnt_bodyid[j]]) for j in (joint, ids[other]))
-        same_kind = model.jnt_type[joint] == model.jnt_type[ids[other]]
-        for wrong in (
-            *([] if same_kind else ["one is a hinge and one a slide"]),
-            *(
-                []
-                if apart <= _MAX_JOINT_DISTANCE * size
-                else [f"they, or what they carry, lie {1e3 * apart:.1f} mm off the image"]
-            ),
-            *(
-                []
-                if abs(cosine) >= _MIN_AXIS_COSINE
-                else [f"the axes differ by {np.degrees(np.arccos(abs(cosine))):.1f} degrees"]
-            ),
-            *(
-                []
-                if abs(mass - its) <= _MAX_JOINT_DISTANCE * max(mass, its)
-                else [f"they carry {mass:.4g} and {its:.4g} kg"]
-            ),
-        ):
-            what = f"joint '{name}' is not its own mirror image" if names[other] == name else ""
-            what = what or f"joints '{name}' and '{names[other]}' are not mirror images"
-            raise ConfigError(
-                f"{what}: {wrong}", key=JOINT_PAIRS_KEY, expected="pairs of joints to the left and right of the base"
-            )
+        wrong = ""
+        if model.jnt_type[joint] != model.jnt_type[ids[other]]:
+            wrong = "one is a hinge and one a slide"
+        elif apart > _MAX_JOINT_DISTANCE * size:
+            wrong = f"they, or what they carry, lie {1e3 * apart:.1f} mm off the image"
+        elif abs(cosine) < _MIN_AXIS_COSINE:
+            wrong = f"the axes differ by {np.degrees(np.arccos(abs(cosine))):.1f} degrees"
+        elif abs(mass - its) > _MAX_JOINT_DISTANCE * max(mass, its):
+            wrong = f"they carry {mass:.4g} and {its:.4g} kg"
+        if wrong:
+            alone = f"joint '{name}' is not its own mirror image"
+            what = alone if names[other] == name else f"joints '{name}' and '{names[other]}' are not mirror images"
+            expected = "pairs of joints to the left and right of the base"
+            raise ConfigError(f"{what}: {wrong}", key=JOINT_PAIRS_KEY, expected=expected)
         found.append(1.0 if cosine > 0 else -1.0)
     return found
 
 
-def _centre_of_mass(
-    model: mujoco.MjModel, data: mujoco.MjData, joint: int, turn: np.ndarray, origin: np.ndarray
-) -> np.ndarray:
-    """Return the centre of mass of the body that a joint moves, in the axes of the base, m."""
-    return turn @ (data.xipos[model.jnt_bodyid[joint]] - origin)
-
-
-_MAX_BODY_DISTANCE = 0.02  # relative to the robot's size
-_MAX_FRAME_ERROR = 0.02  # between entries of two rotation matrices
+_MAX_BODY_DISTANCE = 0.02  # of the robot's size
+# The largest difference between entries of two rotation matrices.
+_MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
-    """The mirror images of a robot's bodies, from the images of its joints, or for other bodies from their positions.
+    """The mirror images of a robot's bodies.
 
-    Args:
-        model: the compiled scene.
-        names: the robot's bodies, the root first.
-        joint_names: its joints.
-        joint_images: the index of each joint's image.
+    The images of the joints determine the images of the bodies that joints move. Positions determine all other images.
+    ``names`` starts with the root, and ``joint_images`` has the index of each joint's image.
     """
 
     def __init__(
@@ -156,15 +125,9 @@ class BodyImages:
                 self._images[body] = self._by_place(body, parents)
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's image.
+        """Return the name of a body's image; ConfigError for the config key ``key`` if the body has no image.
 
-        Args:
-            name: the body.
-            key: the config key that names it.
-            with_axes: whether the axes of both bodies must be images as well.
-
-        Raises:
-            ConfigError: the body has no image.
+        With ``with_axes``, the axes of both bodies must be images as well.
         """
         body = self.names.index(name)
         image = self._images[body]
@@ -182,7 +145,6 @@ class BodyImages:
         return self.names[image]
 
     def _by_place(self, body: int, parents: Sequence[int | None]) -> int | None:
-        """Return the child of the parent's image that is nearest to the mirrored position."""
         parent = parents[body]
         above = None if parent is None else self._images[parent]
         others = [i for i, other in enumerate(parents) if above is not None and other == above]

@@ -1,4 +1,4 @@
-"""Walk config trees, and find the line of each key of a YAML file."""
+"""Look up nodes of a config tree, and the line of each key of a YAML file."""
 
 from __future__ import annotations
 
@@ -12,27 +12,19 @@ from typing import Any
 
 import yaml
 
-from wheelleg_exp.paths import show_file as show_file
 from wheelleg_exp.plain_data import yaml_tree
-from wheelleg_exp.terms.key_syntax import Keys as Keys
-from wheelleg_exp.terms.key_syntax import dotted as dotted
-from wheelleg_exp.terms.key_syntax import split_path as split_path
+from wheelleg_exp.terms.key_syntax import Keys, split_path
 
 
 def file_text(file: Path) -> str:
-    """Return the text of a config file.
-
-    Raises:
-        OSError: the file does not exist, or is not a regular file. Reading a pipe could wait forever.
-        UnicodeDecodeError: the file is not UTF-8.
-    """
+    """Return the text of a UTF-8 file. A pipe or device raises FileNotFoundError, because a read could wait forever."""
     if not file.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
     return file.read_text(encoding="utf-8")
 
 
 def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
-    """Yield ``(keys, value)`` of each leaf. A list or an empty mapping is one leaf."""
+    """Yield the keys and the value of each leaf of a tree. A list or an empty mapping is one leaf."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from leaves(value, (*prefix, str(key)))
@@ -50,7 +42,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
 
 
 def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping with these leaves."""
+    """Return the nested mapping with the given leaves."""
     tree: dict[str, Any] = {}
     for keys, value in entries.items():
         node = tree
@@ -61,7 +53,7 @@ def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
 
 
 def at(tree: Any, keys: Keys | str) -> Any:
-    """Return the node at keys or at a dotted path, which can contain list indices; None if it does not exist."""
+    """Return the node at a key path, which can contain list indices; None if the node does not exist."""
     for key in split_path(keys) if isinstance(keys, str) else keys:
         if isinstance(tree, Mapping):
             tree = tree.get(key)
@@ -73,35 +65,33 @@ def at(tree: Any, keys: Keys | str) -> Any:
 
 
 def section_at(tree: Any, keys: Keys | str) -> Mapping[str, Any]:
-    """Return the mapping at keys; an empty one if there is no mapping."""
+    """Return the mapping at a key path, or an empty mapping if the tree has no mapping there."""
     node = at(tree, keys)
     return node if isinstance(node, Mapping) else {}
 
 
 def select(node: Any, path: str) -> Any:
-    """Return the node at ``path``; raise KeyError if it does not exist."""
+    """Return the node at a dotted path; raise KeyError if the node does not exist."""
     for key in split_path(path):
-        if not isinstance(node, Mapping):
-            raise KeyError(path)
-        names = {str(k): k for k in node}
+        names = {str(k): k for k in node} if isinstance(node, Mapping) else {}
         if key not in names:
             raise KeyError(path)
         node = node[names[key]]
     return node
 
 
-@lru_cache(maxsize=1024)
-def _yaml_node(file: Path, _stamp: int) -> yaml.Node | None:
-    return yaml_tree(file.read_bytes())
-
-
 def yaml_node(file: Path) -> yaml.Node | None:
-    """Return the file's tree of YAML nodes, with the line of each node."""
+    """Return a file's tree of YAML nodes, which contain the line of each key and value."""
     return _yaml_node(file, file.stat().st_mtime_ns)
 
 
+@lru_cache(maxsize=1024)
+def _yaml_node(file: Path, _modified_ns: int) -> yaml.Node | None:
+    return yaml_tree(file.read_bytes())
+
+
 def line_table(file: Path) -> dict[Keys, int]:
-    """Return the line (from 1) of each key of the file."""
+    """Return the line, counted from 1, of each key of a YAML file."""
     table: dict[Keys, int] = {}
     _collect_lines(yaml_node(file), (), table)
     return table
@@ -122,38 +112,24 @@ def _collect_lines(node: yaml.Node | None, prefix: Keys, table: dict[Keys, int])
 
 
 def scalar_line(file: Path, *texts: str) -> int | None:
-    """Return the line of the first key or value in the file that is one of ``texts``."""
-    return _scalar_line(yaml_node(file), texts)
+    """Return the line of the first key or value in a YAML file that equals one of ``texts``."""
+    return next((node.start_mark.line + 1 for node in _scalars(yaml_node(file)) if node.value in texts), None)
 
 
-def _scalar_line(node: yaml.Node | None, texts: tuple[str, ...]) -> int | None:
+def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
     if isinstance(node, yaml.ScalarNode):
-        return node.start_mark.line + 1 if node.value in texts else None
-    if isinstance(node, yaml.MappingNode):
-        children = [child for pair in node.value for child in pair]
-    elif isinstance(node, yaml.SequenceNode):
-        children = list(node.value)
-    else:
-        children = []
-    for child in children:
-        line = _scalar_line(child, texts)
-        if line is not None:
-            return line
-    return None
+        yield node
+    elif isinstance(node, yaml.CollectionNode):
+        for child in node.value:
+            for part in child if isinstance(child, tuple) else (child,):
+                yield from _scalars(part)
 
 
 @dataclass(frozen=True)
 class DefaultsEntry:
-    """One ``key: value`` of a file's defaults list.
+    """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
-    Attributes:
-        key: the group as written, without ``override`` and ``optional``, such as ``/reward@env.rewards``.
-        value: the selected option or options.
-        override: whether the entry replaces the selection of another file.
-        line: the line of the entry, from 1.
-    """
-
-    key: str
+    key: str  # without `override` and `optional`
     value: Any
     override: bool
     line: int
@@ -172,14 +148,14 @@ def defaults_entries(file: Path) -> list[DefaultsEntry]:
     return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
 
 
-def self_before_others(file: Path) -> bool:
-    """Return whether ``_self_`` comes before other entries of a file's defaults list, which then overwrite its body."""
-    items = defaults_items(file)
-    names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
-    return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")
-
-
 def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
     words = str(key.value).split()
     chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value
     return DefaultsEntry(words[-1], chosen, "override" in words[:-1], key.start_mark.line + 1)
+
+
+def self_before_others(file: Path) -> bool:
+    """Return whether ``_self_`` is not the last entry of a defaults list, so that later entries overwrite the file."""
+    items = defaults_items(file)
+    names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
+    return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")

@@ -1,0 +1,28 @@
+"""Shared computations of several terms: height above the ground, tilt, and level velocity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from wheelleg_exp.managers import Env
+
+
+def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
+    """Return the vertical distance of world positions (N, ..., 3) to the ground, m, (N, ...)."""
+    height: torch.Tensor = positions[..., 2] - env.scene.terrain.height_at(positions[..., :2])
+    return height
+
+
+def roll_pitch(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return roll and pitch of the root link, rad, (N,) each, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    x, y, z = data.projected_gravity_b.unbind(dim=1)
+    return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
+
+
+def level_velocity(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the forward and leftward velocity of the root's centre of mass in level axes, m/s, (N,) each."""
+    velocity, yaw = data.root_lin_vel_w, data.heading_w
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    return cos * velocity[:, 0] + sin * velocity[:, 1], cos * velocity[:, 1] - sin * velocity[:, 0]
