@@ -85,7 +85,14 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
-    pairs = sorted(_depths(_all_touching(model, bodies), qpos, bodies).items(), key=lambda item: -item[1])
+    free = copy.copy(model)
+    solid = colliders(model, bodies)
+    free.geom_contype[:] = free.geom_conaffinity[:] = 0
+    free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
+    # MuJoCo also filters contacts by the bodies' compiled collision bits, which must match the changed geoms.
+    free.body_contype[:] = free.body_conaffinity[:] = 1
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])
     found = []
     for (one, other), depth in pairs:
         if model.body_weldid[one] == model.body_weldid[other]:
@@ -96,17 +103,6 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
         names_of = model.body(one).name, model.body(other).name
         found.append(Overlap(names_of, depth, neighbours, (one, other) in acting))
     return found
-
-
-def _all_touching(model: mujoco.MjModel, bodies: set[int]) -> mujoco.MjModel:
-    free = copy.copy(model)
-    solid = colliders(model, bodies)
-    free.geom_contype[:] = free.geom_conaffinity[:] = 0
-    free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo also filters contacts by the bodies' compiled collision bits, which must match the changed geoms.
-    free.body_contype[:] = free.body_conaffinity[:] = 1
-    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
-    return free
 
 
 def _depths(model: mujoco.MjModel, qpos: np.ndarray, bodies: set[int]) -> dict[tuple[int, int], float]:

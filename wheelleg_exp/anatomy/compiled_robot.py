@@ -178,8 +178,24 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    hold = _holding_torques(model, data, wheels, gravity)
-    drives = _drives(robot)
+    # The torques (nv,) that hold the default pose while each wheel carries an equal share of the weight.
+    hold = data.qfrc_bias.copy()
+    share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
+    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint hold.
+    for bodies in wheels:
+        point = data.xpos[bodies[0]].copy()
+        point[2] = lowest_point(model, data, bodies)
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, point, bodies[0])
+        hold -= jacobian[2] * share
+    drives = {}
+    for group, actuator in robot.actuators.items():
+        gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
+        explicit = isinstance(actuator, IdealPDActuator)
+        for index, name in enumerate(actuator.joint_names):
+            # Seven digits remove the rounding errors of float32.
+            kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
+            drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
     for index, name in enumerate(robot.joint_names):
         joint, dof = model.joint(name), int(model.joint(name).dofadr[0])
@@ -197,34 +213,6 @@ def _joints(
             drive=drives.get(name),
         )
     return joints
-
-
-def _holding_torques(
-    model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[Sequence[int]], gravity: float
-) -> np.ndarray:
-    """Return the torques (nv,) that hold the default pose while each wheel carries an equal share of the weight."""
-    torques = data.qfrc_bias.copy()
-    share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint torques.
-    for bodies in wheels:
-        point = data.xpos[bodies[0]].copy()
-        point[2] = lowest_point(model, data, bodies)
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, point, bodies[0])
-        torques -= jacobian[2] * share
-    return torques
-
-
-def _drives(robot: Robot) -> dict[str, Drive]:
-    drives = {}
-    for group, actuator in robot.actuators.items():
-        gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
-        explicit = isinstance(actuator, IdealPDActuator)
-        for index, name in enumerate(actuator.joint_names):
-            # Seven digits remove the rounding errors of float32.
-            kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
-            drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
-    return drives
 
 
 def _balance(

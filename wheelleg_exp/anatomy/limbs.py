@@ -243,7 +243,11 @@ def find_mirrored(
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
-                tilt, sign = _turn(tree, flip, joint, other)
+                # The angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion.
+                # A mirror M reverses rotations: the image of a rotation by q about a is a rotation by q about -M a.
+                image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
+                cosine = float(image @ tree.data.xaxis[other])
+                tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1
                 if offset <= _APART * size and tilt <= _TILTED:
                     options.append((offset / size + tilt, other, offset, tilt, sign))
         if options:
@@ -258,11 +262,3 @@ def find_mirrored(
         first, second = (joint, other) if places[joint] @ left >= -_MIDDLE * size else (other, joint)
         pairs.append(MirroredPair(tree.joint_name(first), tree.joint_name(second), sign, offset, tilt))
     return pairs, [tree.joint_name(joint) for joint in joints if joint not in matched]
-
-
-def _turn(tree: Tree, flip: Array, joint: int, other: int) -> tuple[float, int]:
-    """Return the angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion."""
-    # A mirror M reverses rotations: the image of a rotation by q about a is a rotation by q about -M a.
-    image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
-    cosine = float(image @ tree.data.xaxis[other])
-    return math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

@@ -89,7 +89,15 @@ def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axle
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
-    size = _size(tree)
+    # The longest edge of the box around all colliders and joints, along the base's axes, m.
+    origin, edges = tree.data.xpos[tree.base], tree.to_base
+    solid = colliders(tree.model, tree.bodies)
+    anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
+    high, low = np.max([*anchors, np.zeros(3)], axis=0), np.min([*anchors, np.zeros(3)], axis=0)
+    if solid:
+        high = np.maximum(high, reach(tree.model, tree.data, solid, origin, edges))
+        low = np.minimum(low, -reach(tree.model, tree.data, solid, origin, -edges))
+    size = float((high - low).max())
     lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
     stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
     return _Axles(size, forward, left, contacts, stands, steering, casters)
@@ -172,18 +180,6 @@ def _span(points: Sequence[Array], direction: Array | None) -> float:
         return 0.0
     places = [float(point @ direction) for point in points]
     return max(places) - min(places)
-
-
-def _size(tree: Tree) -> float:
-    """Return the longest edge of the box around all colliders and joints, along the base's axes, m."""
-    origin, edges = tree.data.xpos[tree.base], tree.to_base
-    solid = colliders(tree.model, tree.bodies)
-    anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
-    high, low = np.max([*anchors, np.zeros(3)], axis=0), np.min([*anchors, np.zeros(3)], axis=0)
-    if solid:
-        high = np.maximum(high, reach(tree.model, tree.data, solid, origin, edges))
-        low = np.minimum(low, -reach(tree.model, tree.data, solid, origin, -edges))
-    return float((high - low).max())
 
 
 def _mirrored(

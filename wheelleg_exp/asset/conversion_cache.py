@@ -112,24 +112,20 @@ def convert_cached(
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)
-    key = _key(source, sources, base, chosen)
+    parts = {
+        "source": source.name,
+        "sources": sources,
+        "base": base,
+        "variants": chosen,
+        "converter": _converter_digest(),
+        "libraries": {name: metadata.version(name) for name in ("mujoco", "numpy", "usd-core")},
+    }
+    key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
     entry = Path(cache_dir) / key
     if (report := _read(entry)) is not None:
         return CachedConversion(entry / MODEL, report, sources, key, fresh=False)
     report = _make(source, base, chosen, entry, beside or {})
     return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
-
-
-def _key(source: Path, sources: Mapping[str, str], base: BaseMode, variants: Mapping[str, str]) -> str:
-    parts = {
-        "source": source.name,
-        "sources": sources,
-        "base": base,
-        "variants": variants,
-        "converter": _converter_digest(),
-        "libraries": {name: metadata.version(name) for name in ("mujoco", "numpy", "usd-core")},
-    }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
 @functools.cache

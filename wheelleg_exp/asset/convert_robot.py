@@ -47,7 +47,16 @@ def convert(
     ``fixed`` (without a free joint). ``variants`` maps USD variant sets to selections. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
-    _require_output(source, output)
+    try:
+        str(output).encode()
+        with suppress(FileNotFoundError):
+            output.lstat()
+        problem = _problem_of(source, output)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AssetError(f"cannot write '{output}': {reason}", key="-o") from None
+    if problem:
+        raise AssetError(problem, key="-o", expected="a new name that ends in .xml")
     with mujoco_warnings() as logged, bounded_memory(source):
         robot, report = read(source, base, variants or {})
         for name in report.layers:
@@ -141,7 +150,12 @@ def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjMod
         output.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(output) as folder:
             draft = folder / output.name
-            _write_draft(robot, report, draft)
+            meshes = mesh_folder(draft)
+            draft.write_text(Writer(robot, meshes.name, report.assumptions).text(), encoding="utf-8")
+            for mesh in robot.meshes:
+                if len(mesh.faces):
+                    meshes.mkdir(exist_ok=True)
+                    (meshes / file_name(mesh)).write_text(obj_text(mesh), encoding="utf-8")
             model = load(draft, report.source)
             verify(model, robot, report.source)
             _publish(draft, output, folder / "old")
@@ -153,19 +167,6 @@ def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjMod
 def mesh_folder(output: Path) -> Path:
     """Return the path of the folder for an MJCF's mesh files."""
     return output.with_name(output.stem + MESHES)
-
-
-def _require_output(source: Path, output: Path) -> None:
-    try:
-        str(output).encode()
-        with suppress(FileNotFoundError):
-            output.lstat()
-        problem = _problem_of(source, output)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise AssetError(f"cannot write '{output}': {reason}", key="-o") from None
-    if problem:
-        raise AssetError(problem, key="-o", expected="a new name that ends in .xml")
 
 
 def _problem_of(source: Path, output: Path) -> str | None:
@@ -181,19 +182,15 @@ def _problem_of(source: Path, output: Path) -> str | None:
     return None
 
 
-def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
-    meshes = mesh_folder(draft)
-    draft.write_text(Writer(robot, meshes.name, report.assumptions).text(), encoding="utf-8")
-    for mesh in robot.meshes:
-        if len(mesh.faces):
-            meshes.mkdir(exist_ok=True)
-            (meshes / file_name(mesh)).write_text(obj_text(mesh), encoding="utf-8")
-
-
 def _publish(draft: Path, output: Path, old: Path) -> None:
     """Move the draft MJCF and its meshes to the output path. After an error, restore the old MJCF and its meshes."""
     new, target = mesh_folder(draft), mesh_folder(output)
-    _require_own_meshes(output)
+    folder = mesh_folder(output)
+    text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
+    foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
+    if foreign:
+        message = f"'{folder}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
+        raise AssetError(message, key="-o", expected="another name, or move that folder away")
     try:
         if target.exists():
             target.replace(old)
@@ -207,12 +204,3 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
                 target.replace(new)
             old.replace(target)
         raise
-
-
-def _require_own_meshes(output: Path) -> None:
-    folder = mesh_folder(output)
-    text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
-    foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
-    if foreign:
-        message = f"'{folder}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
-        raise AssetError(message, key="-o", expected="another name, or move that folder away")

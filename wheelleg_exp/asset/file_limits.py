@@ -104,7 +104,13 @@ def bounded_memory(source: Path) -> Iterator[None]:
         message = f"'{source.name}' needs more than {MOST >> 30} GB of memory"
         raise AssetError(message, where=str(source), expected="one robot, whole") from None
     finally:
-        _leave()
+        with _lock:
+            if _open:
+                import resource
+
+                limit = _open.pop()
+                if not _open:
+                    resource.setrlimit(resource.RLIMIT_DATA, limit)
 
 
 def _enter() -> None:
@@ -118,13 +124,3 @@ def _enter() -> None:
         _open.append((soft, hard))
         bounds = [used + MOST, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
         resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
-
-
-def _leave() -> None:
-    with _lock:
-        if _open:
-            import resource
-
-            limit = _open.pop()
-            if not _open:
-                resource.setrlimit(resource.RLIMIT_DATA, limit)

@@ -102,7 +102,13 @@ def report_of(
 ) -> Report:
     """Return the conversion report of a robot that was read from a USD or URDF file."""
     note_colliders(robot, ledger)
-    findings = _by_name(robot, ledger)
+    names: dict[str, str] = {}
+    for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
+        names.setdefault(path, name)
+    findings = tuple(
+        item if item.kind.endswith("_not_found") else replace(item, subject=names.get(item.path, item.subject))
+        for item in ledger.findings
+    )
     mapped, assumed, left, warnings = ledger.entries()
     return Report(
         source=source,
@@ -124,16 +130,6 @@ def report_of(
         findings=findings,
         authored=plain(ledger.authored),
         layers=layers,
-    )
-
-
-def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
-    names: dict[str, str] = {}
-    for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
-        names.setdefault(path, name)
-    return tuple(
-        item if item.kind.endswith("_not_found") else replace(item, subject=names.get(item.path, item.subject))
-        for item in ledger.findings
     )
 
 

@@ -236,21 +236,16 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
         p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
         if abs(left[p, q]) <= smallest:
             break
-        step = _jacobi(left, p, q)
+        # The rotation that makes element (p, q) of a symmetric matrix zero, by the smaller angle.
+        cot = (left[q, q] - left[p, p]) / (2 * left[p, q])
+        tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
+        cos = 1 / math.hypot(tan, 1.0)
+        step = np.eye(3)
+        step[p, p] = step[q, q] = cos
+        step[p, q], step[q, p] = tan * cos, -tan * cos
         left, turn = step.T @ left @ step, turn @ step
     x, y, z = (float(v) for v in np.diag(left))
     return (x, y, z), quaternion(turn)
-
-
-def _jacobi(matrix: Array, p: int, q: int) -> Array:
-    """Return the rotation that makes element (p, q) of a symmetric matrix zero, by the smaller angle."""
-    cot = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
-    tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
-    cos = 1 / math.hypot(tan, 1.0)
-    out = np.eye(3)
-    out[p, p] = out[q, q] = cos
-    out[p, q], out[q, p] = tan * cos, -tan * cos
-    return out
 
 
 def balanced(moments: Vec3) -> Vec3:
@@ -270,7 +265,9 @@ def balanced(moments: Vec3) -> Vec3:
 
 def cone(radius: float, half: float) -> Solid:
     """Return the solid of a cone along z, its tip at ``half`` and its base at ``-half`` (m)."""
-    volume, moments = _cone(radius, half)
+    v, height = 2 / 3 * math.pi * radius * radius * half, 2 * half
+    side = v * (3 / 20 * radius * radius + 3 / 80 * height * height)
+    volume, moments = v, (side, side, v * 3 / 10 * radius * radius)
     return Solid(volume, np.array([0.0, 0.0, -half / 2]), np.diag(moments))
 
 
@@ -300,12 +297,6 @@ def _capsule(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
     tube, ends = 2 * math.pi * r * r * half, 4 / 3 * math.pi * r**3
     side = tube * (half * half / 3 + r * r / 4) + ends * (2 / 5 * r * r + half * half + 3 / 4 * half * r)
     return tube + ends, (side, side, tube * r * r / 2 + ends * 2 / 5 * r * r)
-
-
-def _cone(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
-    v, height = 2 / 3 * math.pi * r * r * half, 2 * half
-    side = v * (3 / 20 * r * r + 3 / 80 * height * height)
-    return v, (side, side, v * 3 / 10 * r * r)
 
 
 _FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {

@@ -74,7 +74,20 @@ def run(args: argparse.Namespace) -> int:
     elif listed.no_rows and not rows:
         print(listed.no_rows)
     elif args.kind in ("runs", "sweeps"):
-        _print_runs(listed.columns, rows, listed.documents)
+        # Print a table of runs or sweeps, and below the table their problems and a legend.
+        width = max(screen_width() - table_width(listed.columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
+        half = (width - 1) // 2
+        for row in rows:  # Cut the middle out of a run id that is too long, because run ids differ at their ends.
+            text = str(row[0])
+            row[0] = text if len(text) <= width else f"{text[: width - half - 1]}…{text[-half:]}"
+        print_table(listed.columns, rows, lines=False)
+        lines = [f"{entry['id']}: {entry['problem']}" for entry in listed.documents if entry["problem"]]
+        more = len(lines) - _PROBLEMS_SHOWN
+        lines = lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json lists them"] if more > 0 else [])
+        for line in lines:
+            print(hanging(line, 4))
+        if any(entry.get("figures") or entry.get("played") for entry in listed.documents):
+            print(hanging(_LEGEND, 0))
     elif args.kind == "terms":
         print_blocks(listed.columns, rows, heads=2)
     else:
@@ -228,23 +241,6 @@ def _sweeps(args: argparse.Namespace) -> Listed:
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
     """Return the JSON document of a run or sweep. A fact that a damaged file hides is null."""
     return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
-
-
-def _print_runs(columns: Sequence[str], rows: list[list[Any]], documents: Sequence[Mapping[str, Any]]) -> None:
-    """Print a table of runs or sweeps, and below the table their problems and a legend."""
-    width = max(screen_width() - table_width(columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
-    half = (width - 1) // 2
-    for row in rows:  # Cut the middle out of a run id that is too long, because run ids differ at their ends.
-        text = str(row[0])
-        row[0] = text if len(text) <= width else f"{text[: width - half - 1]}…{text[-half:]}"
-    print_table(columns, rows, lines=False)
-    lines = [f"{entry['id']}: {entry['problem']}" for entry in documents if entry["problem"]]
-    more = len(lines) - _PROBLEMS_SHOWN
-    lines = lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json lists them"] if more > 0 else [])
-    for line in lines:
-        print(hanging(line, 4))
-    if any(entry.get("figures") or entry.get("played") for entry in documents):
-        print(hanging(_LEGEND, 0))
 
 
 def _runs_folder(root: Path | None) -> Path:

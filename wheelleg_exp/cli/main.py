@@ -80,19 +80,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; ``argv`` contains the words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
-        _collect_seldom()
+        # Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
+        gc.set_threshold(10_000)
+        atexit.register(gc.freeze)
     words = list(sys.argv[1:] if argv is None else argv)
     with lasting_streams():
         return _answer(words, "--debug" in words)
-
-
-def _collect_seldom() -> None:
-    """Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
-
-    Python never frees imported modules, but its garbage collector scans them, which takes 1 s of a short training.
-    """
-    gc.set_threshold(10_000)
-    atexit.register(gc.freeze)
 
 
 def _answer(words: list[str], debug: bool) -> int:

@@ -44,7 +44,11 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         from wheelleg_exp.jobs.sweep_queue import make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
 
-        at_once, named = _at_once(sweep), _named(args.config_dirs)
+        # The folders for ``--config-dir``, without the current project's folder, which needs no option.
+        own: list[Path] = []
+        with suppress(ConfigError):
+            own = with_current([])
+        at_once, named = _at_once(sweep), [folder for folder in args.config_dirs if folder not in own]
         folders = [str(folder) for folder in args.config_dirs]
         index = _make_index(sweep, at_once, args.command)
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
@@ -101,14 +105,6 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
     sweep.multirun.hydra.sweep.dir = str(index.folder)
     index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
     return index
-
-
-def _named(config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the folders for ``--config-dir``, without the current project's folder, which needs no option."""
-    own: list[Path] = []
-    with suppress(ConfigError):
-        own = with_current([])
-    return [folder for folder in config_dirs if folder not in own]
 
 
 def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:

@@ -81,7 +81,12 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
-        return {**_target_slots(node), **_field_slots(section)}
+        made = {}
+        for name in RESERVED[section]:
+            meaning, default = FIELDS.get(name, ("", ...))
+            annotation = FIELD_TYPES.get(name, Any)
+            made[name] = Slot(annotation, REQUIRED if default is ... else default, meaning, f"the manager of {section}")
+        return {**_target_slots(node), **made}
     if isinstance(node, Mapping) and TARGET in node:
         return _target_slots(node)
     if isinstance(node, Mapping) and keys[:1] == ("agent",) and _RSL_CLASS in node:
@@ -157,15 +162,6 @@ def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
         default = factory() if factory is not dataclasses.MISSING else default
         default = REQUIRED if default is dataclasses.MISSING else default
         made[name] = Slot(key.annotation, default, lines.get(name) or meaning_of((*keys, name)), _name(options))
-    return made
-
-
-def _field_slots(section: str) -> dict[str, Slot]:
-    made = {}
-    for name in RESERVED[section]:
-        meaning, default = FIELDS.get(name, ("", ...))
-        annotation = FIELD_TYPES.get(name, Any)
-        made[name] = Slot(annotation, REQUIRED if default is ... else default, meaning, f"the manager of {section}")
     return made
 
 

@@ -166,7 +166,13 @@ class Reference:
         # The sign of each wheel's speed in a left turn depends on the side of the wheel.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        self.bandwidth = _bandwidth(env, names)
+        # The bandwidth of the wheels' drive, 1/s: damping over armature, at most one per control step.
+        robot = env.scene.robot
+        ids = [robot.joint_names.index(name) for name in names]
+        damping = robot.data.default_joint_damping[0, ids].mean()
+        armature = robot.data.default_joint_armature[0, ids].mean()
+        most = 1.0 / env.step_dt
+        self.bandwidth = most if armature <= 0.0 else min(float(damping / armature), most)
         self._forward = torch.tensor(anatomy.forward, dtype=torch.float32, device=device)
         self._up = torch.tensor(anatomy.up, dtype=torch.float32, device=device)
         self._left = torch.linalg.cross(self._up, self._forward)
@@ -188,7 +194,8 @@ class Reference:
         """Return raw actions (N, A). The observations are not used."""
         del observations
         env, data = self._env, self._env.scene.robot.data
-        pitch, rate = self._pitch(data), data.root_ang_vel_b @ self._left
+        gravity = data.projected_gravity_b
+        pitch, rate = torch.atan2(gravity @ self._forward, -(gravity @ self._up)), data.root_ang_vel_b @ self._left
         turned = (data.joint_pos[:, self._wheels] * self._signs).mean(dim=1)
         speed = (data.joint_vel[:, self._wheels] * self._signs).mean(dim=1)
         place, velocity = (turned + pitch) * self.pendulum.radius, (speed + rate) * self.pendulum.radius
@@ -224,10 +231,6 @@ class Reference:
         self._before = state
         return self.pendulum.lean + self._lean
 
-    def _pitch(self, data: Any) -> torch.Tensor:
-        gravity = data.projected_gravity_b
-        return torch.atan2(gravity @ self._forward, -(gravity @ self._up))
-
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
         """Return the raw actions for given wheel speeds; all other joints stay at their default positions."""
         data = self._env.scene.robot.data
@@ -236,16 +239,6 @@ class Reference:
         speeds[:, self._wheels] = wheel_targets.clamp(-limits, limits)
         wanted = {"velocity": speeds, "position": data.default_joint_pos, "effort": torch.zeros_like(speeds)}
         return torch.cat([term.raw_for(wanted[term.drives][:, ids]) for term, ids in self._terms], dim=1)
-
-
-def _bandwidth(env: Env, wheels: list[str]) -> float:
-    """Return the bandwidth of the wheels' drive, 1/s: damping over armature, at most one per control step."""
-    robot = env.scene.robot
-    ids = [robot.joint_names.index(name) for name in wheels]
-    damping = robot.data.default_joint_damping[0, ids].mean()
-    armature = robot.data.default_joint_armature[0, ids].mean()
-    most = 1.0 / env.step_dt
-    return most if armature <= 0.0 else min(float(damping / armature), most)
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:

@@ -84,16 +84,13 @@ class Rollout:
         self._held.hold(self._commands[:, 0])
         observations, _ = self.env.reset(seed)
         self._meter.start()
-        self.starts = self._starts_digest()
-        return observations
-
-    def _starts_digest(self) -> str:
         sim = self.env.scene.sim
         digest = hashlib.sha256(sim.motion.cpu().numpy().tobytes())
         wrench = self.env.scene.robot.permanent_wrench
         for name, value in (*sorted(sim.expanded.items()), ("wrench", wrench)):
             digest.update(name.encode() + b"\0" + value.cpu().contiguous().numpy().tobytes())
-        return digest.hexdigest()
+        self.starts = digest.hexdigest()
+        return observations
 
     @torch.inference_mode()
     def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:

@@ -38,15 +38,11 @@ def task_env(
     composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
     with composed.placing():
         env = build_env(composed.config, composed.asset_roots)
-        _require_concatenated(env)
+        for group, concatenated in env.observation_manager.group_obs_concatenate.items():
+            if not concatenated:
+                key = f"env.observations.{group}.concatenate_terms"
+                raise ConfigError("Gymnasium needs one array for each observation group", key=key, expected="true")
     return env
-
-
-def _require_concatenated(env: ManagerBasedRLEnv) -> None:
-    for group, concatenated in env.observation_manager.group_obs_concatenate.items():
-        if not concatenated:
-            key = f"env.observations.{group}.concatenate_terms"
-            raise ConfigError("Gymnasium needs one array for each observation group", key=key, expected="true")
 
 
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:

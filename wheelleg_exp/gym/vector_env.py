@@ -121,7 +121,12 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         infos: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             started = self._done
-            self._add_final(infos, as_arrays(extras["final_obs"]), extras)
+            final_obs = as_arrays(extras["final_obs"])
+            non_finite = extras["non_finite"]["keys"] if "non_finite" in extras else {}
+            for env_id in np.flatnonzero(self._done).tolist():
+                info = {"non_finite": non_finite[env_id]} if env_id in non_finite else {}
+                last = {group: value[env_id] for group, value in final_obs.items()}
+                self._add_info(infos, {"final_obs": last, "final_info": info}, env_id)
         elif "non_finite" in extras:
             for env_id, keys in extras["non_finite"]["keys"].items():
                 self._add_info(infos, {"non_finite": keys}, env_id)
@@ -129,13 +134,6 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             infos |= _log(extras, started)
         rewards = host_copy(reward.double())
         return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos
-
-    def _add_final(self, infos: dict[str, Any], final_obs: Arrays, extras: dict[str, Any]) -> None:
-        non_finite = extras["non_finite"]["keys"] if "non_finite" in extras else {}
-        for env_id in np.flatnonzero(self._done).tolist():
-            info = {"non_finite": non_finite[env_id]} if env_id in non_finite else {}
-            last = {group: value[env_id] for group, value in final_obs.items()}
-            self._add_info(infos, {"final_obs": last, "final_info": info}, env_id)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return an image (height, width, 3) of every environment, or None without a ``render_mode``."""

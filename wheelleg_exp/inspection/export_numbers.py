@@ -57,17 +57,22 @@ def export(
     require_new(output)
     chosen = Selection() if selection is None else selection
     if terms:
-        table = _of_terms(recording, terms, chosen)
+        tables = []
+        for frames in frames_for(recording, terms, chosen):
+            entities = {term: find_number(recording, term, frames.env_id).entity for term in terms}
+            is_several = len(recording.env_ids) > 1 and frames.env_id is not None
+            tables.append(_described(frames.table, entities, recording, frames.env_id if is_several else None))
+        table = pa.concat_tables(tables, promote_options="default")
         if not len(table) and not chosen.is_all:
             raise nothing_chosen(recording)
         write_new(output, encoded(table, kind))
         return [_exported(output, "terms", table)]
     groups = {name.split(".")[0]: None for env_id in recording.env_ids for name in recording.all_numbers(env_id)}
-    tables = {group: table for group in groups if (table := _of_group(recording, group, chosen)).num_rows}
-    if not tables:
+    of_groups = {group: table for group in groups if (table := _of_group(recording, group, chosen)).num_rows}
+    if not of_groups:
         raise nothing_chosen(recording)
-    _write_folder(output, tables, kind)
-    return [_exported(output / f"{_file_name(group)}.{kind}", group, table) for group, table in tables.items()]
+    _write_folder(output, of_groups, kind)
+    return [_exported(output / f"{_file_name(group)}.{kind}", group, table) for group, table in of_groups.items()]
 
 
 def encoded(table: pa.Table, kind: str) -> bytes:
@@ -110,15 +115,6 @@ def _file_name(group: str) -> str:
 def _within(group: str, name: str) -> str:
     short = name.removeprefix(f"{group}.")
     return name if short in (*TIMES, ENV) else short
-
-
-def _of_terms(recording: Recording, terms: Sequence[str], selection: Selection) -> pa.Table:
-    tables = []
-    for frames in frames_for(recording, terms, selection):
-        entities = {term: find_number(recording, term, frames.env_id).entity for term in terms}
-        is_several = len(recording.env_ids) > 1 and frames.env_id is not None
-        tables.append(_described(frames.table, entities, recording, frames.env_id if is_several else None))
-    return pa.concat_tables(tables, promote_options="default")
 
 
 def _described(table: pa.Table, entities: Mapping[str, str], recording: Recording, env_id: int | None) -> pa.Table:

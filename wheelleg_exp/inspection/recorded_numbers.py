@@ -193,7 +193,11 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
     word = name.replace("/", ".")
     ends = [number for number in numbers if number.endswith(f".{word}")]
     nearest = min(ends, key=len) if ends else nearest_name(word, list(numbers))
-    expected = _expected(name, list(numbers))
+    names = list(numbers)
+    top = name.replace("/", ".").split(".")[0]
+    below = [n for n in names if n.startswith(f"{top}.")]
+    shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in names)]
+    expected = "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
     raise WheellegError(f"no number '{name}' was recorded", key=key, expected=expected, nearest=nearest)
 
 
@@ -213,13 +217,6 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
 def is_of_env(number: Number) -> bool:
     """Return whether a recorded number belongs to one of several recorded environments."""
     return BRANCH.match(number.entity) is not None
-
-
-def _expected(name: str, names: list[str]) -> str:
-    top = name.replace("/", ".").split(".")[0]
-    below = [n for n in names if n.startswith(f"{top}.")]
-    shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in names)]
-    return "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
 
 
 @dataclass(frozen=True)

@@ -154,19 +154,15 @@ def _term(source: Source, term: str) -> list[Panel]:
         source.series(source.path(*term.split(".")))  # An unknown entity raises an error.
         return []
     if entity.startswith(f"{TRAINING}/"):
-        return [_training_panel(source, entity, term)]
+        series = source.series(entity)
+
+        def draw(axes: Axes) -> None:
+            x = series.iteration if series.iteration is not None else series.step
+            plots_training.draw_curve(axes, x, series.first, colour(0))
+            plots_training.over_iterations(axes)
+
+        return [Panel(term, draw, height=3.0, wide=True)]
     return plots_motion.series_panel(source, entity, term)
-
-
-def _training_panel(source: Source, entity: str, title: str) -> Panel:
-    series = source.series(entity)
-
-    def draw(axes: Axes) -> None:
-        x = series.iteration if series.iteration is not None else series.step
-        plots_training.draw_curve(axes, x, series.first, colour(0))
-        plots_training.over_iterations(axes)
-
-    return Panel(title, draw, height=3.0, wide=True)
 
 
 def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) -> list[Panel]:
@@ -180,16 +176,12 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     return [_overlaid_panel(sources, series, i, term, widest, small) for i in range(widest.values.shape[1])]
 
 
-def _title(term: str) -> str:
-    word = term.removeprefix(f"{TRAINING}/")
-    named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
-    return named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))
-
-
 def _overlaid_panel(
     sources: Mapping[str, Source], series: Mapping[str, Series], column: int, term: str, widest: Series, small: bool
 ) -> Panel:
-    shown = _title(term)
+    word = term.removeprefix(f"{TRAINING}/")
+    named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
+    shown = named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))
     many = widest.values.shape[1] > 1
     in_training = all(source.is_training for source in sources.values()) and term.replace(".", "/").startswith(TRAINING)
 

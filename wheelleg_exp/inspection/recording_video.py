@@ -60,18 +60,6 @@ def video(
     frames. A wrong argument raises WheellegError.
     """
     path = Path(path)
-    _require(path, fps, speed, width, height)
-    chosen = Selection() if selection is None else selection
-    shown = scenery(recording, chosen.env_id)
-    takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
-    pictures = _pictures(shown, takes, width, height, caption)
-    total = sum(map(len, takes))
-    report = None if progress is None else lambda done: progress(done, total)
-    codec = video_file.write(path, pictures, fps, (width, height), report)
-    return Video(total, fps, codec, shown.env_id)
-
-
-def _require(path: Path, fps: float, speed: float, width: int, height: int) -> None:
     if path.suffix.lower() not in video_file.KINDS:
         expected = "a name that ends with " + ", ".join(video_file.KINDS)
         raise WheellegError(f"'{path}' is not a video file", expected=expected)
@@ -83,6 +71,14 @@ def _require(path: Path, fps: float, speed: float, width: int, height: int) -> N
         raise WheellegError(f"a video cannot have {fps:g} pictures a second", key="--fps", expected="1 to 240")
     if not (1e-3 <= speed <= 1e3):
         raise WheellegError(f"a video cannot have a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
+    chosen = Selection() if selection is None else selection
+    shown = scenery(recording, chosen.env_id)
+    takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
+    pictures = _pictures(shown, takes, width, height, caption)
+    total = sum(map(len, takes))
+    report = None if progress is None else lambda done: progress(done, total)
+    codec = video_file.write(path, pictures, fps, (width, height), report)
+    return Video(total, fps, codec, shown.env_id)
 
 
 def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:

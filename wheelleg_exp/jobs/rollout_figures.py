@@ -228,19 +228,6 @@ class MotionMeter:
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)
-        self._stray(now)
-        self._bear(now)
-        both = now & self._before
-        action = env.action_manager
-        jump = (action.action - action.prev_action).abs().mean(dim=1)
-        self._changed += torch.where(both, jump, 0.0)
-        self._pairs += both
-        self._steps += now
-        self._before, self._settled = now, self._settled | now
-        self._running = self._running & ~env.termination_manager.dones
-        self._effort.begin(now)
-
-    def _stray(self, now: torch.Tensor) -> None:
         data = self._env.scene.robot.data
         place, heading = data.root_pos_w[:, :2].double(), data.heading_w.double()
         first = now & ~self._settled
@@ -250,13 +237,20 @@ class MotionMeter:
         away = torch.linalg.vector_norm(place - self._place, dim=1)
         self._drift = torch.where(now, torch.maximum(self._drift, away), self._drift)
         self._yaw = torch.where(now, torch.maximum(self._yaw, self._turned.abs()), self._yaw)
-
-    def _bear(self, now: torch.Tensor) -> None:
         mask = now.unsqueeze(1)
         self._squares += torch.where(mask, self._effort.torque_rms().double().square(), 0.0)
         self._limit += torch.where(mask, self._effort.shares().double(), 0.0)
         self._flips += torch.where(mask, self._effort.sign_changes.double(), 0.0)
         self._work += torch.where(now, self._effort.net.double(), 0.0)
+        both = now & self._before
+        action = env.action_manager
+        jump = (action.action - action.prev_action).abs().mean(dim=1)
+        self._changed += torch.where(both, jump, 0.0)
+        self._pairs += both
+        self._steps += now
+        self._before, self._settled = now, self._settled | now
+        self._running = self._running & ~env.termination_manager.dones
+        self._effort.begin(now)
 
     def figures(self) -> MotionFigures:
         """Return the metrics of the episodes measured so far."""

@@ -157,7 +157,15 @@ class SweepRunner:
                 self._listen()
                 self._reap()
         finally:
-            self._end_all()
+            # Stop the jobs that still run when the sweep itself fails or is interrupted for the second time.
+            try:
+                self._end(lambda job: job.ask_to_stop(), 0.0)
+                self._end(lambda job: job.interrupt(), _PATIENCE_S)
+                self._end(lambda job: job.kill(), _PATIENCE_S)
+            finally:
+                for job in self._running:  # A third interrupt stops waiting for the jobs.
+                    job.kill()
+                    job.close()
 
     def _start(self, entry: dict[str, Any], request: JobRequest) -> None:
         if not self._launcher.queued:
@@ -207,17 +215,6 @@ class SweepRunner:
         if job.ended is not None:
             return job.ended["status"], {}, job.ended["error"]
         return "failed", {}, {"type": "error", "message": f"its process {job.describe_death()}"}
-
-    def _end_all(self) -> None:
-        """Stop the jobs that still run when the sweep itself fails or is interrupted for the second time."""
-        try:
-            self._end(lambda job: job.ask_to_stop(), 0.0)
-            self._end(lambda job: job.interrupt(), _PATIENCE_S)
-            self._end(lambda job: job.kill(), _PATIENCE_S)
-        finally:
-            for job in self._running:  # A third interrupt stops waiting for the jobs.
-                job.kill()
-                job.close()
 
     def _end(self, act: Callable[[Job], None], patience_s: float) -> None:
         for job in self._running:

@@ -69,7 +69,11 @@ def _contribution(case: Case, term: TermView) -> Contribution:
     if term.kind in FAILURES:
         return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
     if term.kind in TRACKING:
-        return _tracking(case, term, weight)
+        error, text = tracking_tolerance(case, term)
+        if error == 0.0:
+            return Contribution(term, weight, "no error: nothing is commanded", 1.0)
+        value = _bell(error, term)
+        return Contribution(term, weight, text, value, 1.0 - value)
     if term.kind in _KERNELS:
         return _kernel(case, term, weight)
     known = _SQUARES.get(term.kind)
@@ -77,14 +81,6 @@ def _contribution(case: Case, term: TermView) -> Contribution:
         return Contribution(term, weight, "", None)
     text, value = known(case, term)
     return Contribution(term, weight, text, value, value)
-
-
-def _tracking(case: Case, term: TermView, weight: float) -> Contribution:
-    error, text = tracking_tolerance(case, term)
-    if error == 0.0:
-        return Contribution(term, weight, "no error: nothing is commanded", 1.0)
-    value = _bell(error, term)
-    return Contribution(term, weight, text, value, 1.0 - value)
 
 
 def _kernel(case: Case, term: TermView, weight: float) -> Contribution:

@@ -84,21 +84,18 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
-        _tell_writes(env, path, {**env.scene.motion(), **written}, ids)
+        written = {**env.scene.motion(), **written}
+        before = set(ids_where(env.scene.unstable()).tolist())  # environments that failed before the event ran
+        for name, values in written.items():
+            bad = set(failed_rows(values).tolist()) - before
+            bad &= bad if ids is None else set(ids.tolist())
+            if bad:
+                found = torch.tensor(sorted(bad), device=env.device)
+                raise failure(env, path, f"the event wrote numbers that are not finite into {name}", found)
 
 
 def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
     return values if ids is None else values.index_select(0, ids)
-
-
-def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:
-    before = set(ids_where(env.scene.unstable()).tolist())  # environments that failed before the event ran
-    for name, values in written.items():
-        bad = set(failed_rows(values).tolist()) - before
-        bad &= bad if ids is None else set(ids.tolist())
-        if bad:
-            found = torch.tensor(sorted(bad), device=env.device)
-            raise failure(env, path, f"the event wrote numbers that are not finite into {name}", found)
 
 
 def note_observations(env: Env) -> None:

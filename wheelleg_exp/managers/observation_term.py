@@ -54,7 +54,16 @@ class ObservationTerm(Kept):
         self._generator = env.streams.get(f"{term.path}.noise")
         clip = term.fields.get("clip")
         self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
-        self._require_callables()
+        for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
+            for part in parts:
+                if part is not None and not hasattr(part, method):
+                    kind = type(part)
+                    what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
+                    raise ConfigError(
+                        f"{what} has no {method}()",
+                        key=f"{self.term.path}.{name}",
+                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()",
+                    )
         self._flatten = flatten
         term.form = row_form(env.num_envs, env.device, deep=True)
         sample = term(env)
@@ -213,18 +222,6 @@ class ObservationTerm(Kept):
             raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
         require_form(self._part_forms[name], value, f"'{target}'", path, part)
         return value
-
-    def _require_callables(self) -> None:
-        for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
-            for part in parts:
-                if part is not None and not hasattr(part, method):
-                    kind = type(part)
-                    what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
-                    raise ConfigError(
-                        f"{what} has no {method}()",
-                        key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()",
-                    )
 
     def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
         if scale is None or isinstance(scale, (int, float)):

@@ -242,16 +242,13 @@ class RecorderManager(ManagerBase):
         for term, recorder in self._hooks[hook]:
             with term.blamed():
                 found = list(recorded_arrays(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder))
-                for name, _ in found:
-                    self._require_own(name, term.path)
+                for key, _ in found:
+                    first = self._owners.setdefault(key, term.path)
+                    if first != term.path:
+                        raise ConfigError(f"'{key}' is already recorded by {first}", expected="a key for each quantity")
+                    if key.split("/")[0] in _OWN:
+                        raise ConfigError(f"'{key}' is reserved for data about episodes", expected="another key")
             yield from found
-
-    def _require_own(self, key: str, owner: str) -> None:
-        first = self._owners.setdefault(key, owner)
-        if first != owner:
-            raise ConfigError(f"'{key}' is already recorded by {first}", expected="a key for each quantity")
-        if key.split("/")[0] in _OWN:
-            raise ConfigError(f"'{key}' is reserved for data about episodes", expected="another key")
 
     def _append(self, hook: str) -> None:
         if not self._hooks[hook]:

@@ -82,7 +82,13 @@ class TensorForm:
 
     def _mistake(self, value: Any) -> tuple[str, str]:
         if not isinstance(value, torch.Tensor):
-            return _describe_other(value)
+            if value is None:
+                return "nothing", "a return statement may be missing"
+            if isinstance(value, np.ndarray):
+                return "a numpy array", "torch.from_numpy(value)"
+            if isinstance(value, (bool, int, float, np.generic)):
+                return described(value), "torch.full((env.num_envs,), value)"
+            return described(value), "torch.tensor(value)" if isinstance(value, list) else ""
         if not self._has_shape(value.shape) or (self._shape is not None and value.shape != self._shape):
             before = "" if self._shape is None else f", and {tuple(self._shape)} before"
             return f"shape {tuple(value.shape)}{before}", self._reshaped(value.shape)
@@ -146,16 +152,6 @@ def _is_number(value: Any) -> bool:
     if isinstance(value, (torch.Tensor, np.ndarray)):
         return math.prod(value.shape) == 1
     return isinstance(value, (int, float, np.generic)) and not isinstance(value, np.str_)
-
-
-def _describe_other(value: Any) -> tuple[str, str]:
-    if value is None:
-        return "nothing", "a return statement may be missing"
-    if isinstance(value, np.ndarray):
-        return "a numpy array", "torch.from_numpy(value)"
-    if isinstance(value, (bool, int, float, np.generic)):
-        return described(value), "torch.full((env.num_envs,), value)"
-    return described(value), "torch.tensor(value)" if isinstance(value, list) else ""
 
 
 def _dtype_name(dtype: torch.dtype) -> str:

@@ -146,7 +146,13 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     path = Path(place).expanduser().absolute()
     name = path.name
     require_name(name)
-    _require_place(path)
+    _require_free(path)
+    if not path.parent.is_dir():
+        raise NameTaken("there is no such folder", key=str(path.parent))
+    home = configs_dir().parent
+    if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
+        beside = Path(os.path.relpath(home.parent / path.name))
+        raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
     if source is not None:
         _require_source(source)
     # Write a draft folder next to the target and rename it, so that a failed check leaves no files at the target.
@@ -158,16 +164,6 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
         _require_free(path)
         draft.rename(path)
     return Created(path, name, files, robot, accepted)
-
-
-def _require_place(path: Path) -> None:
-    _require_free(path)
-    if not path.parent.is_dir():
-        raise NameTaken("there is no such folder", key=str(path.parent))
-    home = configs_dir().parent
-    if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
-        beside = Path(os.path.relpath(home.parent / path.name))
-        raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
 
 
 def _require_free(path: Path) -> None:
@@ -202,7 +198,17 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        accepted = _accept(draft, name)
+        # Silence the findings of `wheelleg check --physics` in the task file, with the message as the reason.
+        found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
+        rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
+        accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
+        if accepted:
+            task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
+            lines = "".join(
+                f"    {rule}: {json.dumps(f'a property of this robot: {text}', ensure_ascii=False)}\n"
+                for rule, text in accepted.items()
+            )
+            task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")
     finally:
         projects.forget(draft)
     return robot, accepted
@@ -220,21 +226,3 @@ def _surveyed(
             if text is not None:
                 setattr(error, part, text.replace(str(folder), str(source.parent)))
         raise
-
-
-def _accept(draft: Path, name: str) -> dict[str, str]:
-    """Silence the findings of `wheelleg check --physics` in the task file, with the message as the reason.
-
-    Findings of the rules in `_NEVER_SILENCED` are not silenced.
-    """
-    found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
-    rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
-    accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
-    if accepted:
-        task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
-        lines = "".join(
-            f"    {rule}: {json.dumps(f'a property of this robot: {text}', ensure_ascii=False)}\n"
-            for rule, text in accepted.items()
-        )
-        task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")
-    return accepted

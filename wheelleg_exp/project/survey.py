@@ -143,7 +143,12 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
-        _require_robot(conversion.description, source)
+        if not conversion.description.dofs:
+            raise AssetError("the robot has no joints", where=str(source), expected=_EXPECTED)
+        balls = [dof.name for dof in conversion.description.dofs if dof.kind == "ball"]
+        if balls:
+            message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
+            raise AssetError(message, where=str(source), expected="hinges and slides")
         names = [dof.name for dof in conversion.description.dofs]
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
         read = {dof.name: default_position(dof) for dof in conversion.description.dofs}
@@ -169,15 +174,6 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
             model = scene.spec.compile()
         return _measured(conversion, scene.robot, model, chosen, standing)
-
-
-def _require_robot(robot: RobotDescription, source: Path) -> None:
-    if not robot.dofs:
-        raise AssetError("the robot has no joints", where=str(source), expected=_EXPECTED)
-    balls = [dof.name for dof in robot.dofs if dof.kind == "ball"]
-    if balls:
-        message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
-        raise AssetError(message, where=str(source), expected="hinges and slides")
 
 
 def _require_floating(robot: Robot, source: Path) -> None:

@@ -46,14 +46,7 @@ class Poses:
 def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
     import mujoco
 
-    model = _prepared(order)
-    with mujoco.Renderer(model, order.height, order.width) as renderer:
-        draw = _Draw(renderer, model, order)
-        yield lambda poses: b"".join(np.ascontiguousarray(p).tobytes() for qpos in poses.qpos for p in draw(qpos))
-
-
-def _prepared(order: CameraOrder) -> Any:
-    """Return the model with the picture's size, the clipping range, and only its visible geoms."""
+    # The model with the picture's size, the clipping range, and only its visible geoms.
     from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
     model = order.model
@@ -66,7 +59,9 @@ def _prepared(order: CameraOrder) -> Any:
     seen = {geom for body in range(model.nbody) for geom in body_geoms(model, body)[0]}
     for geom in range(model.ngeom):
         model.geom_group[geom] = 0 if geom in seen or is_plane(model, geom) else _HIDDEN
-    return model
+    with mujoco.Renderer(model, order.height, order.width) as renderer:
+        draw = _Draw(renderer, model, order)
+        yield lambda poses: b"".join(np.ascontiguousarray(p).tobytes() for qpos in poses.qpos for p in draw(qpos))
 
 
 class _Draw:

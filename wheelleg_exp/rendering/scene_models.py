@@ -193,7 +193,14 @@ def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.M
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
-    _lights(spec, scene.size)
+    # Add a key light with shadows and a fill light from the other side, on a rig that follows the robot.
+    rig = spec.worldbody.add_body(name=RIG, mocap=True)
+    for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
+        position = np.array(place) * 4.0 * scene.size
+        rig.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=position, dir=-position / np.linalg.norm(position),
+            castshadow=shadow, ambient=[0, 0, 0], diffuse=[strength] * 3, specular=[0.25 * shadow] * 3,
+        )  # fmt: skip
     for i, shape in enumerate(scene.fixed):
         _add(spec, spec.worldbody, shape, f"fixed_{i}")
     for b, shapes in enumerate(scene.bodies.values()):
@@ -235,17 +242,6 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, height], material="floor",
         contype=0, conaffinity=0,
     )  # fmt: skip
-
-
-def _lights(spec: Any, size: float) -> None:
-    """Add a key light with shadows and a fill light from the other side, on a rig that follows the robot."""
-    rig = spec.worldbody.add_body(name=RIG, mocap=True)
-    for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
-        position = np.array(place) * 4.0 * size
-        rig.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=position, dir=-position / np.linalg.norm(position),
-            castshadow=shadow, ambient=[0, 0, 0], diffuse=[strength] * 3, specular=[0.25 * shadow] * 3,
-        )  # fmt: skip
 
 
 def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:

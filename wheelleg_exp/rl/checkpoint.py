@@ -49,7 +49,22 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         with warnings.catch_warnings():  # torch warns about files of other formats.
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
-        _require_bounded(state, path.stat().st_size)
+        # Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file.
+        size = path.stat().st_size
+        waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
+        while waiting:
+            value, depth = waiting.pop()
+            parts += 1
+            if isinstance(value, torch.Tensor):
+                if value.layout is not torch.strided or value.device.type != "cpu":
+                    raise ValueError("the checkpoint contains a tensor without numbers")
+                room -= value.numel() * value.element_size()
+            elif isinstance(value, Mapping):
+                waiting += [(item, depth + 1) for pair in value.items() for item in pair]
+            elif isinstance(value, (list, tuple, set, frozenset)):
+                waiting += [(item, depth + 1) for item in value]
+            if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
+                raise ValueError("the checkpoint is larger than its file")
     except Exception as error:  # A damaged archive can raise any error. No code in the archive runs.
         message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
@@ -89,24 +104,6 @@ def require_resumable(state: Mapping[str, Any]) -> None:
             f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
             expected=f"version {FORMAT_VERSION}, which holds all that a training depends on",
         )
-
-
-def _require_bounded(state: Any, size: int) -> None:
-    """Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file."""
-    waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
-    while waiting:
-        value, depth = waiting.pop()
-        parts += 1
-        if isinstance(value, torch.Tensor):
-            if value.layout is not torch.strided or value.device.type != "cpu":
-                raise ValueError("the checkpoint contains a tensor without numbers")
-            room -= value.numel() * value.element_size()
-        elif isinstance(value, Mapping):
-            waiting += [(item, depth + 1) for pair in value.items() for item in pair]
-        elif isinstance(value, (list, tuple, set, frozenset)):
-            waiting += [(item, depth + 1) for item in value]
-        if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
-            raise ValueError("the checkpoint is larger than its file")
 
 
 def _rebuilt(value: Any) -> Any:

@@ -25,10 +25,6 @@ def torchscript(policy: MLPModel) -> bytes:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.jit.save(torch.jit.script(policy.as_jit().eval()), archive)
-    return _without_source_paths(archive)
-
-
-def _without_source_paths(archive: io.BytesIO) -> bytes:
     copy = io.BytesIO()
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(copy, "w", zipfile.ZIP_STORED) as target:
         for name in source.namelist():

@@ -181,14 +181,29 @@ class TermMirror:
         if rule == "phases":
             return self._phases(term, path)
         if rule == "actions":
-            return self._action_of(term)
+            manager, name = self._env.action_manager, term.term.params.get("action_name")
+            if name is None:
+                return self._action
+            start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
+            part = self._action[start : start + manager.get_term(name).action_dim]
+            return [(source - start, sign) for source, sign in part]
         if rule in BODY_RULES:
             return self._bodies_of(rule, term, path)
         if rule == "rays":
             return mirror_rays(self._sensor(term, "sensor_cfg"), self._bodies, path)
         if rule in IMU_RULES:
             return mirror_imu(self._sensor(term, "asset_cfg"), IMU_RULES[rule], self._bodies, path)
-        joints = self._joints_of(term, path)
+        entity = term.term.params.get("asset_cfg")
+        names = self._env.scene.robot.joint_names
+        ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
+        for joint in ids:
+            if self._images[joint] not in ids:
+                raise ConfigError(
+                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
+                    key=path,
+                    expected="joints of both sides",
+                )
+        joints = [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
         if rule == "joints_sin_cos":
             return joints + [(len(joints) + source, 1.0) for source, _ in joints]
         return joints
@@ -245,27 +260,6 @@ class TermMirror:
             first = names.index(image) * len(signs)
             found += [(first + i, float(sign)) for i, sign in enumerate(signs)]
         return found
-
-    def _joints_of(self, term: ObservationTerm, path: str) -> SignedSources:
-        entity = term.term.params.get("asset_cfg")
-        names = self._env.scene.robot.joint_names
-        ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
-        for joint in ids:
-            if self._images[joint] not in ids:
-                raise ConfigError(
-                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
-                    key=path,
-                    expected="joints of both sides",
-                )
-        return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
-
-    def _action_of(self, term: ObservationTerm) -> SignedSources:
-        manager, name = self._env.action_manager, term.term.params.get("action_name")
-        if name is None:
-            return self._action
-        start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
-        part = self._action[start : start + manager.get_term(name).action_dim]
-        return [(source - start, sign) for source, sign in part]
 
 
 def _chosen(ids: Any, every: list[Any]) -> list[Any]:

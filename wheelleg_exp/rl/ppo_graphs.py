@@ -89,13 +89,33 @@ class CapturedUpdate:
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
         self._sums.zero_()
-        settings = self._lend_the_optimizer()
+        # Make Adam one kernel that reads its learning rate from the GPU; return its previous settings.
+        optimizer = self._algorithm.optimizer
+        settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
+        for group in optimizer.param_groups:
+            group["lr"] = self._rate
+            if self._on_gpu:
+                group.update(capturable=True, fused=True, foreach=False)
+        if self._on_gpu:
+            for parameter, state in optimizer.state.items():
+                if isinstance(state.get("step"), torch.Tensor):
+                    state["step"] = state["step"].to(parameter.device)
         self._minibatches(order)
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
-            _normalize(network, observations)
+            # Update the running means and deviations of a network's observations, in the memory that the graph reads.
+            before = dict(network.named_buffers())
+            network.update_normalization(observations)
+            for name, static in before.items():
+                now = network.get_buffer(name)
+                if now is not static:
+                    static.copy_(now)
+                    holder, _, last = name.rpartition(".")
+                    setattr(network.get_submodule(holder), last, static)
         rate, *sums = torch.cat([self._rate.view(1), self._sums]).tolist()
-        self._take_back(settings, rate)
+        self._algorithm.learning_rate = rate
+        for group, own in zip(self._algorithm.optimizer.param_groups, settings, strict=True):
+            group.update(own, lr=rate)
         storage.clear()
         updates = algorithm.num_learning_epochs * count
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
@@ -138,25 +158,6 @@ class CapturedUpdate:
         extras = [storage.returns, storage.values, *(storage.distribution_params or ())]
         return tuple(v.data_ptr() for v in (*states, *parameters, *extras) if isinstance(v, torch.Tensor))
 
-    def _lend_the_optimizer(self) -> list[dict[str, Any]]:
-        """Make Adam one kernel that reads its learning rate from the GPU; return its previous settings."""
-        optimizer = self._algorithm.optimizer
-        settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
-        for group in optimizer.param_groups:
-            group["lr"] = self._rate
-            if self._on_gpu:
-                group.update(capturable=True, fused=True, foreach=False)
-        if self._on_gpu:
-            for parameter, state in optimizer.state.items():
-                if isinstance(state.get("step"), torch.Tensor):
-                    state["step"] = state["step"].to(parameter.device)
-        return settings
-
-    def _take_back(self, settings: list[dict[str, Any]], rate: float) -> None:
-        self._algorithm.learning_rate = rate
-        for group, own in zip(self._algorithm.optimizer.param_groups, settings, strict=True):
-            group.update(own, lr=rate)
-
     def _minibatch(self) -> None:
         algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
         observations = storage.observations.flatten(0, 1)[rows]
@@ -179,8 +180,17 @@ class CapturedUpdate:
                 if algorithm.is_multi_gpu:
                     torch.distributed.all_reduce(divergence)
                     divergence /= algorithm.gpu_world_size
-                self._adapt(divergence)
-        surrogate = self._surrogate(log_prob - old_log_prob.squeeze(-1), advantages.squeeze(-1))
+                # Lower or raise the learning rate if the policy changed more or less than desired.
+                desired, rate = self._algorithm.desired_kl, self._rate
+                slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
+                raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
+                rate.copy_(torch.where(divergence > desired * 2, slower, raised))
+        # The negative clipped surrogate objective (Schulman et al. 2017, eq. 7).
+        change = log_prob - old_log_prob.squeeze(-1)
+        advantages = advantages.squeeze(-1)
+        ratio, clip = change.exp(), self._algorithm.clip_param
+        clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+        surrogate = torch.max(-advantages * ratio, -advantages * clipped).mean()
         value = self._value(values, old_values, returns)
         loss = surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy
         found: list[torch.Tensor] = []
@@ -196,19 +206,6 @@ class CapturedUpdate:
         algorithm.optimizer.step()
         self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
 
-    def _adapt(self, divergence: torch.Tensor) -> None:
-        """Lower or raise the learning rate if the policy changed more or less than desired."""
-        desired, rate = self._algorithm.desired_kl, self._rate
-        slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
-        raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
-        rate.copy_(torch.where(divergence > desired * 2, slower, raised))
-
-    def _surrogate(self, change: torch.Tensor, advantages: torch.Tensor) -> torch.Tensor:
-        """Return the negative clipped surrogate objective (Schulman et al. 2017, eq. 7)."""
-        ratio, clip = change.exp(), self._algorithm.clip_param
-        clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-        return torch.max(-advantages * ratio, -advantages * clipped).mean()
-
     def _value(self, values: torch.Tensor, old: torch.Tensor, returns: torch.Tensor) -> torch.Tensor:
         """Return the squared error of the critic, or of its clipped change if that error is larger."""
         error = (values - returns).pow(2)
@@ -217,18 +214,6 @@ class CapturedUpdate:
         clip = self._algorithm.clip_param
         clipped = old + (values - old).clamp(-clip, clip)
         return torch.max(error, (clipped - returns).pow(2)).mean()
-
-
-def _normalize(network: Any, observations: Any) -> None:
-    """Update the running means and deviations of a network's observations, in the memory that the graph reads."""
-    before = dict(network.named_buffers())
-    network.update_normalization(observations)
-    for name, static in before.items():
-        now = network.get_buffer(name)
-        if now is not static:
-            static.copy_(now)
-            holder, _, last = name.rpartition(".")
-            setattr(network.get_submodule(holder), last, static)
 
 
 def can_capture_acting(algorithm: Any) -> bool:

@@ -223,15 +223,12 @@ class Ranks:
         except WheellegError as error:
             mine = error
         if self.any(mine is not None):
-            self._fail(mine)
-
-    def _fail(self, mine: WheellegError | None) -> None:
-        received = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
-        rank, found = next(((rank, found) for rank, found in enumerate(received) if found["error"]), (0, {}))
-        keeps = self.said_by_first(bool(found.get("evidence")))
-        if not self.first:
-            raise FirstRankFailed(keeps) from mine
-        raise mine or error_from_facts(rank, found["error"], found["evidence"])
+            received = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
+            rank, found = next(((rank, found) for rank, found in enumerate(received) if found["error"]), (0, {}))
+            keeps = self.said_by_first(bool(found.get("evidence")))
+            if not self.first:
+                raise FirstRankFailed(keeps) from mine
+            raise mine or error_from_facts(rank, found["error"], found["evidence"])
 
     def require_equal(self, values: Mapping[str, str]) -> None:
         """Raise ConfigError if digests, given by name, differ between ranks."""

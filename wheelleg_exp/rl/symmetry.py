@@ -35,11 +35,28 @@ class Mirror:
         self, env: ManagerBasedRLEnv, options: SymmetryOptions, groups: Iterable[str], device: str | torch.device
     ) -> None:
         self._env, self._options, self.device = env, options, device
-        self._require_known_terms(groups)
+        manager = self._env.observation_manager
+        names = dict.fromkeys(name for group in groups for name in manager.terms(group))
+        for name, rule in self._options.terms.items():
+            if name not in names:
+                key, message = f"{mirror_rules.RULES_KEY}.{name}", "no network sees such an observation"
+                expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
+                raise ConfigError(message, key=key, expected=expected, nearest=nearest)
+            if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
+                raise mirror_rules.unknown_rule_error(rule, name)
         robot = env.scene.robot
         self._images = joint_images(robot.joint_names, options.joint_pairs)
         self._signs = joint_signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
-        self._require_defaults()
+        robot = self._env.scene.robot
+        pose = robot.layout.default_joint_pos.tolist()
+        for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
+            if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
+                names = robot.joint_names
+                raise ConfigError(
+                    f"'{names[joint]}' and its image '{names[image]}' start at {pose[joint]:g} and {pose[image]:g} rad",
+                    key="env.robot.init_state.joint_pos",
+                    expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {JOINT_PAIRS_KEY}",
+                )
         self._action = self._actions()
         self._turning = TermMirror(env, self._images, self._signs, self._action)
         self._groups = {group: _index_and_sign_tensors(self._group(group), device) for group in dict.fromkeys(groups)}
@@ -115,7 +132,14 @@ class Mirror:
             shown = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {shown} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
-        self._require_even(term, turned, path)
+        # Raise ConfigError if clip or scale treat a number and its image differently.
+        clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
+        if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
+            message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
+            raise ConfigError(message, key=f"{path}.clip", expected="[-x, x]")
+        if isinstance(scale, Sequence) and any(not math.isclose(scale[i], scale[s]) for i, (s, _) in enumerate(turned)):
+            message = "the scale differs between numbers that are mirror images"
+            raise ConfigError(message, key=f"{path}.scale", expected="one factor for both")
         return turned
 
     def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
@@ -130,39 +154,6 @@ class Mirror:
                 expected="one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number",
             )
         return rule
-
-    def _require_even(self, term: ObservationTerm, turned: SignedSources, path: str) -> None:
-        """Raise ConfigError if clip or scale treat a number and its image differently."""
-        clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
-        if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
-            message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
-            raise ConfigError(message, key=f"{path}.clip", expected="[-x, x]")
-        if isinstance(scale, Sequence) and any(not math.isclose(scale[i], scale[s]) for i, (s, _) in enumerate(turned)):
-            message = "the scale differs between numbers that are mirror images"
-            raise ConfigError(message, key=f"{path}.scale", expected="one factor for both")
-
-    def _require_defaults(self) -> None:
-        robot = self._env.scene.robot
-        pose = robot.layout.default_joint_pos.tolist()
-        for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
-            if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
-                names = robot.joint_names
-                raise ConfigError(
-                    f"'{names[joint]}' and its image '{names[image]}' start at {pose[joint]:g} and {pose[image]:g} rad",
-                    key="env.robot.init_state.joint_pos",
-                    expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {JOINT_PAIRS_KEY}",
-                )
-
-    def _require_known_terms(self, groups: Iterable[str]) -> None:
-        manager = self._env.observation_manager
-        names = dict.fromkeys(name for group in groups for name in manager.terms(group))
-        for name, rule in self._options.terms.items():
-            if name not in names:
-                key, message = f"{mirror_rules.RULES_KEY}.{name}", "no network sees such an observation"
-                expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
-                raise ConfigError(message, key=key, expected=expected, nearest=nearest)
-            if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
-                raise mirror_rules.unknown_rule_error(rule, name)
 
 
 class MirroredHalf:

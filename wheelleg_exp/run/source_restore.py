@@ -119,7 +119,19 @@ def restore_source(
 
 def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
     try:
-        clone = _repository_with_objects_of(origin, folder, record["tree"])
+        # Create an empty repository that reads the git objects of ``origin``, but not the settings of ``origin``.
+        kind = "sha256" if len(record["tree"]) > 40 else "sha1"
+        run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
+        clone = Repository(folder.absolute())
+        for key, value in _SETTINGS.items():
+            clone.run("config", key, value)
+        if origin is not None:
+            name = os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix("\n")
+            objects = origin.resolve() / name
+            alternates = folder / ".git" / "objects" / "info" / "alternates"
+            with for_people(alternates):
+                alternates.parent.mkdir(parents=True, exist_ok=True)
+                alternates.write_bytes(os.fsencode(objects.resolve()) + b"\n")
         if record["commit"]:
             clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
             clone.run("read-tree", record["commit"])
@@ -139,20 +151,3 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             message = f"the source cannot be restored: {error}"
             raise SimulationFailure(message, expected="room on a working disk") from error
         raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
-
-
-def _repository_with_objects_of(origin: Path | None, folder: Path, tree: str) -> Repository:
-    """Create an empty repository that reads the git objects of ``origin``, but not the settings of ``origin``."""
-    kind = "sha256" if len(tree) > 40 else "sha1"
-    run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
-    clone = Repository(folder.absolute())
-    for key, value in _SETTINGS.items():
-        clone.run("config", key, value)
-    if origin is not None:
-        name = os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix("\n")
-        objects = origin.resolve() / name
-        alternates = folder / ".git" / "objects" / "info" / "alternates"
-        with for_people(alternates):
-            alternates.parent.mkdir(parents=True, exist_ok=True)
-            alternates.write_bytes(os.fsencode(objects.resolve()) + b"\n")
-    return clone

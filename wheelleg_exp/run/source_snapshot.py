@@ -235,7 +235,11 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
     with git.scratch_index(repository) as scratch:
         filtered = _filtered(repository, repository.paths("ls-files", "-z"))
         refused += filtered + _add_working_tree(scratch, untracked)
-        changes = _changes_from(scratch, record["base"])
+        parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", record["base"])
+        changes = []
+        for facts, path in zip(parts[::2], parts[1::2], strict=True):
+            old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
+            changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
         # Reset the files with a filter program to their base version in the index. Mode 0 removes a path from the
         # index.
         names = {entry.path for entry in filtered}
@@ -252,7 +256,11 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         record["dirty"] = bool(changes) or len(refused) > len(filtered)
         record["submodules"] = _submodules(scratch)
         record["tree"] = scratch.text("write-tree")
-        patch = _patch_from(scratch, record["base"])
+        # The patch that makes the index's tree from ``base``, whatever the user's diff settings are.
+        options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
+        options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
+        options += ["--ignore-submodules=none", "--no-relative", "-U3"]
+        patch = scratch.run("diff-index", *options, record["base"])
         if len(patch) > cap:
             present = [change.path for change in stored if change.new_mode not in (_NO_MODE, _GITLINK)]
             _refuse_patch(record, _sizes(repository, present), "the patch has", len(patch), cap)
@@ -274,7 +282,13 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
-    refused, output = _filtered(repository, paths), _output_files()
+    # The device and inode of the files to which this process writes standard output and standard error.
+    output = set()
+    for descriptor in (1, 2):
+        with suppress(OSError):
+            written = os.fstat(descriptor)
+            output |= {(written.st_dev, written.st_ino)} if stat.S_ISREG(written.st_mode) else set()
+    refused = _filtered(repository, paths)
     filtered, captured = {entry.path for entry in refused}, []
     for path in paths:
         full = repository.top / path
@@ -289,16 +303,6 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
         else:
             captured.append(path)
     return captured, refused
-
-
-def _output_files() -> set[tuple[int, int]]:
-    """Return the device and inode of the files to which this process writes standard output and standard error."""
-    found = set()
-    for descriptor in (1, 2):
-        with suppress(OSError):
-            facts = os.fstat(descriptor)
-            found |= {(facts.st_dev, facts.st_ino)} if stat.S_ISREG(facts.st_mode) else set()
-    return found
 
 
 def _lstat(path: Path) -> os.stat_result | None:
@@ -352,23 +356,6 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
     # --remove accepts files that have disappeared since git listed them.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused
-
-
-def _changes_from(scratch: Repository, base: str) -> list[ChangedPath]:
-    parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
-    changes = []
-    for facts, path in zip(parts[::2], parts[1::2], strict=True):
-        old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
-        changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-    return changes
-
-
-def _patch_from(scratch: Repository, base: str) -> bytes:
-    """Return the patch that makes the index's tree from ``base``, whatever the user's diff settings are."""
-    options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
-    options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
-    options += ["--ignore-submodules=none", "--no-relative", "-U3"]
-    return scratch.run("diff-index", *options, base)
 
 
 def _submodules(scratch: Repository) -> list[dict[str, str]]:

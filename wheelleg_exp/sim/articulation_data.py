@@ -234,7 +234,22 @@ class ArticulationData(RobotData):
         velocity, until the next physics step.
         """
         if self._vel_before is None:
-            self._vel_before = self._velocity_before()
+            # The bodies' velocities at the start of the last physics step.
+            # The stored state has only joint positions and velocities. Write it to the engine, compute the bodies'
+            # velocities, and restore the present state. Only the first read of an acceleration needs this computation.
+            sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
+            self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
+            self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
+            self.invalidate()
+            for name in ("xpos", "xquat", "xipos", "cvel", "subtree_com"):
+                sim.derived(name)
+            sim.forward()
+            velocity = self.body_com_vel_w
+            self._qpos.copy_(now[0])
+            self._qvel.copy_(now[1])
+            sim.forward()
+            self.invalidate()
+            self._vel_before = velocity
             self._acc_valid.copy_(self._torque_valid.unsqueeze(2))
         return (self.body_com_vel_w - self._vel_before) / self._dt * self._acc_valid
 
@@ -247,24 +262,6 @@ class ArticulationData(RobotData):
     def body_com_ang_acc_w(self) -> torch.Tensor:
         """Angular accelerations of the bodies, rad/s^2, (N, B, 3)."""
         return self.body_com_acc_w[..., 3:]
-
-    def _velocity_before(self) -> torch.Tensor:
-        """Return the bodies' velocities at the start of the last physics step."""
-        # The stored state has only joint positions and velocities. Write it to the engine, compute the bodies'
-        # velocities, and restore the present state. Only the first read of an acceleration needs this computation.
-        sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
-        self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
-        self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
-        self.invalidate()
-        for name in ("xpos", "xquat", "xipos", "cvel", "subtree_com"):
-            sim.derived(name)
-        sim.forward()
-        velocity = self.body_com_vel_w
-        self._qpos.copy_(now[0])
-        self._qvel.copy_(now[1])
-        sim.forward()
-        self.invalidate()
-        return velocity
 
     def forget_accelerations(self, ids: torch.Tensor) -> None:
         """Set the accelerations of the environments ``ids`` to zero until the next physics step."""

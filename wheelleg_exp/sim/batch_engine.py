@@ -36,7 +36,10 @@ class BatchEngine(Engine):
     exact = True
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
-        _keep_log_out_of_files()
+        # Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; warnings still appear on the console.
+        config = mujoco.MjLogConfig.get()
+        config.logto_file = False
+        config.set()
         self.model = model
         self.num_envs = num_envs
         self.device = torch.device("cpu")
@@ -152,8 +155,10 @@ class BatchEngine(Engine):
         before = {**self._unedited, **then}
         return {n: before[n].clone() for n, now in sorted(self.expanded.items()) if not torch.equal(before[n], now)}
 
-    def _restore_fields(self, fields: dict[str, torch.Tensor], then: dict[str, torch.Tensor] | None) -> None:
-        """Write model fields, and make MuJoCo derive its constants from the saved values of the last ``set_const``."""
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        # Write model fields, and make MuJoCo derive its constants from the saved values of the last ``set_const``.
+        fields = saved["model_fields"]
+        then = saved["at_set_const"]
         for name in fields:
             self.expand(name)
         now = {**self._unedited, **fields}
@@ -165,17 +170,7 @@ class BatchEngine(Engine):
             self.expanded[name].copy_(values)
         if then is None:
             self._at_set_const = None
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        self._restore_fields(saved["model_fields"], saved["at_set_const"])
         self.state.copy_(saved["state"])
         self.batch.warning[...] = saved["warning"].numpy()
         self.asked.clear()
         self.forward()
-
-
-def _keep_log_out_of_files() -> None:
-    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; warnings still appear on the console."""
-    config = mujoco.MjLogConfig.get()
-    config.logto_file = False
-    config.set()

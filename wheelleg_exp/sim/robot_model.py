@@ -24,7 +24,9 @@ class RobotLayout(Kept):
     def __init__(self, options: RobotOptions, spec: mujoco.MjSpec, root_name: str, device: torch.device) -> None:
         self._options = options
         self._device = device
-        bodies = _breadth_first(spec.body(root_name))
+        bodies = [spec.body(root_name)]
+        for body in bodies:
+            bodies.extend(body.bodies)
         self.body_names = [body.name for body in bodies]
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
         wanted = options.base
@@ -38,7 +40,15 @@ class RobotLayout(Kept):
         for error in () if options.joint_order is None else order_errors(options.joint_order, found):
             raise error
         self.joint_names = found if options.joint_order is None else list(options.joint_order)
-        self._read_defaults()
+        init, names = self._options.init_state, self.joint_names
+        key = "env.robot.init_state"
+        pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
+        vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
+        self._default_positions = [float(value) for value in pos]
+        self.default_joint_pos = self._numbers(self._default_positions)
+        self.default_joint_vel = self._numbers(vel)
+        self.default_root_pos = self._numbers(init.pos)
+        self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
         if not self.floating:  # Events and actions cannot move a fixed base.
             bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
@@ -59,17 +69,6 @@ class RobotLayout(Kept):
 
     def _numbers(self, values: Any) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
-
-    def _read_defaults(self) -> None:
-        init, names = self._options.init_state, self.joint_names
-        key = "env.robot.init_state"
-        pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
-        vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
-        self._default_positions = [float(value) for value in pos]
-        self.default_joint_pos = self._numbers(self._default_positions)
-        self.default_joint_vel = self._numbers(vel)
-        self.default_root_pos = self._numbers(init.pos)
-        self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
 
     def _read_limits(self, model: mujoco.MjModel) -> None:
         ranges = []
@@ -94,13 +93,6 @@ def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
     return torch.where(limits.isfinite().all(dim=-1, keepdim=True), soft, limits)
-
-
-def _breadth_first(root: Any) -> list[Any]:
-    order = [root]
-    for body in order:
-        order.extend(body.bodies)
-    return order
 
 
 @dataclass
@@ -179,22 +171,18 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         if frame_or_element.frame is None:
             frame_or_element.set_frame(turned)
     if root.explicitinertial:
-        _turn_inertia(root, back)
-
-
-def _turn_inertia(root: mujoco.MjsBody, back: np.ndarray) -> None:
-    """Rotate an explicit inertia. MuJoCo derives all other inertias from the shapes, which are rotated already."""
-    ipos = np.empty(3)
-    mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
-    root.ipos = ipos
-    if not np.isnan(root.fullinertia[0]):
-        matrix = np.empty(9)
-        mujoco.mju_quat2Mat(matrix, back)
-        turn = matrix.reshape(3, 3)
-        xx, yy, zz, xy, xz, yz = root.fullinertia
-        tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-        root.fullinertia = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
-    else:
-        quat = np.empty(4)
-        mujoco.mju_mulQuat(quat, back, np.asarray(root.iquat, dtype=float))
-        root.iquat = quat
+        # Rotate an explicit inertia. MuJoCo derives all other inertias from the shapes, which are rotated already.
+        ipos = np.empty(3)
+        mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
+        root.ipos = ipos
+        if not np.isnan(root.fullinertia[0]):
+            matrix = np.empty(9)
+            mujoco.mju_quat2Mat(matrix, back)
+            turn = matrix.reshape(3, 3)
+            xx, yy, zz, xy, xz, yz = root.fullinertia
+            tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+            root.fullinertia = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+        else:
+            quat = np.empty(4)
+            mujoco.mju_mulQuat(quat, back, np.asarray(root.iquat, dtype=float))
+            root.iquat = quat

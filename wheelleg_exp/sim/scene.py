@@ -66,7 +66,13 @@ class Scene(Kept):
             terrain.lay(spec)
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
-        self._effective_friction(spec, robot.friction_source)
+        # Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions.
+        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get that priority.
+        ground = self.terrain.friction(robot.friction_source)
+        for geom in spec.geoms:
+            if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
+                geom.priority = _ROBOT_PRIORITY
+                geom.friction[0] = (geom.friction[0] + ground) / 2
         for name, actuator in actuators.items():
             with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
                 actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)
@@ -263,15 +269,6 @@ class Scene(Kept):
             sensor.load_state_dict(saved["sensors"][name])
         self.env_origins.copy_(saved["env_origins"])
         self.terrain.load_state_dict(saved.get("terrain", {}))
-
-    def _effective_friction(self, spec: mujoco.MjSpec, source: str) -> None:
-        """Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions."""
-        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get that priority.
-        ground = self.terrain.friction(source)
-        for geom in spec.geoms:
-            if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
-                geom.priority = _ROBOT_PRIORITY
-                geom.friction[0] = (geom.friction[0] + ground) / 2
 
 
 def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> Engine:

@@ -118,11 +118,22 @@ class WarpEngine(Engine):
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
         self._m.opt.warn_overflow = 0  # The class Overflow raises an error, so the kernel need not print a warning.
-        self._m.opt.contact_sensor_maxmatch = _most_matches(model)
+        # The number of contacts that contact sensors search: a power of two, at least twice their slots.
+        of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
+        slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
+        most = _LEAST_MATCHES
+        while most < 2 * slots:
+            most *= 2
+        self._m.opt.contact_sensor_maxmatch = most
         self._data = DataFields(wp, self._d, model)
         self._fields = ModelFields(wp, self._m, model, num_envs)
         self._state = self._data.state()
-        self._initial = self._first_state()
+        data = mujoco.MjData(self.model)
+        found = {}
+        for name, view in self._state.items():
+            value = torch.as_tensor(getattr(data, name)).reshape(1, *view.shape[1:])
+            found[name] = value.to(self.device, view.dtype)
+        self._initial = found
         for name, value in self._initial.items():
             self._state[name].copy_(value.expand_as(self._state[name]))
         self._overflow = Overflow(mjw.OverflowType, wp.to_torch(self._d.overflow), self.room)
@@ -132,14 +143,6 @@ class WarpEngine(Engine):
         self._rows = self._flat_state()
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
-
-    def _first_state(self) -> dict[str, torch.Tensor]:
-        data = mujoco.MjData(self.model)
-        found = {}
-        for name, view in self._state.items():
-            value = torch.as_tensor(getattr(data, name)).reshape(1, *view.shape[1:])
-            found[name] = value.to(self.device, view.dtype)
-        return found
 
     def _flat_state(self) -> dict[str, tuple[Any, Any, float]]:
         """Return Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps."""
@@ -323,13 +326,3 @@ class WarpEngine(Engine):
         self._bad.copy_(saved["unstable"])
         self.asked.clear()
         self.forward()
-
-
-def _most_matches(model: mujoco.MjModel) -> int:
-    """Return the number of contacts that contact sensors search: a power of two, at least twice their slots."""
-    of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
-    slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
-    most = _LEAST_MATCHES
-    while most < 2 * slots:
-        most *= 2
-    return most

@@ -33,7 +33,17 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
                 wp.config.optimization_level = 0  # In tests on the CPU, compilation takes longer than the steps.
-                _init_without_cuda_warning(wp)
+                # Start Warp without its warning about a missing CUDA driver, which its C++ code writes to file
+                # descriptor 2.
+                sys.stderr.flush()
+                saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+                try:
+                    os.dup2(nowhere, 2)
+                    wp.init()
+                finally:
+                    os.dup2(saved, 2)
+                    os.close(saved)
+                    os.close(nowhere)
             wp.init()
         import mujoco_warp as mjw
     except ImportError as error:
@@ -44,19 +54,6 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
         ) from error
     require_device(device)
     return wp, mjw
-
-
-def _init_without_cuda_warning(wp: Any) -> None:
-    """Start Warp without its warning about a missing CUDA driver, which its C++ code writes to file descriptor 2."""
-    sys.stderr.flush()
-    saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        wp.init()
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(nowhere)
 
 
 def require_device(device: torch.device) -> None:

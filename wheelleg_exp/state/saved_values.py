@@ -105,7 +105,14 @@ def snapshot(value: Any, path: str) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         return _array(value, path)
     if type(value) in CONTAINERS:
-        return _container(value, path)
+        tagged: dict[str, Any] = {TAG: CONTAINERS[type(value)]}
+        if isinstance(value, dict):
+            tagged["keys"] = [snapshot(key, f"{path} (a key)") for key in value]
+            return {**tagged, "items": [snapshot(item, f"{path}[{key!r}]") for key, item in value.items()]}
+        # Sort the items of a set, because the order of a set differs between processes.
+        items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
+        tagged["items"] = [snapshot(item, f"{path}[{i}]") for i, item in enumerate(items)]
+        return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
     if isinstance(value, Kept) or type(value) is object:
         return Reference(value)
     for tag, (kind, get, _) in GENERATORS.items():
@@ -113,7 +120,15 @@ def snapshot(value: Any, path: str) -> Any:
             return {TAG: tag, "data": snapshot(get(value), path)}
     if _saves_itself(value):
         return {TAG: "stateful", "data": snapshot(dict(value.state_dict()), path), "rest": _rest(value, path)}
-    return _reference(value, path)
+    if isinstance(value, types.MethodType):
+        return Reference(value, None if isinstance(value.__self__, type) else snapshot(value.__self__, path))
+    if isinstance(value, partial):
+        return Reference(value, snapshot([value.args, value.keywords], path))
+    if isinstance(value, _CONSTANTS):
+        return Reference(value)
+    if dataclasses.is_dataclass(value) and hasattr(value, "__dict__"):
+        return Reference(value, {name: snapshot(item, f"{path}.{name}") for name, item in vars(value).items()})
+    raise Unsaveable(path, value)
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
@@ -125,17 +140,6 @@ def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
     except TypeError:
         raise Unsaveable(path, value) from None
     return {TAG: "array" if isinstance(value, np.ndarray) else "scalar", "data": tensor}
-
-
-def _container(value: Any, path: str) -> dict[str, Any]:
-    tagged: dict[str, Any] = {TAG: CONTAINERS[type(value)]}
-    if isinstance(value, dict):
-        tagged["keys"] = [snapshot(key, f"{path} (a key)") for key in value]
-        return {**tagged, "items": [snapshot(item, f"{path}[{key!r}]") for key, item in value.items()]}
-    # Sort the items of a set, because the order of a set differs between processes.
-    items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
-    tagged["items"] = [snapshot(item, f"{path}[{i}]") for i, item in enumerate(items)]
-    return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
 
 
 def _saves_itself(value: Any) -> bool:
@@ -161,18 +165,6 @@ def _is_wiring(item: Any) -> bool:
     """Return whether an attribute only refers to parameters, as attributes of recurrent networks do."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
-
-
-def _reference(value: Any, path: str) -> Reference:
-    if isinstance(value, types.MethodType):
-        return Reference(value, None if isinstance(value.__self__, type) else snapshot(value.__self__, path))
-    if isinstance(value, partial):
-        return Reference(value, snapshot([value.args, value.keywords], path))
-    if isinstance(value, _CONSTANTS):
-        return Reference(value)
-    if dataclasses.is_dataclass(value) and hasattr(value, "__dict__"):
-        return Reference(value, {name: snapshot(item, f"{path}.{name}") for name, item in vars(value).items()})
-    raise Unsaveable(path, value)
 
 
 # --- comparing ---
@@ -279,7 +271,12 @@ def restored_value(item: Any, present: Any = None) -> Any:
     tag: str = item[TAG]
     data: Any = item.get("data")
     if tag == "array":
-        return _array_again(data, present)
+        array = data.cpu().numpy()
+        fits = isinstance(present, np.ndarray) and (present.shape, present.dtype) == (array.shape, array.dtype)
+        if not fits or not present.flags.writeable:
+            return array.copy()
+        np.copyto(present, array)
+        return present
     if tag == "scalar":
         return data.cpu().numpy()[()]
     if tag == "stateful":
@@ -298,15 +295,6 @@ def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
         return item.clone()
     with torch.inference_mode() if present.is_inference() else torch.no_grad():
         return present.copy_(item)
-
-
-def _array_again(item: torch.Tensor, present: Any) -> np.ndarray:
-    array = item.cpu().numpy()
-    fits = isinstance(present, np.ndarray) and (present.shape, present.dtype) == (array.shape, array.dtype)
-    if not fits or not present.flags.writeable:
-        return array.copy()
-    np.copyto(present, array)
-    return present
 
 
 def _container_again(tag: str, item: dict[str, Any], present: Any) -> Any:

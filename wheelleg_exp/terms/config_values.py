@@ -71,15 +71,38 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     if origin is typing.Annotated:
         return _constrained(value, annotation, arguments[0], constraints_of(annotation))
     if origin in (typing.Union, types.UnionType):
-        return _of_union(value, annotation)
+        # The mistakes in a value that must fit a union, compared with the option whose type fits the value.
+        found = [misfits(value, option) for option in typing.get_args(annotation)]
+        if not all(found):
+            return []
+        near = [option for option in found if not (option[0].is_type and not option[0].keys)]
+        return near[0] if near else [_wrong_type(value, annotation)]
     if origin is typing.Literal:
         known = any(value == option and type(value) is type(option) for option in arguments)
         return [] if known else [_wrong_type(value, annotation)]
     if annotation is None or annotation is type(None):
         return [] if value is None else [_wrong_type(value, annotation)]
     if annotation in _SCALARS:
-        return _of_scalar(value, annotation)
-    return _of_container(value, annotation, origin or annotation, arguments)
+        if not _SCALARS[annotation](value):
+            return [_wrong_type(value, annotation)]
+        if annotation is float and not math.isfinite(value):
+            return [_out_of_range(value, _FINITE)]
+        return []
+    kind = origin or annotation
+    if kind in _MAPPINGS:
+        if not isinstance(value, Mapping):
+            return [_wrong_type(value, annotation)]
+        wrong_items: list[Misfit] = []
+        for name, item in value.items() if arguments else ():
+            wrong = [dataclasses.replace(m, message=f"unknown key '{name}'") for m in misfits(name, arguments[0])]
+            wrong = wrong or misfits(item, arguments[1])
+            wrong_items += [dataclasses.replace(m, keys=(str(name), *m.keys)) for m in wrong]
+        return wrong_items
+    if kind is tuple or kind in _SEQUENCES:
+        if not isinstance(value, (list, tuple)):
+            return [_wrong_type(value, annotation)]
+        return _of_elements(value, annotation, kind, arguments)
+    return _of_dataclass(value, kind) if dataclasses.is_dataclass(kind) else []
 
 
 def constraints_of(annotation: Any) -> list[Constraint]:
@@ -108,14 +131,6 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 }
 
 
-def _of_scalar(value: Any, annotation: Any) -> list[Misfit]:
-    if not _SCALARS[annotation](value):
-        return [_wrong_type(value, annotation)]
-    if annotation is float and not math.isfinite(value):
-        return [_out_of_range(value, _FINITE)]
-    return []
-
-
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
@@ -131,25 +146,6 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
     return [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
 
 
-def _of_union(value: Any, annotation: Any) -> list[Misfit]:
-    """Return the mistakes in a value that must fit a union, compared with the option whose type fits the value."""
-    found = [misfits(value, option) for option in typing.get_args(annotation)]
-    if not all(found):
-        return []
-    near = [option for option in found if not (option[0].is_type and not option[0].keys)]
-    return near[0] if near else [_wrong_type(value, annotation)]
-
-
-def _of_container(value: Any, annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
-    if kind in _MAPPINGS:
-        return _of_mapping(value, annotation, arguments)
-    if kind is tuple or kind in _SEQUENCES:
-        if not isinstance(value, (list, tuple)):
-            return [_wrong_type(value, annotation)]
-        return _of_elements(value, annotation, kind, arguments)
-    return _of_dataclass(value, kind) if dataclasses.is_dataclass(kind) else []
-
-
 def _of_dataclass(value: Any, kind: Any) -> list[Misfit]:
     """Require a ``_target_`` node for a parameter that is an object. Sections are checked in config_sections."""
     if isinstance(value, kind) or (isinstance(value, Mapping) and "_target_" in value):
@@ -157,17 +153,6 @@ def _of_dataclass(value: Any, kind: Any) -> list[Misfit]:
     if not isinstance(value, Mapping):
         return [_wrong_type(value, kind)]
     return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
-
-
-def _of_mapping(value: Any, annotation: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
-    if not isinstance(value, Mapping):
-        return [_wrong_type(value, annotation)]
-    found = []
-    for name, item in value.items() if arguments else ():
-        wrong = [dataclasses.replace(m, message=f"unknown key '{name}'") for m in misfits(name, arguments[0])]
-        wrong = wrong or misfits(item, arguments[1])
-        found += [dataclasses.replace(m, keys=(str(name), *m.keys)) for m in wrong]
-    return found
 
 
 def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:

@@ -47,19 +47,15 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config runs no other code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
+        # The target with its top package replaced by the nearest allowed one; None if no name is near.
+        top, _, rest = target.partition(".")
+        near = nearest_name(top, [package.split(".")[0] for package in packages])
         raise NotAllowed(
             f"target '{target}' is outside the allowed packages",
             key=f"{path}.{TARGET}",
             expected="a target in " + ", ".join(packages),
-            nearest=_in_nearest_package(target, packages),
+            nearest=f"{near}.{rest}" if near not in (None, top) else None,
         )
-
-
-def _in_nearest_package(target: str, packages: tuple[str, ...]) -> str | None:
-    """Return the target with its top package replaced by the nearest allowed one; None if no name is near."""
-    top, _, rest = target.partition(".")
-    near = nearest_name(top, [package.split(".")[0] for package in packages])
-    return f"{near}.{rest}" if near not in (None, top) else None
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.rigid_geometry import rotation_matrix
-from wheelleg_exp.asset.robot_description import Body, Dof, Drive, RobotDescription
+from wheelleg_exp.asset.robot_description import Dof, Drive, RobotDescription
 from wheelleg_exp.errors import AssetError
 
 RELATIVE = 1e-9
@@ -69,7 +69,16 @@ def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
 
 def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Comparison]:
     for body in robot.bodies:
-        yield from _compare_body(model, body)
+        found, name, inertial = model.body(body.name), body.name, body.inertial
+        yield f"parent of {name}", found.parentid, model.body(body.parent).id if body.parent is not None else 0
+        yield f"position of {name}", found.pos, body.pose.position
+        yield f"rotation of {name}", _turn(found.quat), _turn(body.pose.rotation)
+        yield f"mass of {name}", found.mass, inertial.mass
+        yield f"centre of mass of {name}", found.ipos, inertial.center_of_mass
+        # Compare inertia tensors, because MuJoCo can change the order of the principal axes.
+        scale = max(inertial.moments) or 1.0
+        got = _tensor(found.inertia, found.iquat)
+        yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
     for dof in robot.dofs:
         yield from _compare_joint(model, dof)
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
@@ -86,19 +95,6 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
     yield "number of tendons", model.ntendon, len(robot.tendons)
     drives = sum(dof.drive is not None for dof in robot.dofs)
     yield "number of actuators", model.nu, drives + len(robot.actuators)
-
-
-def _compare_body(model: mujoco.MjModel, body: Body) -> Iterator[Comparison]:
-    found, name, inertial = model.body(body.name), body.name, body.inertial
-    yield f"parent of {name}", found.parentid, model.body(body.parent).id if body.parent is not None else 0
-    yield f"position of {name}", found.pos, body.pose.position
-    yield f"rotation of {name}", _turn(found.quat), _turn(body.pose.rotation)
-    yield f"mass of {name}", found.mass, inertial.mass
-    yield f"centre of mass of {name}", found.ipos, inertial.center_of_mass
-    # Compare inertia tensors, because MuJoCo can change the order of the principal axes.
-    scale = max(inertial.moments) or 1.0
-    got = _tensor(found.inertia, found.iquat)
-    yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
 
 
 def _compare_joint(model: mujoco.MjModel, dof: Dof) -> Iterator[Comparison]:
@@ -135,7 +131,16 @@ def with_force_gains(robot: RobotDescription) -> RobotDescription:
     """
     if not any(dof.drive and dof.drive.acceleration for dof in robot.dofs):
         return robot
-    inertia = _effective_inertia(robot)
+    assets = {file_name(mesh): obj_text(mesh).encode() for mesh in robot.meshes if len(mesh.faces)}
+    with refusals(robot.name):
+        model = mujoco.MjModel.from_xml_string(Writer(robot, "").text(), assets)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    # 1 / (inverse mass matrix)_ii is the inertia of coordinate i while all other coordinates are free.
+    inverse = np.diag(np.linalg.inv(full))
+    inertia = {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
     bodies = []
     for body in robot.bodies:
         dofs = [replace(d, drive=_scaled(d.drive, inertia[d.name])) if d.drive else d for d in body.dofs]
@@ -147,16 +152,3 @@ def _scaled(drive: Drive, inertia: float) -> Drive:
     if not drive.acceleration:
         return drive
     return replace(drive, stiffness=drive.stiffness * inertia, damping=drive.damping * inertia)
-
-
-def _effective_inertia(robot: RobotDescription) -> dict[str, float]:
-    assets = {file_name(mesh): obj_text(mesh).encode() for mesh in robot.meshes if len(mesh.faces)}
-    with refusals(robot.name):
-        model = mujoco.MjModel.from_xml_string(Writer(robot, "").text(), assets)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    # 1 / (inverse mass matrix)_ii is the inertia of coordinate i while all other coordinates are free.
-    inverse = np.diag(np.linalg.inv(full))
-    return {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}

@@ -16,7 +16,6 @@ from wheelleg_exp.asset.mjcf.default_classes import gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
 from wheelleg_exp.asset.robot_description import (
     Body,
-    Closure,
     Dof,
     Geom,
     Mesh,
@@ -24,7 +23,6 @@ from wheelleg_exp.asset.robot_description import (
     Pose,
     RobotDescription,
     Site,
-    Tendon,
 )
 from wheelleg_exp.errors import AssetError
 
@@ -79,18 +77,15 @@ class Names:
         self.anchors: dict[str | None, list[tuple[str, Pose]]] = {}
         # An equality that closes a loop connects two sites, because sites state both frames explicitly.
         for closure in robot.closures:
-            self._closure(closure, sites, equalities)
-
-    def _closure(self, closure: Closure, sites: Numbered, equalities: Numbered) -> None:
-        made = self.equalities.setdefault(closure.name, [])
-        several = len(closure.anchors) > 1
-        for index, pair in enumerate(closure.anchors):
-            stem = f"{closure.name}_{index}"
-            name = equalities.take(stem if several else closure.name)
-            ends = [sites.take(f"{stem}_{side}") for side in "ab"]
-            for body, site, at in zip(closure.bodies, ends, pair, strict=True):
-                self.anchors.setdefault(body, []).append((site, at))
-            made.append((name, ends[0], ends[1]))
+            made = self.equalities.setdefault(closure.name, [])
+            several = len(closure.anchors) > 1
+            for index, pair in enumerate(closure.anchors):
+                stem = f"{closure.name}_{index}"
+                name = equalities.take(stem if several else closure.name)
+                ends = [sites.take(f"{stem}_{side}") for side in "ab"]
+                for body, site, at in zip(closure.bodies, ends, pair, strict=True):
+                    self.anchors.setdefault(body, []).append((site, at))
+                made.append((name, ends[0], ends[1]))
 
 
 def file_name(mesh: Mesh) -> str:
@@ -121,11 +116,22 @@ class Writer:
     def text(self) -> str:
         root = Element("mujoco", {"model": self.robot.name})
         self._settings(root)
-        parts = (self.classes.element(), self._assets(), self._world(), self._contacts(), self._equalities())
+        out = Element("asset")
+        for item in self.robot.materials:
+            out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
+        for mesh in self.robot.meshes:
+            inertia = "convex" if mesh.solid else "shell"
+            own: Attributes = {"file": file_name(mesh)} if len(mesh.faces) else {"vertex": mesh.vertices.ravel()}
+            out.children.append(Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra}))
+        parts = (self.classes.element(), out, self._world(), self._contacts(), self._equalities())
         for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
             if element.children:
                 root.children.append(element)
-        self._check_depth(root)
+        if (depth := root.depth()) > DEEPEST:
+            raise AssetError(
+                f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
+                expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
+            )
         root.comment = "\n".join(self._head(self.notes.write()))
         return root.text() + "\n"
 
@@ -137,13 +143,6 @@ class Writer:
             lines.append(f"  and {len(notes) - SHOWN_NOTES} more, in the report")
         return lines
 
-    def _check_depth(self, root: Element) -> None:
-        if (depth := root.depth()) > DEEPEST:
-            raise AssetError(
-                f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
-                expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
-            )
-
     def _settings(self, root: Element) -> None:
         files = any(len(mesh.faces) for mesh in self.robot.meshes)
         folder = self.mesh_folder if files else None
@@ -151,16 +150,6 @@ class Writer:
         option = root.add("option", self.robot.option, gravity=self.robot.gravity)
         if self.robot.flag:
             option.add("flag", self.robot.flag)
-
-    def _assets(self) -> Element:
-        out = Element("asset")
-        for item in self.robot.materials:
-            out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
-        for mesh in self.robot.meshes:
-            inertia = "convex" if mesh.solid else "shell"
-            own: Attributes = {"file": file_name(mesh)} if len(mesh.faces) else {"vertex": mesh.vertices.ravel()}
-            out.children.append(Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra}))
-        return out
 
     def _world(self) -> Element:
         world = Element("worldbody")
@@ -266,7 +255,13 @@ class Writer:
                 class_=shared,
             )
             self.notes.place(tendon.path, element)
-            _route(element, tendon)
+            for joint, factor in tendon.joints:
+                element.add("joint", joint=joint, coef=factor)
+            for point in tendon.points:
+                if point.kind == "pulley":
+                    element.add("pulley", divisor=point.divisor)
+                else:
+                    element.add(point.kind, {point.kind: point.name, "sidesite": point.side})
         return out
 
     def _actuators(self) -> Element:
@@ -288,16 +283,6 @@ class Writer:
             element.attributes.update(self.classes.rest("general", item.name))
             self.notes.place(item.path, element)
         return out
-
-
-def _route(element: Element, tendon: Tendon) -> None:
-    for joint, factor in tendon.joints:
-        element.add("joint", joint=joint, coef=factor)
-    for point in tendon.points:
-        if point.kind == "pulley":
-            element.add("pulley", divisor=point.divisor)
-        else:
-            element.add(point.kind, {point.kind: point.name, "sidesite": point.side})
 
 
 HOME = "home"

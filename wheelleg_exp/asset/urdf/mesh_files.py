@@ -120,12 +120,6 @@ def _placed(file: _File, mesh: Element, matrix: Array) -> tuple[Array, Faces]:
     vertices = mesh.first("vertices")
     if vertices is None or not groups:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    points = apply(matrix, _positions(file, vertices))
-    faces = np.concatenate([_faces(group) for group in groups])
-    return points, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
-
-
-def _positions(file: _File, vertices: Element) -> Array:
     position = next((e for e in vertices.all("input") if e.attributes.get("semantic") == "POSITION"), None)
     if position is None:
         raise ValueError("vertices without positions")
@@ -136,7 +130,9 @@ def _positions(file: _File, vertices: Element) -> Array:
     stride = int(accessor.attributes.get("stride", "3")) if accessor else 3
     if array is None or stride < 3:
         raise ValueError("vertices without positions")
-    return _numbers(array).reshape(-1, stride)[:, :3]
+    points = apply(matrix, _numbers(array).reshape(-1, stride)[:, :3])
+    faces = np.concatenate([_faces(group) for group in groups])
+    return points, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
 
 
 def _faces(group: Element) -> Faces:
@@ -217,10 +213,6 @@ def read_stl(data: bytes) -> Triangles:
         raise ValueError("the STL file is neither text, nor as long as its number of triangles requires")
     if len(corners) % 3:
         raise ValueError("a triangle of the file does not have three corners")
-    return _welded(corners)
-
-
-def _welded(corners: Array) -> Triangles:
     # View each corner as one opaque value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -267,7 +259,9 @@ class Files:
 
     def __post_init__(self) -> None:
         self.folder = self.document.source.resolve().parent
-        self.mesh_folder = self._mesh_folder()
+        extension = self.document.root.first("mujoco")
+        compiler = extension.first("compiler") if extension else None
+        self.mesh_folder = self.document.text(compiler, "meshdir", "the search for mesh files") if compiler else None
         self._note(self.document.source)
 
     def find(self, name: str, endings: tuple[str, ...] = tuple(READERS)) -> Path | None:
@@ -294,11 +288,6 @@ class Files:
         except OSError as error:
             message = f"'{path}' cannot be read: {error.strerror}"
             raise AssetError(message, where=str(self.document.source), expected="a mesh or a texture") from None
-
-    def _mesh_folder(self) -> str | None:
-        extension = self.document.root.first("mujoco")
-        compiler = extension.first("compiler") if extension else None
-        return self.document.text(compiler, "meshdir", "the search for mesh files") if compiler else None
 
     def _candidates(self, name: str) -> Iterator[Path]:
         """Yield possible paths of a file: next to the URDF, in its package, or in a folder above both."""

@@ -177,14 +177,7 @@ def open_document(source: Path) -> Document:
             where=f"{source}:{root.line}",
             expected="<robot>",
         )
-    _name_paths(root)
-    document = Document(source, root)
-    _refuse_xacro(document)
-    return document
-
-
-def _name_paths(root: Element) -> None:
-    """Set the path of each element: by ``name`` if unique among its siblings, else by position."""
+    # Set the path of each element: by ``name`` if unique among its siblings, else by position.
     root.path = f"/{root.tag}"
     for element in root.walk():
         named = Counter((child.tag, child.attributes.get("name")) for child in element.children)
@@ -198,18 +191,17 @@ def _name_paths(root: Element) -> None:
             else:
                 label = f"[{seen[child.tag]}]" if kinds[child.tag] > 1 else ""
             child.path = f"{element.path}/{child.tag}{label}"
-
-
-PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*")
-"""A package in a file name, as in launch files; it means the same as ``package://NAME/``."""
-
-
-def _refuse_xacro(document: Document) -> None:
+    document = Document(source, root)
     for element in document.root.walk():
         values = [PACKAGE.sub("", v) if key == "filename" else v for key, v in element.attributes.items()]
         values.append(element.text)
         if element.tag.startswith("xacro:") or any("${" in value or "$(" in value for value in values):
             document.fail(element, "the file contains unexpanded xacro", "xacro IN -o OUT first")
+    return document
+
+
+PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*")
+"""A package in a file name, as in launch files; it means the same as ``package://NAME/``."""
 
 
 READ = {  # children, by tag

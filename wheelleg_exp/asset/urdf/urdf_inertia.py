@@ -157,10 +157,6 @@ def _inertial(document: Document, link: Link, part: Part) -> Inertial:
         document.ledger.assume(link.element.path, "no mass: a frame on its parent", "0 kg")
         return Inertial(0.0, (x, y, z), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     moments, axes = principal(part.tensor)
-    return Inertial(part.mass, (x, y, z), _possible(document, link, moments), axes)
-
-
-def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
     path, shown = link.element.path, _listed(moments)
     able = balanced(moments)
     if able != moments:
@@ -170,7 +166,7 @@ def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
         document.ledger.assume(path, rule, f"{shown} to {_listed(able)} kg m²")
         if not np.allclose(able, moments, rtol=0.01, atol=0):
             document.ledger.warn(f"{path}: no body has the moments of inertia {shown}; the model has {_listed(able)}")
-    return able
+    return Inertial(part.mass, (x, y, z), able, axes)
 
 
 def _listed(moments: Vec3) -> str:

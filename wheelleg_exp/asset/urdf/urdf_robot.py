@@ -200,7 +200,12 @@ def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, do
     multiplier = document.number(element, "multiplier", "equality joint polycoef")
     offset = document.number(element, "offset", "equality joint polycoef")
     if joint.name not in dofs or leader not in dofs or leader == joint.name:
-        _leave_coupling(document, element, leader, tree)
+        reason = "only a hinge or slide can follow another one"
+        if leader not in tree.joints:
+            nearest = nearest_name(leader, tree.joints)
+            reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
+        document.ledger.leave(element.path, "joint", reason, leader)
+        document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
         return None
     ratio = 1.0 if multiplier is None else multiplier
     return Coupling(
@@ -210,15 +215,6 @@ def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, do
         dofs[leader].name,
         (offset or 0.0, ratio, 0.0, 0.0, 0.0),
     )
-
-
-def _leave_coupling(document: Document, element: Element, leader: str, tree: Tree) -> None:
-    reason = "only a hinge or slide can follow another one"
-    if leader not in tree.joints:
-        nearest = nearest_name(leader, tree.joints)
-        reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
-    document.ledger.leave(element.path, "joint", reason, leader)
-    document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
 
 
 SUFFIXES = (".urdf",)
@@ -252,7 +248,17 @@ class _Builder:
         self.seen: dict[str, Seen] = read_links(document, self.tree)
         self.files = Files(document)
         self.shapes = Shapes(document, self.tree, self.seen, self.files)
-        self.names = _body_names(document, self.tree)
+        tree = self.tree
+        names = {name: name for name in tree.links}
+        for name in RESERVED & set(names):
+            if tree.world is not None and tree.world.name == name:
+                continue
+            free = f"{name}_link"
+            while free in names:
+                free += "_"
+            names[name] = free
+            document.ledger.assume(tree.links[name].element.path, f"MuJoCo keeps the name '{name}'", free)
+        self.names = names
         joints = self.tree.joints.values()
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
@@ -263,12 +269,22 @@ class _Builder:
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
-        bodies = _floating_last([self._body(link, masses[link.name]) for link in links])
+        # The bodies with each tree in one piece: a link on a floating joint starts its own tree.
+        bodies = [self._body(link, masses[link.name]) for link in links]
+        children: dict[str | None, list[Body]] = {}
+        for body in bodies:
+            children.setdefault(body.parent, []).append(body)
+        out: list[Body] = []
+        stack = list(reversed(children.get(None, [])))
+        while stack:
+            body = stack.pop()
+            out.append(body)
+            stack.extend(reversed(children.get(body.name, [])))
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
         joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
         robot = RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
-            bodies=bodies,
+            bodies=tuple(out),
             gravity=(0.0, 0.0, -EARTH),
             static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
             exclusions=self._exclusions(),
@@ -347,33 +363,6 @@ class _Builder:
             if joint.parent is not self.tree.world and joint.kind != "floating":
                 pairs.append((self.names[joint.parent.name], self.names[joint.child.name]))
         return tuple(pairs)
-
-
-def _floating_last(bodies: list[Body]) -> tuple[Body, ...]:
-    """Return the bodies with each tree in one piece: a link on a floating joint starts its own tree."""
-    children: dict[str | None, list[Body]] = {}
-    for body in bodies:
-        children.setdefault(body.parent, []).append(body)
-    out: list[Body] = []
-    stack = list(reversed(children.get(None, [])))
-    while stack:
-        body = stack.pop()
-        out.append(body)
-        stack.extend(reversed(children.get(body.name, [])))
-    return tuple(out)
-
-
-def _body_names(document: Document, tree: Tree) -> dict[str, str]:
-    names = {name: name for name in tree.links}
-    for name in RESERVED & set(names):
-        if tree.world is not None and tree.world.name == name:
-            continue
-        free = f"{name}_link"
-        while free in names:
-            free += "_"
-        names[name] = free
-        document.ledger.assume(tree.links[name].element.path, f"MuJoCo keeps the name '{name}'", free)
-    return names
 
 
 def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:

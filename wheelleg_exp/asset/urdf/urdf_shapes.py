@@ -144,7 +144,12 @@ class Shapes:
     def _mesh_shape(self, placed: Placed, mesh: Element, frame: Frame) -> Shape | None:
         name = self.document.text(mesh, "filename", "mesh file") or ""
         scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)
-        found = self._load(name)
+        if name not in self._loaded:
+            try:
+                self._loaded[name] = self._read(name)
+            except ValueError as error:
+                self._loaded[name] = str(error)
+        found = self._loaded[name]
         if isinstance(found, str):
             self.document.ledger.leave(mesh.path, "filename", found, name)
             self._left(placed, f"mesh '{name}': {found}")
@@ -170,14 +175,6 @@ class Shapes:
         if flat is not shape:
             self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
         return flat
-
-    def _load(self, name: str) -> Triangles | str:
-        if name not in self._loaded:
-            try:
-                self._loaded[name] = self._read(name)
-            except ValueError as error:
-                self._loaded[name] = str(error)
-        return self._loaded[name]
 
     def _read(self, name: str) -> Triangles | str:
         if not name:

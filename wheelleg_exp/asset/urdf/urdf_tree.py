@@ -74,20 +74,6 @@ class Tree:
 
 def read_tree(document: Document) -> Tree:
     """Return the tree of links."""
-    links = _links(document)
-    joints: dict[str, Joint] = {}
-    for element in document.root.all("joint"):
-        joint = _joint(document, element, links)
-        if joint.name in joints:
-            document.fail(element, f"there are two joints '{joint.name}'", "unique joint names")
-        joints[joint.name] = joint
-    root = _root(document, links)
-    tree = Tree(links, joints, root)
-    _require_tree(document, tree)
-    return tree
-
-
-def _links(document: Document) -> dict[str, Link]:
     links: dict[str, Link] = {}
     elements = document.root.all("link")
     require_size(len(elements), MOST_BODIES, "links", where=str(document.source))
@@ -98,7 +84,27 @@ def _links(document: Document) -> dict[str, Link]:
         links[name] = Link(element, name)
     if not links:
         document.fail(document.root, f"'{document.source.name}' has no link", "<link> elements below <robot>")
-    return links
+    joints: dict[str, Joint] = {}
+    for element in document.root.all("joint"):
+        joint = _joint(document, element, links)
+        if joint.name in joints:
+            document.fail(element, f"there are two joints '{joint.name}'", "unique joint names")
+        joints[joint.name] = joint
+    roots = [link for link in links.values() if link.joint is None]
+    if not roots:
+        document.fail(document.root, "the joints form a cycle: every link is the child of a joint", "one root link")
+    if len(roots) > 1:
+        names = ", ".join(link.name for link in roots[:8]) + (", ..." if len(roots) > 8 else "")
+        message = f"{len(roots)} links have no parent joint: {names}"
+        document.fail(roots[1].element, message, "one root; join the other links to it by fixed or floating joints")
+    root = roots[0]
+    tree = Tree(links, joints, root)
+    reached = {link.name for link in tree.depth_first()}
+    for link in tree.links.values():
+        if link.name not in reached:
+            message = f"link '{link.name}' is not reached from the root '{tree.root.name}': its joints form a cycle"
+            document.fail(link.element, message, "a tree of links")
+    return tree
 
 
 def _joint(document: Document, element: Element, links: dict[str, Link]) -> Joint:
@@ -128,25 +134,6 @@ def _end(document: Document, element: Element, side: str, links: dict[str, Link]
         hint = "the name of a <link>" + (f"; did you mean '{nearest}'?" if nearest else "")
         document.fail(end, f"there is no link '{name}'", hint)
     return links[name]
-
-
-def _root(document: Document, links: dict[str, Link]) -> Link:
-    roots = [link for link in links.values() if link.joint is None]
-    if not roots:
-        document.fail(document.root, "the joints form a cycle: every link is the child of a joint", "one root link")
-    if len(roots) > 1:
-        names = ", ".join(link.name for link in roots[:8]) + (", ..." if len(roots) > 8 else "")
-        message = f"{len(roots)} links have no parent joint: {names}"
-        document.fail(roots[1].element, message, "one root; join the other links to it by fixed or floating joints")
-    return roots[0]
-
-
-def _require_tree(document: Document, tree: Tree) -> None:
-    reached = {link.name for link in tree.depth_first()}
-    for link in tree.links.values():
-        if link.name not in reached:
-            message = f"link '{link.name}' is not reached from the root '{tree.root.name}': its joints form a cycle"
-            document.fail(link.element, message, "a tree of links")
 
 
 SHAPES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}

@@ -140,7 +140,12 @@ LONGEST = 200  # characters of a value
 def audit(stage: Stage) -> None:
     """Record every authored physics property, applied schema, and prim that the converter has not read."""
     for prim in _everything(stage):
-        _kind(stage, prim)
+        kind = str(prim.GetTypeName())
+        reason = why_kind(kind)
+        if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
+            stage.ledger.leave(path, kind, reason.text)
+            if reason.loud:
+                stage.ledger.warn(f"{path}: a {kind} was left out: {reason.text}")
         _schemas(stage, prim)
         if prim.GetTypeName() == "Shader":
             _files(stage, prim)
@@ -167,15 +172,6 @@ def _materials(stage: Stage) -> Iterator[Usd.Prim]:
                     material = stage.usd.GetPrimAtPath(path) if path.IsPrimPath() else None
                     if material and not material.IsPseudoRoot():
                         yield from Usd.PrimRange(material)
-
-
-def _kind(stage: Stage, prim: Usd.Prim) -> None:
-    kind = str(prim.GetTypeName())
-    reason = why_kind(kind)
-    if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
-        stage.ledger.leave(path, kind, reason.text)
-        if reason.loud:
-            stage.ledger.warn(f"{path}: a {kind} was left out: {reason.text}")
 
 
 def _schemas(stage: Stage, prim: Usd.Prim) -> None:
@@ -248,7 +244,14 @@ def _outside(stage: Stage) -> None:
     top = stage.root.GetPath().GetPrefixes()[:1]
     if not top:
         return
-    used = _referenced(stage)
+    used: set[Sdf.Path] = set()
+    for prim in stage.prims:
+        if prim.IsInstance() or prim.HasAuthoredReferences():
+            nodes = [prim.GetPrimIndex().rootNode]
+            while nodes:
+                node = nodes.pop()
+                nodes += node.children
+                used |= set(node.path.GetPrefixes()[:1])
     for prim in stage.usd.GetPseudoRoot().GetChildren():
         if prim.GetPath() in (*top, *used) or prim.IsA(UsdPhysics.Scene):
             continue
@@ -264,15 +267,3 @@ def _sort(prim: Usd.Prim) -> str:
         return "joints"
     applied = [name for name in schemas(prim) if PHYSICAL_SCHEMAS.match(name)]
     return "bodies" if "PhysicsRigidBodyAPI" in applied else "colliders" if "PhysicsCollisionAPI" in applied else ""
-
-
-def _referenced(stage: Stage) -> set[Sdf.Path]:
-    found: set[Sdf.Path] = set()
-    for prim in stage.prims:
-        if prim.IsInstance() or prim.HasAuthoredReferences():
-            nodes = [prim.GetPrimIndex().rootNode]
-            while nodes:
-                node = nodes.pop()
-                nodes += node.children
-                found |= set(node.path.GetPrefixes()[:1])
-    return found

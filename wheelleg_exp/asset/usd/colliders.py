@@ -144,7 +144,13 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
             shape = None if collides else plane_as_box(prim, inside)
             reason = "a plane collides only where it stands still, in the world"
     if shape is None or (shape.kind != "plane" and any(size <= 0 for size in shape.size)):
-        _unsupported(stage, prim, collides, "its size is zero" if shape else reason)
+        reason = "its size is zero" if shape else reason
+        kind = str(prim.GetTypeName())
+        if not reason:
+            reason = "it has no valid triangles" if kind in SHAPED else "this kind of shape is not supported"
+        stage.ledger.leave(prim.GetPath(), kind, reason)
+        if collides:
+            stage.ledger.warn(f"{prim.GetPath()}: a collider was left out: {reason} ({kind})")
         return None
     if shape.note:
         stage.ledger.assume(prim.GetPath(), f"{prim.GetTypeName()}: {shape.note}", shape.kind)
@@ -158,15 +164,6 @@ def _drawn(prim: Usd.Prim) -> bool:
     if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
         return False
     return bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
-
-
-def _unsupported(stage: Stage, prim: Usd.Prim, collides: bool, reason: str) -> None:
-    kind = str(prim.GetTypeName())
-    if not reason:
-        reason = "it has no valid triangles" if kind in SHAPED else "this kind of shape is not supported"
-    stage.ledger.leave(prim.GetPath(), kind, reason)
-    if collides:
-        stage.ledger.warn(f"{prim.GetPath()}: a collider was left out: {reason} ({kind})")
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:

@@ -160,15 +160,12 @@ def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
     turn = Z_TO_AXIS[axis]
     if at.scale is None or np.diag(at.stretch).min() < 0:
         normal = np.linalg.pinv(at.stretch).T @ turn[:, 2]
-        turn = _turn_z_to(normal / (np.linalg.norm(normal) or 1.0))
+        direction = normal / (np.linalg.norm(normal) or 1.0)
+        helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+        x = np.cross(helper, direction)
+        x /= np.linalg.norm(x) or 1.0
+        turn = np.stack([x, np.cross(direction, x), direction], axis=1)
     return Shape("plane", (0.0, 0.0, 1.0), at.frame(turn), note=note)
-
-
-def _turn_z_to(direction: Array) -> Array:
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    x = np.cross(helper, direction)
-    x /= np.linalg.norm(x) or 1.0
-    return np.stack([x, np.cross(direction, x), direction], axis=1)
 
 
 def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:

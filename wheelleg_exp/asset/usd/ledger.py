@@ -175,10 +175,6 @@ def plain(value: Any) -> Any:
         return np.array(value)
     if isinstance(value, Sdf.AssetPath):
         return value.path
-    return _plain_array(value)
-
-
-def _plain_array(value: Any) -> Any:
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):

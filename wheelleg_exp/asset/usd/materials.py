@@ -109,7 +109,10 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
         value = ledger.read(material, name)
         if value is not None:
             ledger.leave(material.GetPath(), name, reason, value)
-    _combine(stage, material)
+    mode = stage.ledger.read(material, "physxMaterial:frictionCombineMode") or "average"
+    if mode != "max":
+        rule = f"PhysX combines friction by '{mode}', MuJoCo uses the larger"
+        stage.ledger.assume(material.GetPath(), rule, "friction as authored")
     return 0.0 if dynamic is None else max(0.0, float(dynamic))
 
 
@@ -136,10 +139,3 @@ _NO_PLACE = {
     "physics:staticFriction": "MuJoCo has one sliding friction: the dynamic one",
     "physics:restitution": "MuJoCo has no coefficient of restitution; solref and solimp define contacts",
 }
-
-
-def _combine(stage: Stage, material: Usd.Prim) -> None:
-    mode = stage.ledger.read(material, "physxMaterial:frictionCombineMode") or "average"
-    if mode != "max":
-        rule = f"PhysX combines friction by '{mode}', MuJoCo uses the larger"
-        stage.ledger.assume(material.GetPath(), rule, "friction as authored")

@@ -166,11 +166,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
-    return Coupling(name, dof.path, dof.name, leader.name, _coefficients(stage, prim, dof), extra)
-
-
-def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float, float, float, float]:
-    """Return a coupling's polynomial in rad and m. Newton's offset is in USD's unit of the joint; MuJoCo's is in SI."""
+    # A coupling's polynomial in rad and m. Newton's offset is in USD's unit of the joint; MuJoCo's is in SI.
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -181,7 +177,7 @@ def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float,
         if value is not None:
             values[index] = float(value)
     a, b, c, d, e = values
-    return a, b, c, d, e
+    return Coupling(name, dof.path, dof.name, leader.name, (a, b, c, d, e), extra)
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
@@ -287,7 +283,14 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
     robot = with_wraps(stage, links, robot)
-    robot = _with_extras(stage, robot)
+    hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
+    robot = replace(
+        robot,
+        bodies=tuple(with_body_extra(stage, body) for body in robot.bodies),
+        static_geoms=tuple(with_geom_extra(stage, geom) for geom in robot.static_geoms),
+        closures=tuple(with_closure_extra(stage, closure) for closure in robot.closures),
+        meshes=tuple(replace(m, extra={**m.extra, **hulls[m.name]}) if m.name in hulls else m for m in robot.meshes),
+    )
     dofs = single_dofs(robot)
     names = {path: dof.name for path, dof in dofs.items()}
     sites = {site.path: site.name for body in robot.bodies for site in body.sites}
@@ -310,7 +313,15 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
         actuators=(*robot.actuators, *read_actuators(stage, targets)),
     )
     # If a joint has both a USD drive and a MuJoCo actuator, the actuator has more information.
-    robot = _without_doubled_drives(stage, robot)
+    driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
+    bodies = []
+    for body in robot.bodies:
+        free = tuple(replace(d, drive=None) if d.drive and d.name in driven else d for d in body.dofs)
+        for dof in (old for old, new in zip(body.dofs, free, strict=True) if old is not new):
+            for prop in stage.usd.GetPrimAtPath(dof.path).GetAuthoredPropertiesInNamespace("drive"):
+                stage.ledger.leave(dof.path, prop.GetName(), "a MjcActuator acts on this joint and wins over its drive")
+        bodies.append(replace(body, dofs=free) if free != body.dofs else body)
+    robot = replace(robot, bodies=tuple(bodies))
     robot = replace(robot, actuators=distinct([dof for dof in robot.dofs if dof.drive], robot.actuators))
     robot = with_options(stage, robot)
     return replace(robot, keyframes=(*robot.keyframes, *read_keyframes(stage, robot)))
@@ -335,26 +346,3 @@ def single_dofs(robot: RobotDescription) -> dict[str, Dof]:
 
 def _all_geoms(robot: RobotDescription) -> list[Geom]:
     return [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
-
-
-def _with_extras(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
-    return replace(
-        robot,
-        bodies=tuple(with_body_extra(stage, body) for body in robot.bodies),
-        static_geoms=tuple(with_geom_extra(stage, geom) for geom in robot.static_geoms),
-        closures=tuple(with_closure_extra(stage, closure) for closure in robot.closures),
-        meshes=tuple(replace(m, extra={**m.extra, **hulls[m.name]}) if m.name in hulls else m for m in robot.meshes),
-    )
-
-
-def _without_doubled_drives(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
-    bodies = []
-    for body in robot.bodies:
-        dofs = tuple(replace(d, drive=None) if d.drive and d.name in driven else d for d in body.dofs)
-        for dof in (old for old, new in zip(body.dofs, dofs, strict=True) if old is not new):
-            for prop in stage.usd.GetPrimAtPath(dof.path).GetAuthoredPropertiesInNamespace("drive"):
-                stage.ledger.leave(dof.path, prop.GetName(), "a MjcActuator acts on this joint and wins over its drive")
-        bodies.append(replace(body, dofs=dofs) if dofs != body.dofs else body)
-    return replace(robot, bodies=tuple(bodies))

@@ -184,7 +184,17 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actu
     if transmission == "joint" and stage.ledger.read(prim, "mjc:jointInParent", "jointinparent"):
         transmission = "jointinparent"
     extra |= {key.lower(): kind for key, kind in kinds.items() if kind is not None}
-    extra |= _parameters(stage, prim)
+    found: dict[str, Attribute] = {}
+    for key in ("gear", "dynPrm", "gainPrm", "biasPrm"):
+        if (values := numbers(stage, prim, f"mjc:{key}", key.lower())) is not None:
+            last = max((i for i, v in enumerate(values) if v != 0.0), default=0)
+            found[key.lower()] = values[: last + 1]
+    for key in ("ctrl", "force", "act"):
+        found |= limits(stage, prim, f"mjc:{key}Range", f"mjc:{key}Limited", f"{key}range")
+    ends = [stage.ledger.read(prim, f"mjc:lengthRange:{end}", "lengthrange") for end in ("min", "max")]
+    if any(end is not None for end in ends):
+        found["lengthrange"] = tuple(float(end or 0.0) for end in ends)
+    extra |= found | attributes(stage, prim, ACTUATOR_ATTRIBUTES)
     if extra.get("inheritrange") and name_of_target not in targets.ranged:
         reason = f"{name_of_target} has no limits that the controls could inherit"
         stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
@@ -206,24 +216,6 @@ def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribut
                 return None
             found[became] = targets.sites[str(path)]
     return found
-
-
-def _parameters(stage: Stage, prim: Usd.Prim) -> dict[str, Attribute]:
-    found: dict[str, Attribute] = {}
-    for key in ("gear", "dynPrm", "gainPrm", "biasPrm"):
-        if (values := numbers(stage, prim, f"mjc:{key}", key.lower())) is not None:
-            found[key.lower()] = _without_zeros(values)
-    for key in ("ctrl", "force", "act"):
-        found |= limits(stage, prim, f"mjc:{key}Range", f"mjc:{key}Limited", f"{key}range")
-    ends = [stage.ledger.read(prim, f"mjc:lengthRange:{end}", "lengthrange") for end in ("min", "max")]
-    if any(end is not None for end in ends):
-        found["lengthrange"] = tuple(float(end or 0.0) for end in ends)
-    return found | attributes(stage, prim, ACTUATOR_ATTRIBUTES)
-
-
-def _without_zeros(values: tuple[float, ...]) -> tuple[float, ...]:
-    last = max((i for i, v in enumerate(values) if v != 0.0), default=0)
-    return values[: last + 1]
 
 
 TENDON = "MjcTendon"

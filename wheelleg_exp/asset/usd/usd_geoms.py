@@ -192,7 +192,19 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    return Filters(tuple(pairs), _bits(solid, classes, forbidden, quiet is not None))
+    # Contype and conaffinity: one bit per filtered class, and the first bit for all other shapes.
+    self_collision = quiet is not None
+    apart = sorted({a for a, _ in forbidden})
+    bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
+    everybody = 1 | sum(bit.values())
+    out: dict[str, Extra] = {}
+    for path, piece in solid.items():
+        kind = classes[path]
+        # MuJoCo tests one geom's contype against the second geom's conaffinity: a cleared bit forbids the contact.
+        touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
+        own = bit.get(kind, 1)
+        out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
+    return Filters(tuple(pairs), out)
 
 
 def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
@@ -235,21 +247,9 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
-    members = _members(stage, groups, solid)
-    table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage.usd)
-    for group in groups:
-        _account(stage, group.GetPrim(), len(members[group.GetPath()]))
-    for first, second in combinations_with_replacement([group.GetPath() for group in groups], 2):
-        if not table.IsCollisionEnabled(first, second):
-            rules.add(members[first], members[second])
-
-
-def _members(
-    stage: Stage, groups: list[UsdPhysics.CollisionGroup], solid: Mapping[str, Piece]
-) -> dict[Sdf.Path, set[str]]:
-    """Return the shapes of each collision group; as in PhysX, the first group with a shape gets the shape."""
+    # The shapes of each collision group; as in PhysX, the first group with a shape gets the shape.
     taken: dict[str, Sdf.Path] = {}
-    out: dict[Sdf.Path, set[str]] = {}
+    members: dict[Sdf.Path, set[str]] = {}
     for group in groups:
         included = group.GetCollidersCollectionAPI().ComputeMembershipQuery().IsPathIncluded
         places = {path: (piece.prim, piece.carrier) for path, piece in solid.items()}
@@ -258,9 +258,14 @@ def _members(
         for path in sorted(double):
             rule = f"a collider of two collision groups: the first, {taken[path]}"
             stage.ledger.assume(path, rule, f"not {group.GetPath()}")
-        out[group.GetPath()] = inside - double
+        members[group.GetPath()] = inside - double
         taken |= dict.fromkeys(inside - double, group.GetPath())
-    return out
+    table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage.usd)
+    for group in groups:
+        _account(stage, group.GetPrim(), len(members[group.GetPath()]))
+    for first, second in combinations_with_replacement([group.GetPath() for group in groups], 2):
+        if not table.IsCollisionEnabled(first, second):
+            rules.add(members[first], members[second])
 
 
 GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:invertFilteredGroups")
@@ -303,23 +308,6 @@ def _products(first: list[str], second: list[str]) -> Iterator[tuple[str, str]]:
         yield from ((a, b) for i, a in enumerate(first) for b in first[i + 1 :])
     else:
         yield from ((a, b) for a in first for b in second)
-
-
-def _bits(
-    solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]], self_collision: bool
-) -> dict[str, Extra]:
-    """Return contype and conaffinity: one bit per filtered class, and the first bit for all other shapes."""
-    apart = sorted({a for a, _ in forbidden})
-    bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
-    everybody = 1 | sum(bit.values())
-    out: dict[str, Extra] = {}
-    for path, piece in solid.items():
-        kind = classes[path]
-        # MuJoCo tests one geom's contype against the second geom's conaffinity: a cleared bit forbids the contact.
-        touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
-        own = bit.get(kind, 1)
-        out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
-    return out
 
 
 SWITCHES = ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled")

@@ -200,7 +200,18 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
-        sampled = _settle_samples(usd)
+        # Set attributes that have only time samples to their first sample, in memory; return their paths.
+        sampled = []
+        for layer in usd.GetUsedLayers():
+            if not layer.ListAllTimeSamples():
+                continue
+            for path in _attributes(layer):
+                spec = layer.GetAttributeAtPath(path)
+                times = layer.ListTimeSamplesForPath(path) if spec and not spec.HasDefaultValue() else []
+                value = layer.QueryTimeSample(path, times[0]) if times else None
+                if value is not None and not isinstance(value, Sdf.ValueBlock):
+                    spec.default = value
+                    sampled.append(str(path))
         chosen = choose(usd, variants)
         stage = _collect(usd, source, chosen)
         for path in sampled:
@@ -265,25 +276,6 @@ def _complaint(error: Tf.ErrorException) -> str:
     return text if len(text) <= 300 else text[:300] + "..."
 
 
-def _settle_samples(usd: Usd.Stage) -> list[str]:
-    """Set attributes that have only time samples to their first sample, in memory; return their paths.
-
-    The converter reads all attributes at the default time, where an attribute with only time samples has no value.
-    """
-    settled = []
-    for layer in usd.GetUsedLayers():
-        if not layer.ListAllTimeSamples():
-            continue
-        for path in _attributes(layer):
-            spec = layer.GetAttributeAtPath(path)
-            times = layer.ListTimeSamplesForPath(path) if spec and not spec.HasDefaultValue() else []
-            value = layer.QueryTimeSample(path, times[0]) if times else None
-            if value is not None and not isinstance(value, Sdf.ValueBlock):
-                spec.default = value
-                settled.append(str(path))
-    return settled
-
-
 def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
     found: list[Sdf.Path] = []
     layer.Traverse("/", lambda path: found.append(path) if path.IsPropertyPath() else None)
@@ -292,7 +284,16 @@ def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
 
 def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
-    prims = _prims(root, source)
+    prims = []
+    walk = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in walk:
+        if not prim.IsPseudoRoot():
+            prims.append(prim)
+        # Below a PointInstancer, USD draws the copies of a prototype, but not the prototype itself.
+        if prim.IsA(UsdGeom.PointInstancer):
+            walk.PruneChildren()
+        expected = "one robot: set its prim as the default prim"
+        require_size(len(prims), MOST_PRIMS, f"prims below {root.GetPath()}", where=str(source), expected=expected)
     missing = find_missing(usd, source)
     require_physics(usd, prims, missing, source)
     names = tuple(item.name for item in missing)
@@ -305,20 +306,6 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         stage.ledger.warn(text)
     _note_metadata(stage)
     return stage
-
-
-def _prims(root: Usd.Prim, source: Path) -> list[Usd.Prim]:
-    found = []
-    walk = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
-    for prim in walk:
-        if not prim.IsPseudoRoot():
-            found.append(prim)
-        # Below a PointInstancer, USD draws the copies of a prototype, but not the prototype itself.
-        if prim.IsA(UsdGeom.PointInstancer):
-            walk.PruneChildren()
-        expected = "one robot: set its prim as the default prim"
-        require_size(len(found), MOST_PRIMS, f"prims below {root.GetPath()}", where=str(source), expected=expected)
-    return found
 
 
 def _units(usd: Usd.Stage, source: Path) -> Units:
@@ -400,10 +387,6 @@ def gravity(stage: Stage) -> Vec3:
     if stage.ledger.read(scene, "newton:gravityEnabled", "option gravity") is False:
         stage.ledger.assume(scene.GetPath(), "newton:gravityEnabled is off", "no gravity")
         return 0.0, 0.0, 0.0
-    return _vector(stage, scene)
-
-
-def _vector(stage: Stage, scene: Usd.Prim) -> Vec3:
     size = stage.ledger.read(scene, "physics:gravityMagnitude", "option gravity")
     direction = stage.ledger.read(scene, "physics:gravityDirection", "option gravity")
     given = size is not None and size >= 0 and math.isfinite(size)

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,6 @@ from wheelleg_exp.errors import printable
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
-    from wheelleg_exp.asset.robot_description import Dof
 
 
 ROWS = 15  # At most this number of rows of a table or list is printed.
@@ -51,7 +50,16 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     order = report.dof_order  # The printed table lists the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
-    _section("Assumed", ("rule", "value", "where"), _assumed(report))
+    # A row for each rule of assumption: its value, and the places where it was used.
+    rules: dict[str, dict[str, str]] = {}
+    for item in report.assumptions:
+        rules.setdefault(item.rule, {})[item.path] = item.value
+    rows = []
+    for rule, values in rules.items():
+        equal = len(set(values.values())) == 1
+        first = next(iter(values.values()))
+        rows.append((rule, _short(first) if equal else f"{_short(first)}, ...", _places(values)))
+    _section("Assumed", ("rule", "value", "where"), rows)
     _left_out(report)
     output = shown(conversion.output.resolve())
     print(f"\nWrote {output}" + ("" if scene is None else f", and next to it {scene.name} with a floor and a light"))
@@ -109,6 +117,24 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
         limits = "unlimited"
         if dof.range is not None:
             limits = f"{dof.range[0]:.4g} to {dof.range[1]:.4g} {unit_of_range}"
+        # A joint's limits and gains in the units of the robot file, or nothing if the model has equal values.
+        authored = report.authored.get(dof.path, {})
+        by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
+        low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
+        usd = any(":" in name for name in authored)
+        degrees = usd and dof.kind != "slide"
+        parts = []
+        endless = not any(isinstance(end, (int, float)) and math.isfinite(end) for end in (low, high))
+        if low is not None and high is not None and not endless and (usd or dof.range is None):
+            parts.append(f"{_shortly(low)} to {_shortly(high)}{' deg' if degrees else ''}")
+        if degrees and dof.drive is not None:
+            gains = [_shortly(by_end[key]) for key in ("stiffness", "damping") if by_end.get(key)]
+            parts += [", ".join(gains) + " per deg"] if gains else []
+        limit = None if dof.drive is None else dof.drive.effort
+        if limit is not None and not math.isclose(by_end.get("maxForce", limit), limit, rel_tol=1e-3):
+            parts.append(f"max {_shortly(by_end['maxForce'])}")
+        if not usd and dof.force_range is None and "effort" in by_end:
+            parts.append(f"effort {_shortly(by_end['effort'])}")
         rows.append(
             (
                 dof.name,
@@ -117,48 +143,14 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
                 f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
                 f"{drive.damping:.4g}" if drive and drive.damping else "",
                 "none" if effort is None else f"{effort:.4g} {unit}",
-                _authored(dof, report.authored.get(dof.path, {})),
+                "; ".join(parts),
             )
         )
     return rows
 
 
-def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
-    """Return a joint's limits and gains in the units of the robot file, or nothing if the model has equal values."""
-    by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
-    low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
-    usd = any(":" in name for name in authored)
-    degrees = usd and dof.kind != "slide"
-    parts = []
-    endless = not any(isinstance(end, (int, float)) and math.isfinite(end) for end in (low, high))
-    if low is not None and high is not None and not endless and (usd or dof.range is None):
-        parts.append(f"{_shortly(low)} to {_shortly(high)}{' deg' if degrees else ''}")
-    if degrees and dof.drive is not None:
-        gains = [_shortly(by_end[key]) for key in ("stiffness", "damping") if by_end.get(key)]
-        parts += [", ".join(gains) + " per deg"] if gains else []
-    limit = None if dof.drive is None else dof.drive.effort
-    if limit is not None and not math.isclose(by_end.get("maxForce", limit), limit, rel_tol=1e-3):
-        parts.append(f"max {_shortly(by_end['maxForce'])}")
-    if not usd and dof.force_range is None and "effort" in by_end:
-        parts.append(f"effort {_shortly(by_end['effort'])}")
-    return "; ".join(parts)
-
-
 def _shortly(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
-
-
-def _assumed(report: Report) -> list[tuple[str, str, str]]:
-    """Return a row for each rule of assumption: its value, and the places where it was used."""
-    rules: dict[str, dict[str, str]] = {}
-    for item in report.assumptions:
-        rules.setdefault(item.rule, {})[item.path] = item.value
-    rows = []
-    for rule, values in rules.items():
-        equal = len(set(values.values())) == 1
-        first = next(iter(values.values()))
-        rows.append((rule, _short(first) if equal else f"{_short(first)}, ...", _places(values)))
-    return rows
 
 
 def _left_out(report: Report) -> None:

@@ -175,7 +175,13 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     title = f"training, iteration {_last_iteration(summary)}, with exploration"
     _section(title, ("figure", "value", "of"), _last(summary))
     environments = f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
-    _section("samples of whole episodes" + environments, recorded_headings("samples"), _samples(summary))
+    rows: list[Row] = []
+    for s in summary.samples:
+        survival = "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes)
+        duration = "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}"
+        counts = (f"{s.iteration} to {s.last_iteration}", f"{s.episodes}", f"{s.cut}")
+        rows.append((*counts, survival, duration, number(s.mean_reward)))
+    _section("samples of whole episodes" + environments, recorded_headings("samples"), rows)
     if summary.frames is not None:
         print(f"\n{hanging(f'below: {_scope(summary, selection)}', 0)}")
     _section("episodes", ("figure", "value"), _episodes(summary))
@@ -283,16 +289,6 @@ def _episodes(summary: Summary) -> list[Row]:
         (recorded_label("episodes", "longest_s"), _with_unit(f.longest_s, "s")),
         (recorded_label("episodes", "mean_reward"), number(f.mean_reward)),
     ]
-
-
-def _samples(summary: Summary) -> list[Row]:
-    rows: list[Row] = []
-    for s in summary.samples:
-        survival = "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes)
-        duration = "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}"
-        counts = (f"{s.iteration} to {s.last_iteration}", f"{s.episodes}", f"{s.cut}")
-        rows.append((*counts, survival, duration, number(s.mean_reward)))
-    return rows
 
 
 def _base(summary: Summary) -> list[Row]:

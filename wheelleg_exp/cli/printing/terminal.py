@@ -168,13 +168,25 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
     widths = _widths(columns, cells)
     framed = lines and sys.stdout.isatty()
     if framed and sum(widths) + 3 * len(widths) + 1 <= screen_width():
-        _print_framed(columns, cells)
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        grid = Table()
+        for column in columns:
+            grid.add_column(Text(printable(column)))
+        for row in cells:
+            grid.add_row(*(Text(cell) for cell in row))
+        Console(file=styled(sys.stdout)).print(grid)
         return
     fitted = _fitted(widths, [columns, *cells], screen_width() - _GAP * (len(widths) - 1))
     if fitted is None:
         print_blocks(columns, rows, heads=heads)
     else:
-        _print_plain(columns, cells, fitted)
+        for texts in (columns, *cells):
+            parts = [wrapped(cell, width) for cell, width in zip(texts, fitted, strict=True)]
+            for line in zip_longest(*parts, fillvalue=""):
+                print((" " * _GAP).join(cell.ljust(width) for cell, width in zip(line, fitted, strict=True)).rstrip())
 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
@@ -213,23 +225,3 @@ def _cells(rows: Sequence[Row]) -> list[list[str]]:
 
 def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[int]:
     return [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]
-
-
-def _print_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int]) -> None:
-    for row in (columns, *rows):
-        parts = [wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
-        for line in zip_longest(*parts, fillvalue=""):
-            print((" " * _GAP).join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
-
-
-def _print_framed(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    grid = Table()
-    for column in columns:
-        grid.add_column(Text(printable(column)))
-    for row in rows:
-        grid.add_row(*(Text(cell) for cell in row))
-    Console(file=styled(sys.stdout)).print(grid)

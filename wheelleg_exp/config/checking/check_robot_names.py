@@ -64,13 +64,9 @@ def names_in_mjcf(file: Path) -> RobotNames:
     while queue:
         body = queue.popleft()
         bodies.append(body.get("name", ""))
-        joints += _joints(body)
+        joints += [joint.get("name", "") for joint in body.findall("joint") if joint.get("type") != "free"]
         queue.extend(body.findall("body"))
     return RobotNames(joints, bodies)
-
-
-def _joints(body: ElementTree.Element) -> list[str]:
-    return [joint.get("name", "") for joint in body.findall("joint") if joint.get("type") != "free"]
 
 
 ROBOT = "robot"

@@ -83,7 +83,16 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
 
 def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
     if inspect.isclass(target):
-        return _class_errors(section, term, target)
+        from wheelleg_exp import managers
+
+        kind = _CLASSES.get(section, "TermBase")
+        if not issubclass(target, getattr(managers, kind)):
+            expected = f"a subclass of {kind}" + ("" if section in _CLASSES else " or a function")
+            return [ConfigError(f"'{term.target}' is not a subclass of {kind}", key=term.path, expected=expected)]
+        if section not in _CLASSES and not any("__call__" in vars(owner) for owner in target.__mro__):
+            expected = f"def __call__(self, {', '.join(_ARGUMENTS.get(section, ('env',)))})"
+            return [ConfigError(f"'{term.target}' cannot be called", key=term.path, expected=expected)]
+        return []
     if section in _CLASSES:
         expected = f"a subclass of {_CLASSES[section]}"
         return [ConfigError(f"'{term.target}' is not {expected}", key=term.path, expected=expected)]
@@ -96,19 +105,6 @@ def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> li
     name, listed = term.target.rpartition(".")[2], ", ".join(wanted)
     message = f"'{term.target}' takes ({', '.join(taken)}), but it is called with ({listed}) first"
     return [ConfigError(message, key=term.path, expected=f"def {name}({listed}, ...)")]
-
-
-def _class_errors(section: str, term: TermNode, target: type) -> list[ConfigError]:
-    from wheelleg_exp import managers
-
-    kind = _CLASSES.get(section, "TermBase")
-    if not issubclass(target, getattr(managers, kind)):
-        expected = f"a subclass of {kind}" + ("" if section in _CLASSES else " or a function")
-        return [ConfigError(f"'{term.target}' is not a subclass of {kind}", key=term.path, expected=expected)]
-    if section not in _CLASSES and not any("__call__" in vars(owner) for owner in target.__mro__):
-        expected = f"def __call__(self, {', '.join(_ARGUMENTS.get(section, ('env',)))})"
-        return [ConfigError(f"'{term.target}' cannot be called", key=term.path, expected=expected)]
-    return []
 
 
 def _section_errors(section: str, term: TermNode) -> list[ConfigError]:

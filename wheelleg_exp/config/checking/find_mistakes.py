@@ -21,7 +21,6 @@ from omegaconf import OmegaConf
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.check_agent import check_agent
 from wheelleg_exp.config.checking.check_defaults_lists import (
-    MountedFile,
     blame_mounts,
     check_group_lists,
     check_headers,
@@ -136,7 +135,19 @@ def check(composed: Composed) -> list[ConfigError]:
     found += unread_in_files(files, composed.primary)
     found += check_groups_in_use(config) + check_folders(config) + _check_robot(config, composed.asset_roots)
     errors += [error for error in found if not follows_from(error, hidden)]
-    return _placed(blame_mounts(_first_causes(errors), composed, files), composed, files)
+    # Add the file and line, or the override, to each error, and remove repeated errors.
+    errors = blame_mounts(_first_causes(errors), composed, files)
+    seen: dict[tuple[str | None, ...], ConfigError] = {}
+    for error in errors:
+        if error.where is None and error.key is not None:
+            emptied = emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
+            error.where = emptied or composed.provenance.where(error.key)
+        # If a whole section is missing, no line sets the key. Name the file of the task instead.
+        if error.where is None and isinstance(error, MissingValue):
+            error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
+        place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
+        seen.setdefault((place, error.where, error.message), error)
+    return list(seen.values())
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
@@ -221,24 +232,6 @@ def require_valid(composed: Composed) -> None:
     errors = check(composed)
     if errors:
         raise_all(errors)
-
-
-def _placed(errors: list[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Add the file and line, or the override, to each error, and remove repeated errors.
-
-    One line of a file can set several keys, so errors with the same place and message are repeated errors.
-    """
-    seen: dict[tuple[str | None, ...], ConfigError] = {}
-    for error in errors:
-        if error.where is None and error.key is not None:
-            emptied = emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
-            error.where = emptied or composed.provenance.where(error.key)
-        # If a whole section is missing, no line sets the key. Name the file of the task instead.
-        if error.where is None and isinstance(error, MissingValue):
-            error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
-        place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
-        seen.setdefault((place, error.where, error.message), error)
-    return list(seen.values())
 
 
 def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:

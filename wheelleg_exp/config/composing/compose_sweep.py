@@ -51,16 +51,6 @@ class _RayLauncher:
     ray: _Ray = field(default_factory=_Ray)
 
 
-def _offer_ray() -> None:
-    """Register the settings of hydra-ray-launcher in Hydra, if the package is not installed.
-
-    This program needs only the settings of hydra-ray-launcher. The package hydra-ray-launcher requires a version of
-    cloudpickle that conflicts with other packages.
-    """
-    if not _is_installed("hydra_plugins.hydra_ray_launcher"):
-        ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
-
-
 def _install_command(launcher: str) -> str | None:
     """Return the command that installs the packages of a launcher; None if they are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
@@ -130,10 +120,20 @@ def compose_sweep(
     number of checked jobs and the number of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
-    _offer_ray()
+    # Register the settings of hydra-ray-launcher in Hydra, if the package is not installed.
+    if not _is_installed("hydra_plugins.hydra_ray_launcher"):
+        ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
     with hydra_globals():
         loader = Loader(folders)
-        parsed, mistakes = _parse(override_texts(overrides), loader)
+        texts = override_texts(overrides)
+        parser = OverridesParser.create(config_loader=loader)
+        parsed: list[Override] = []
+        mistakes: list[ConfigError] = []
+        for text in texts:
+            try:
+                parsed += parser.parse_overrides([text])
+            except HydraException as error:
+                mistakes += parts(translate(error, loader, PRIMARY, [text]))
         own = [override for override in parsed if _OWN.match(override.key_or_group)]
         chosen = _chosen(own)
         refused = {str(o.input_line): e for o in parsed for e in _refuse(o, chosen)}
@@ -166,18 +166,6 @@ def digest_of(composed: Composed) -> str:
     return hashlib.sha256(composed.hydra_files()["config.yaml"].encode()).hexdigest()
 
 
-def _parse(texts: Sequence[str], loader: Loader) -> tuple[list[Override], list[ConfigError]]:
-    parser = OverridesParser.create(config_loader=loader)
-    parsed: list[Override] = []
-    mistakes: list[ConfigError] = []
-    for text in texts:
-        try:
-            parsed += parser.parse_overrides([text])
-        except HydraException as error:
-            mistakes += parts(translate(error, loader, PRIMARY, [text]))
-    return parsed, mistakes
-
-
 def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
     key, where = override.key_or_group, where_of(override)
     values = {"hydra/launcher": LAUNCHERS, "hydra/sweeper": _SWEEPERS}.get(key)
@@ -192,18 +180,14 @@ def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
     elif is_unread(key) or (values is None and override.is_hydra_override() and override.is_delete()):
         yield unread_setting(key, where)
     elif override.is_sweep_override():
-        yield from _refuse_values(override)
-
-
-def _refuse_values(override: Override) -> Iterator[ConfigError]:
-    key, where = override.key_or_group, where_of(override)
-    if not override.is_discrete_sweep():
-        expected = "single values, as in choice(0.1,0.5) or range(0,1,0.1)"
-        yield ConfigError("an interval has no single values to train", key=key, where=where, expected=expected)
-    elif not any(True for _ in override.sweep_iterator()):
-        options = override.config_loader.get_group_options(key) if override.config_loader else []
-        expected = "a pattern that matches one of " + ", ".join(options) if options else "at least one value"
-        yield ConfigError("this override has no value", key=key, where=where, expected=expected)
+        key, where = override.key_or_group, where_of(override)
+        if not override.is_discrete_sweep():
+            expected = "single values, as in choice(0.1,0.5) or range(0,1,0.1)"
+            yield ConfigError("an interval has no single values to train", key=key, where=where, expected=expected)
+        elif not any(True for _ in override.sweep_iterator()):
+            options = override.config_loader.get_group_options(key) if override.config_loader else []
+            expected = "a pattern that matches one of " + ", ".join(options) if options else "at least one value"
+            yield ConfigError("this override has no value", key=key, where=where, expected=expected)
 
 
 def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dict[str, ConfigError]:

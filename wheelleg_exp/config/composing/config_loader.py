@@ -22,7 +22,6 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
 from hydra._internal.defaults_list import DefaultsList, create_defaults_list
 from hydra._internal.utils import create_config_search_path
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.default_element import ResultDefault
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -146,7 +145,14 @@ class Repository(CachingConfigRepository):
             if self._is_file(config_path):
                 file = chosen_file(config_path, self.files(config_path))
                 result = _load(self._read, config_path, file)
-                _require_package_header(file)
+                lines = file.read_text(encoding="utf-8").splitlines()
+                marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
+                first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
+                wrong = [number for number in marked if number != first or not _HEADER.match(lines[number - 1])]
+                if wrong:
+                    key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
+                    expected = "one '# @package some.path' as the first line of the file"
+                    raise ConfigError("this package line has no effect", key=key, where=where, expected=expected)
                 content = OmegaConf.to_container(result.config, resolve=False)
                 # Copy the content now, because Hydra changes the config objects while it composes.
                 self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
@@ -220,17 +226,6 @@ def _line_of_message(file: Path, message: str) -> int | None:
     return None
 
 
-def _require_package_header(file: Path) -> None:
-    lines = file.read_text(encoding="utf-8").splitlines()
-    marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
-    first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
-    wrong = [number for number in marked if number != first or not _HEADER.match(lines[number - 1])]
-    if wrong:
-        key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
-        expected = "one '# @package some.path' as the first line of the file"
-        raise ConfigError("this package line has no effect", key=key, where=where, expected=expected)
-
-
 class Loader(ConfigLoaderImpl):
     """Hydra's config loader. The loader stores the repository and the merged files of the last ``load``."""
 
@@ -238,7 +233,13 @@ class Loader(ConfigLoaderImpl):
     merged: Sequence[ResultDefault]
 
     def __init__(self, config_dirs: Sequence[Path] = ()) -> None:
-        super().__init__(_search_path(config_dirs))
+        path = create_config_search_path(str(configs_dir()))
+        schema = path.get_path().pop()
+        for folder in map(config_folder, config_dirs):
+            join_folder(folder)  # The project of the folder declares packages, which configs can name as targets.
+            path.append("config-dir", f"file://{folder}")
+        path.append(schema.provider, schema.path)
+        super().__init__(path)
 
     def _parse_overrides_and_create_caching_repo(
         self, config_name: str | None, overrides: list[str]
@@ -282,16 +283,6 @@ class Loader(ConfigLoaderImpl):
     def options(self, group: str) -> list[str]:
         """Return the names of the options of a config group."""
         return self.repository.get_group_options(group, ObjectType.CONFIG)
-
-
-def _search_path(config_dirs: Sequence[Path]) -> ConfigSearchPath:
-    path = create_config_search_path(str(configs_dir()))
-    schema = path.get_path().pop()
-    for folder in map(config_folder, config_dirs):
-        join_folder(folder)  # The project of the folder declares packages, which configs can name as targets.
-        path.append("config-dir", f"file://{folder}")
-    path.append(schema.provider, schema.path)
-    return path
 
 
 # A task must have this package, even if the group has no other file to compare with.

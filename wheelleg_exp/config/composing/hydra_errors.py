@@ -85,19 +85,6 @@ def _no_option(key: str, name: str, options: Sequence[str], where: str | None) -
     return not_one_of(f"'{name}' is not an option", name, options, key=key, where=where)
 
 
-def _missing_option(error: MissingConfigException, loader: Loader, primary: str, parsed: list[Override]) -> ConfigError:
-    path = (error.missing_cfg_file or "").removesuffix(".yaml")
-    repository = loader.repository_used
-    group, _, name = path.rpartition("/")
-    if path == primary:
-        options = [name for name in repository.get_group_options("") if not name.startswith("_")]
-        return not_one_of("there is no such primary config", primary, options, key=primary)
-    where = _override_with(parsed, group, name) or _place_in_defaults(repository, str(error), path)
-    if group and not repository.group_exists(group):
-        return _no_group(loader, group, where)
-    return _no_option(group or path, name, repository.get_group_options(group), where)
-
-
 def _override_with(parsed: Sequence[Override], group: str, name: str) -> str | None:
     for override in parsed:
         value = override.value()
@@ -247,7 +234,16 @@ def translate(error: Exception, loader: Loader, primary: str, overrides: Sequenc
     if found:
         return join(found)
     if isinstance(error, MissingConfigException):
-        return _missing_option(error, loader, primary, parsed)
+        path = (error.missing_cfg_file or "").removesuffix(".yaml")
+        repository = loader.repository_used
+        group, _, name = path.rpartition("/")
+        if path == primary:
+            options = [name for name in repository.get_group_options("") if not name.startswith("_")]
+            return not_one_of("there is no such primary config", primary, options, key=primary)
+        where = _override_with(parsed, group, name) or _place_in_defaults(repository, str(error), path)
+        if group and not repository.group_exists(group):
+            return _no_group(loader, group, where)
+        return _no_option(group or path, name, repository.get_group_options(group), where)
     if isinstance(error, RecursionError):
         return _circle(loader.repository_used, primary)
     return _by_stage(error, loader, primary, parsed)

@@ -154,7 +154,14 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     made = _make(before, config_dirs, primary)
     if made is not None:
         with contextlib.suppress(OSError, TypeError):
-            _store(file, json.dumps(asdict(made)))
+            text = json.dumps(asdict(made))
+            file.parent.mkdir(parents=True, exist_ok=True)
+            temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+            temporary.write_text(text, encoding="utf-8")
+            temporary.replace(file)
+            stored = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
+            for old in stored[:-_MOST_VIEWS]:
+                old.unlink(missing_ok=True)
     return made
 
 
@@ -178,16 +185,6 @@ def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> C
         groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
         return CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
     return None
-
-
-def _store(file: Path, text: str) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)
-    stored = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
-    for old in stored[:-_MOST_VIEWS]:
-        old.unlink(missing_ok=True)
 
 
 def complete_override(

@@ -188,21 +188,18 @@ def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[M
         is_read=slot is not None,
     )
     if isinstance(raw, Mapping):
-        return _with_children(explained, keys, value if isinstance(value, Mapping) else raw, found)
+        node = value if isinstance(value, Mapping) else raw
+        mount, option = mount_of(found, keys), None
+        package = split_path(mount.package) if mount is not None else ()
+        if mount is not None and len(keys) == len(package) + 1:
+            option = option_of(mount, keys)
+        if option is None and keys != package:
+            mount = next((m for m in found if m.name == explained.key), None)
+        kind: Kind = "term" if key_slots.section_of(keys) else "section"
+        children = tuple((str(name), child) for name, child in node.items())
+        return replace(explained, kind=kind, mount=mount, option=option, children=children)
     refers = tuple(references(composed, keys, raw))
     return replace(explained, raw=raw if refers else None, references=refers)
-
-
-def _with_children(explained: Explanation, keys: Keys, node: Mapping[str, Any], found: list[Mount]) -> Explanation:
-    mount, option = mount_of(found, keys), None
-    package = split_path(mount.package) if mount is not None else ()
-    if mount is not None and len(keys) == len(package) + 1:
-        option = option_of(mount, keys)
-    if option is None and keys != package:
-        mount = next((m for m in found if m.name == explained.key), None)
-    kind: Kind = "term" if key_slots.section_of(keys) else "section"
-    children = tuple((str(name), child) for name, child in node.items())
-    return replace(explained, kind=kind, mount=mount, option=option, children=children)
 
 
 def _is_there(tree: Any, keys: Keys) -> bool:

@@ -215,7 +215,24 @@ class DrivePage:
     """A context manager that serves the drive page on the loopback address."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
-        self._server_class, self._scene_class = _viewer()
+        # Viser's server class, without tunnels to other machines, and mjviser's scene class.
+        try:
+            import viser
+            from mjviser import ViserMujocoScene
+        except ImportError as error:
+            raise WheellegError(
+                f"viser and mjviser draw the page, and {error.name} is missing",
+                key="--drive",
+                expected='pip install "wheelleg_exp[drive]"',
+            ) from error
+
+        class LocalServer(viser.ViserServer):
+            def request_share_url(self, verbose: bool = True) -> str | None:
+                """Return None: the page is never shared with another machine."""
+                del verbose
+                return None
+
+        self._server_class, self._scene_class = LocalServer, ViserMujocoScene
         self._port = port
         self._scenes, self._checkpoints = list(scenes), {path.stem: path for path in checkpoints}
         self._stack = ExitStack()
@@ -230,7 +247,15 @@ class DrivePage:
         if self._port not in (0, self._server.get_port()):
             raise port_in_use(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
-        _refuse_other_origins(self._server, origins)
+        # Close connections of other pages: any web page can try to reach the loopback address.
+        own = self._server._websock_server
+
+        async def check(client: Any) -> None:
+            connection = own._live_connections[client.client_id]
+            if connection.request.headers.get("Origin") not in origins:
+                await connection.close(1008, "another page")
+
+        own.on_client_connect(check)
         self._hands = InputServer(Controls([]), origins, keys)
         self._stack.enter_context(self._hands)
         self._server.gui.configure_theme(show_share_button=False, control_width="large")
@@ -253,9 +278,15 @@ class DrivePage:
         self._server.gui.reset()
         model = copy.copy(session.env.scene.sim.model)  # mjviser's scene changes the colours of its MuJoCo model.
         self._scene = self._scene_class(self._server, model, num_envs=1)
-        self._look_from()
+        away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
+        self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
+        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
         self._build(choice)
-        _run_in_page(self._server, self._hands.javascript())
+        # Run JavaScript in every open or future page, as viser does for its plots.
+        source = self._hands.javascript()
+        from viser._messages import RunJavascriptMessage
+
+        self._server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
         return self.url
 
     def show(self, status: Status) -> None:
@@ -275,11 +306,6 @@ class DrivePage:
     def _stop(self) -> None:
         with _without_output():
             self._server.stop()
-
-    def _look_from(self) -> None:
-        away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
-        self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
-        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
 
     def _build(self, choice: Choose) -> None:
         gui, controls = self._server.gui, self._controls
@@ -342,46 +368,6 @@ class DrivePage:
         def _(_: Any) -> None:
             if scene.value in self._scenes:
                 controls.request(Choose(scene=scene.value))
-
-
-def _viewer() -> tuple[Any, Any]:
-    """Return viser's server class, without tunnels to other machines, and mjviser's scene class."""
-    try:
-        import viser
-        from mjviser import ViserMujocoScene
-    except ImportError as error:
-        raise WheellegError(
-            f"viser and mjviser draw the page, and {error.name} is missing",
-            key="--drive",
-            expected='pip install "wheelleg_exp[drive]"',
-        ) from error
-
-    class LocalServer(viser.ViserServer):
-        def request_share_url(self, verbose: bool = True) -> str | None:
-            """Return None: the page is never shared with another machine."""
-            del verbose
-            return None
-
-    return LocalServer, ViserMujocoScene
-
-
-def _run_in_page(server: Any, source: str) -> None:
-    """Run JavaScript in every open or future page, as viser does for its plots."""
-    from viser._messages import RunJavascriptMessage
-
-    server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
-
-
-def _refuse_other_origins(server: Any, origins: Sequence[str]) -> None:
-    """Close connections of other pages: any web page can try to reach the loopback address."""
-    own = server._websock_server
-
-    async def check(client: Any) -> None:
-        connection = own._live_connections[client.client_id]
-        if connection.request.headers.get("Origin") not in origins:
-            await connection.close(1008, "another page")
-
-    own.on_client_connect(check)
 
 
 @contextmanager

@@ -239,7 +239,13 @@ class _Driver:
                     return request
                 self._session.obey(request)
             if self._session.fallen is not None:
-                self._stand_up()
+                # Reset a fallen robot after the page has shown the fall for a moment.
+                now = time.monotonic()
+                self._fallen_at = now if self._fallen_at is None else self._fallen_at
+                if now - self._fallen_at >= self._shown_s:
+                    self._session.reset()
+                if self._session.fallen is None:
+                    self._fallen_at = None
             elif not self._controls.paused:
                 self._session.step()
                 if self._hand is not None and self._view is None:
@@ -257,15 +263,6 @@ class _Driver:
             return self._stop.requested
         self._stop.check()
         return self._hand is None or self._session.steps >= self._hand.last_step
-
-    def _stand_up(self) -> None:
-        """Reset a fallen robot after the page has shown the fall for a moment."""
-        now = time.monotonic()
-        self._fallen_at = now if self._fallen_at is None else self._fallen_at
-        if now - self._fallen_at >= self._shown_s:
-            self._session.reset()
-        if self._session.fallen is None:
-            self._fallen_at = None
 
     def _keep_time(self) -> None:
         if self._pace is None or self._view is None:

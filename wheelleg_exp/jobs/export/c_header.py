@@ -93,9 +93,21 @@ def _value(name: str, term: Spec, dt: float) -> Iterator[str]:
     elif kind == "remaining_time":
         yield f"v[0] = {number(term['episode_length_s'])} - {time};"
     elif kind == "gait_phase":
-        yield from _gait(term, dt)
+        offsets = term["offsets"]
+        for i, offset in enumerate(offsets):
+            cycles = f"(float)s->steps * {number(dt / term['period'])} + ({number(offset)})"
+            angle = f"{number(2 * np.pi)} * (float)fmod({cycles}, 1.0)"
+            yield f"v[{i}] = (float)sin({angle}); v[{i + len(offsets)}] = (float)cos({angle});"
     elif kind == "travel_error":
-        yield from _travelled(name, term, dt)
+        pairs = zip(term["columns"], term["signs"], strict=True)
+        wheels = " ".join(f"{'+' if sign > 0 else '-'} r->joint_vel[{column}]" for column, sign in pairs)
+        rates = (f"({wheels}) / {len(term['columns'])}.0f * {number(term['wheel_radius'])}", "r->base_ang_vel[2]")
+        most, command = (term["max_travel_error"], term["max_heading_error"]), f"r->{identifier(term['command'])}"
+        for i, (rate, bound, column) in enumerate(zip(rates, most, (0, 2), strict=True)):
+            total, before = f"s->travelled_{name}[{i}]", f"s->commanded_{name}[{i}]"
+            missed = f"({rate} - {before}) * {number(dt)}"
+            yield f"if (!first) {total} = policy_clip({total} + {missed}, -{number(bound)}, {number(bound)});"
+            yield f"{before} = {command}[{column}]; v[{i}] = {total};"
     else:
         yield from _read(term)
 
@@ -117,26 +129,6 @@ def _read(term: Spec) -> Iterator[str]:
             yield f"v[{i}] = 2.0f * ({x} - ({number(term['middle'][i])})) / {number(term['range'][i])};"
         else:
             yield f"v[{i}] = {x};"
-
-
-def _gait(term: Spec, dt: float) -> Iterator[str]:
-    offsets = term["offsets"]
-    for i, offset in enumerate(offsets):
-        cycles = f"(float)s->steps * {number(dt / term['period'])} + ({number(offset)})"
-        angle = f"{number(2 * np.pi)} * (float)fmod({cycles}, 1.0)"
-        yield f"v[{i}] = (float)sin({angle}); v[{i + len(offsets)}] = (float)cos({angle});"
-
-
-def _travelled(name: str, term: Spec, dt: float) -> Iterator[str]:
-    pairs = zip(term["columns"], term["signs"], strict=True)
-    wheels = " ".join(f"{'+' if sign > 0 else '-'} r->joint_vel[{column}]" for column, sign in pairs)
-    rates = (f"({wheels}) / {len(term['columns'])}.0f * {number(term['wheel_radius'])}", "r->base_ang_vel[2]")
-    most, command = (term["max_travel_error"], term["max_heading_error"]), f"r->{identifier(term['command'])}"
-    for i, (rate, bound, column) in enumerate(zip(rates, most, (0, 2), strict=True)):
-        total, before = f"s->travelled_{name}[{i}]", f"s->commanded_{name}[{i}]"
-        missed = f"({rate} - {before}) * {number(dt)}"
-        yield f"if (!first) {total} = policy_clip({total} + {missed}, -{number(bound)}, {number(bound)});"
-        yield f"{before} = {command}[{column}]; v[{i}] = {total};"
 
 
 def _modified(name: str, modifier: Spec) -> str:

@@ -172,30 +172,27 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
-        folder = _move_into_place(work, target, numbered=output is None)
+        # Rename a finished folder. If the target exists, append a number to its name, or raise an error.
+        number, place = 1, target
+        while place.exists() or place.is_symlink():
+            if output is not None:
+                require_new(place)
+            number += 1
+            place = target.with_name(f"{target.name}-{number}")
+        with for_people(place):
+            work.rename(place)
+        folder = place.resolve()
     if folder.is_relative_to(run.path):
         results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
-            place = str(folder.relative_to(run.path))
-            run.manifest().add("export", files, {"folder": place, **results}, command=command)
+            run.manifest().add(
+                "export", files, {"folder": str(folder.relative_to(run.path)), **results}, command=command
+            )
         except BaseException:  # The run directory must not contain a bundle that is missing in the manifest.
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)
-
-
-def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
-    """Rename a finished folder. If the target exists, append a number to its name, or raise an error."""
-    number, place = 1, target
-    while place.exists() or place.is_symlink():
-        if not numbered:
-            require_new(place)
-        number += 1
-        place = target.with_name(f"{target.name}-{number}")
-    with for_people(place):
-        work.rename(place)
-    return place.resolve()
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:

@@ -133,7 +133,13 @@ def _restore(
     if number == 0:
         _require_entry(folders[0], record)
         source.places[PACKAGE] = folders.pop(0)
-    _note_gaps(record, destination, source)
+    # Add a note about the files that the run did not record with its source.
+    for entry in record["refused"]:
+        now = "is as committed" if os.path.lexists(destination / entry["path"]) else "is missing"
+        source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
+    nested = [entry["path"] for entry in record["submodules"]]
+    if nested:
+        source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
     source.source_roots += folders
 
 
@@ -145,16 +151,6 @@ def _require_entry(folder: Path, record: dict[str, Any]) -> None:
             expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
             "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
         )
-
-
-def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
-    """Add a note about the files that the run did not record with its source."""
-    for entry in record["refused"]:
-        now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is missing"
-        source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
-    nested = [entry["path"] for entry in record["submodules"]]
-    if nested:
-        source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
 
 
 def _register(folder: Path, source: RestoredSource) -> None:

@@ -96,10 +96,6 @@ def _same_value(was: Any, now: Any) -> bool:
     return type(was) is type(now) and bool(was == now)
 
 
-def _begins(keys: Keys, prefix: Keys) -> bool:
-    return keys[: len(prefix)] == prefix or prefix[: len(keys)] == keys
-
-
 def change_entry(change: Change) -> dict[str, Any]:
     """Return the manifest's entry of a config change; None means an absent key."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
@@ -110,7 +106,7 @@ def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mappi
     if not decides(change.keys) or change.keys in _CHANGEABLE:
         return
     for prefix, why in _FIXED.items():
-        if _begins(change.keys, prefix):
+        if change.keys[: len(prefix)] == prefix or prefix[: len(change.keys)] == change.keys:
             raise _refusal(change, why)
     if change.keys[:2] == ("env", "observations") and not set(change.keys[3:]) & set(_OBSERVATION_CHANGEABLE):
         raise _refusal(change, "the networks were trained with this observation")

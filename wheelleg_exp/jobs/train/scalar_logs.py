@@ -15,7 +15,7 @@ import os
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -57,27 +57,30 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
     """
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
-        _cut_file(path, len(lines), found)
+        # Cut an event file before its first record of iteration ``steps``; add the remaining tags to ``found``.
+        steps = len(lines)
+        end, kept = 0, 0
+        for event, stop in _events(path):
+            tags = [value.tag for value in event.summary.value]
+            if tags and not 0 <= event.step < steps:
+                break
+            if tags:
+                found[event.step].update(tags)
+                kept += 1
+            end = stop
+        if kept:
+            cut(path, end)
+        else:
+            with for_people(path):
+                path.unlink()
     if any(not set(line["scalars"]) <= found[index] for index, line in enumerate(lines)):
-        _rewrite(folder, lines)
-
-
-def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
-    """Cut an event file before its first record of iteration ``steps``; add the remaining tags to ``found``."""
-    end, kept = 0, 0
-    for event, stop in _events(path):
-        tags = [value.tag for value in event.summary.value]
-        if tags and not 0 <= event.step < steps:
-            break
-        if tags:
-            found[event.step].update(tags)
-            kept += 1
-        end = stop
-    if kept:
-        cut(path, end)
-    else:
-        with for_people(path):
-            path.unlink()
+        for path in event_files(folder):
+            with for_people(path):
+                path.unlink()
+        with for_people(folder), open_events(folder) as writer:
+            for line in lines:
+                for key, value in line["scalars"].items():
+                    writer.add_scalar(key, float(value), line["iteration"])
 
 
 def _events(path: Path) -> Iterator[tuple[Event, int]]:
@@ -96,16 +99,6 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
             return
         yield event, stop
         start = stop
-
-
-def _rewrite(folder: Path, lines: Collection[Mapping[str, Any]]) -> None:
-    for path in event_files(folder):
-        with for_people(path):
-            path.unlink()
-    with for_people(folder), open_events(folder) as writer:
-        for line in lines:
-            for key, value in line["scalars"].items():
-                writer.add_scalar(key, float(value), line["iteration"])
 
 
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"

@@ -299,17 +299,14 @@ class randomize_joint_parameters(TermBase):
         self._limits = (lower_limit_distribution_params, upper_limit_distribution_params)
         self._operation, self._distribution, self._generator = operation, distribution, generator
         if any(self._limits) and distribution != "gaussian":
-            self._require_order()
-
-    def _require_order(self) -> None:
-        lower, upper = self._robot.data.default_joint_pos_limits[0, self._joints.joint_ids].unbind(dim=1)
-        highest = torch.maximum(*self._ends(lower, self._limits[0]))
-        lowest = torch.minimum(*self._ends(upper, self._limits[1]))
-        if (highest > lowest).any():
-            first = int((highest > lowest).nonzero()[0])
-            low, high = f"{highest[first]:g} rad", f"{lowest[first]:g} rad"
-            message = f"a lower limit of up to {low} could exceed an upper limit of {high}"
-            raise ConfigError(message, expected="ranges of limits that do not overlap")
+            lower, upper = self._robot.data.default_joint_pos_limits[0, self._joints.joint_ids].unbind(dim=1)
+            highest = torch.maximum(*self._ends(lower, self._limits[0]))
+            lowest = torch.minimum(*self._ends(upper, self._limits[1]))
+            if (highest > lowest).any():
+                first = int((highest > lowest).nonzero()[0])
+                low, high = f"{highest[first]:g} rad", f"{lowest[first]:g} rad"
+                message = f"a lower limit of up to {low} could exceed an upper limit of {high}"
+                raise ConfigError(message, expected="ranges of limits that do not overlap")
 
     def _ends(self, default: torch.Tensor, params: Pair | None) -> tuple[torch.Tensor, torch.Tensor]:
         if params is None:

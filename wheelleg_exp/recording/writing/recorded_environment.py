@@ -183,6 +183,13 @@ class RecordedEnvironment:
         self.frames.clear()
         self._draw(env)
         self._place = place
+        robot = env.scene.robot
+        free = {
+            joint
+            for actuator in robot.actuators.values()
+            for joint, stiffness in zip(actuator.joint_names, actuator.stiffness[0].tolist(), strict=True)
+            if stiffness == 0.0
+        }
         self.layout = EnvLayout(
             label=f"env {env_id}",
             paths=paths,
@@ -190,7 +197,7 @@ class RecordedEnvironment:
             size=self._size,
             command=velocity_command(env),
             sensors=tuple(contact.sensor for contact in self._contacts),
-            joints=_position_controlled(env),
+            joints={joint: joint not in free for joint in robot.joint_names},
             rewards=tuple(env.reward_manager.active_terms),
             observations={group: tuple(terms) for group, terms in env.observation_manager.active_terms.items()},
         )
@@ -319,17 +326,6 @@ def series(names: Any, first: int = 0) -> Any:
         pale = name.endswith(("target", "command"))
         shades.append((0.45 * shade + 0.55 * 255).astype(np.uint8) if pale else shade)
     return rr.SeriesLines(names=list(names), colors=shades)
-
-
-def _position_controlled(env: ManagerBasedRLEnv) -> dict[str, bool]:
-    robot = env.scene.robot
-    free = {
-        joint
-        for actuator in robot.actuators.values()
-        for joint, stiffness in zip(actuator.joint_names, actuator.stiffness[0].tolist(), strict=True)
-        if stiffness == 0.0
-    }
-    return {joint: joint not in free for joint in robot.joint_names}
 
 
 def _tile(size: float) -> float:

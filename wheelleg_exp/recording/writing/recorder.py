@@ -229,7 +229,14 @@ class Recorder:
         """Write the rows of the resumed recording, and all static data: properties, shapes, names, and the layout."""
         if earlier is not None:
             self._file.chunks(earlier.chunks)
-            self._restore(earlier)
+            self._about["started"] = earlier.started
+            self._documents = list(earlier.documents)
+            self._scalars = TrainingScalars(earlier.keys)
+            for recorded in self._environments:
+                number, step = (earlier.last.get(recorded.paths.data("episode", name)) for name in ("number", "step"))
+                if number is not None and step is not None:
+                    recorded.episodes.restore(int(number[1]), step[0], int(step[1]))
+                recorded.sample.steps = sorted(earlier.steps[recorded.paths.data("episode", "step")])
         self._file.property(layout.OWN, self._about)
         robot = recorded_environment.robot_facts(self._env, self._environments[0].layout)
         self._file.property(recorded_environment.ROBOT, robot)
@@ -243,16 +250,6 @@ class Recorder:
             self._file.static(entity, *archetypes)
         self._stale = True
         self._file.take_place()
-
-    def _restore(self, earlier: EarlierRecording) -> None:
-        self._about["started"] = earlier.started
-        self._documents = list(earlier.documents)
-        self._scalars = TrainingScalars(earlier.keys)
-        for recorded in self._environments:
-            number, step = (earlier.last.get(recorded.paths.data("episode", name)) for name in ("number", "step"))
-            if number is not None and step is not None:
-                recorded.episodes.restore(int(number[1]), step[0], int(step[1]))
-            recorded.sample.steps = sorted(earlier.steps[recorded.paths.data("episode", "step")])
 
     def _take(self, environments: Sequence[RecordedEnvironment], stamp: Stamp) -> None:
         lengths, dones = host_copy(self._env.episode_length_buf), host_copy(self._env.termination_manager.dones)

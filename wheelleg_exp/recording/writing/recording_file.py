@@ -73,7 +73,11 @@ class RecordingFile:
             with for_people(self.path):
                 os.fsync(self._descriptor)
                 self._written.replace(self.path)
-                _sync_folder(self.path.parent)
+                descriptor = os.open(self.path.parent, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
             self._written = self.path
 
     def abandon(self) -> None:
@@ -124,14 +128,6 @@ class RecordingFile:
             reason = os.strerror(error.errno).lower() if error.errno else str(error)
             message = f"cannot write the recording '{self.path}': {reason}"
             raise SimulationFailure(message, expected="room on a working disk") from error
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _create_exclusively(path: Path) -> int:

@@ -123,7 +123,12 @@ def make_relief(layout: Layout) -> Relief:
         part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
         tile = _tile(layout, part, difficulty, rng, key)
         kinds[row, col], difficulties[row, col], tiles[row, col] = kind, difficulty, tile
-        origins[row, col, 2] = _highest(tile, layout.origin_window)
+        # The largest height in a central window whose edges are a share of the tile's edges.
+        windows = []
+        for count in tile.heights.shape:
+            reach = max(0.5, layout.origin_window * count / 2)
+            windows.append(slice(int(np.floor(count / 2 - reach)), int(np.ceil(count / 2 + reach))))
+        origins[row, col, 2] = float(tile.heights[tuple(windows)].max())
         alone = HeightMap([tile], 1, layout.size, torch.device("cpu"))
         origin = np.array([0.0, 0.0, origins[row, col, 2]])
         for name in patches:
@@ -171,15 +176,6 @@ def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Ge
     heights = np.broadcast_to(part.heights(difficulty, grid, rng), (len(x), len(y)))
     heights = np.where(grid.to_edge >= 0, heights, 0.0) if part.border_width else heights
     return Tile((np.rint(heights / layout.vertical_scale) * layout.vertical_scale).astype(np.float32), part.boxes)
-
-
-def _highest(tile: Tile, share: float) -> float:
-    """Return the largest height in a central window whose edges are a share of the tile's edges."""
-    windows = []
-    for count in tile.heights.shape:
-        reach = max(0.5, share * count / 2)
-        windows.append(slice(int(np.floor(count / 2 - reach)), int(np.ceil(count / 2 + reach))))
-    return float(tile.heights[tuple(windows)].max())
 
 
 def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:

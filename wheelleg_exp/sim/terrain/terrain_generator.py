@@ -59,7 +59,11 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        for number, (i0, i1, j0, j1, top) in enumerate(_boxes(heights)):
+        # Boxes ``(i0, i1, j0, j1, top)`` of cells whose tops are the heights: the smaller of two decompositions.
+        levels = np.unique(heights)
+        apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
+        nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
+        for number, (i0, i1, j0, j1, top) in enumerate(nested if len(nested) <= len(apart) else apart):
             low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
             add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
     else:
@@ -69,18 +73,6 @@ def add_tile(
         half = [size[0] / 2, size[1] / 2, span, depth]
         spec.add_hfield(name=name, nrow=rows, ncol=columns, size=half, userdata=data)
         add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
-
-
-def _boxes(heights: npt.NDArray[np.float64]) -> list[tuple[int, int, int, int, float]]:
-    """Return boxes ``(i0, i1, j0, j1, top)`` of cells whose tops are the heights: the smaller of two decompositions.
-
-    One decomposition makes boxes of the cells of each height. The other decomposition makes boxes of the cells of each
-    height or above, so that boxes overlap.
-    """
-    levels = np.unique(heights)
-    apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
-    nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
-    return min(nested, apart, key=len)
 
 
 def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
