@@ -53,7 +53,8 @@ def require_allowed(target: str, path: str) -> None:
         raise NotAllowed(
             f"target '{target}' is outside the allowed packages",
             key=f"{path}.{TARGET}",
-            expected="a target in " + ", ".join(packages),
+            expected=f"a target in {', '.join(packages)}, or in a package that your pyproject.toml declares under "
+            '[project.entry-points."wheelleg_exp.packages"]',
             nearest=f"{near}.{rest}" if near not in (None, top) else None,
         )
 
