@@ -91,8 +91,7 @@ def test_mistakes_end_with_2_and_one_line(tmp_path, capsys, words, told):
     assert main(["convert", source, "-o", str(tmp_path / "robot.xml"), *words]) == 2
     captured = capsys.readouterr()
     assert told in captured.err
-    assert captured.err.count("\n") == 1
-    assert captured.out == ""
+    assert (captured.err.count("\n"), captured.out) == (1, "")
     assert not list(tmp_path.iterdir())
 
 

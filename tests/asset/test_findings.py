@@ -122,8 +122,7 @@ def test_a_size_that_no_robot_has_is_in_doubt(tmp_path, capsys, radius, mass, sa
 
 
 def test_verdicts(tmp_path):
-    assert verdict_of([], 0.0, 0).level == "good"
-    assert verdict_of([], 0.0, 1).level == "check"
+    assert (verdict_of([], 0.0, 0).level, verdict_of([], 0.0, 1).level) == ("good", "check")
     assert verdict_of([], 0.05, 0) == Verdict("check", ("5.0% of the mass is assumed",))
     lost = Finding("limits_ignored", "j", "/j", {"lower": -1, "upper": 1})
     assert verdict_of([lost], 0.0, 1).reasons == ("1 joints lost the limits that the file writes",)

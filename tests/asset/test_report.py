@@ -151,10 +151,8 @@ def test_a_material_outside_the_default_prim_is_accounted_for(tmp_path):
         'def Material "rubber" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\nfloat physics:dynamicFriction = 0.7\n'
         "float physxMaterial:compliantContactStiffness = 5\n}\n"
     )
-    shape = (
-        'def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"])\n'
-        "{\nrel material:binding:physics = </rubber>\n}\n"
-    )
+    shape = 'def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"])\n'
+    shape += "{\nrel material:binding:physics = </rubber>\n}\n"
     model, done = converted(write(tmp_path, link("a", inside=shape), outside=material))
     assert model.geom_friction[0, 0] == 0.7
     assert "physxMaterial:compliantContactStiffness" in {item.name for item in done.report.left_out}
@@ -214,11 +212,8 @@ def test_what_is_left_out_after_all_is_not_mapped_as_well():
 
 def test_totals_are_those_of_the_model(conversion):
     totals = conversion.report.totals
-    assert totals["bodies"] == 7
-    assert totals["dofs"] == 6
-    assert totals["colliders"] == 7
-    assert totals["actuators"] == 6
-    assert totals["mass"] == pytest.approx(0.5)
+    assert (totals["bodies"], totals["dofs"], totals["colliders"]) == (7, 6, 7)
+    assert (totals["actuators"], totals["mass"]) == (6, pytest.approx(0.5))
 
 
 def test_is_one_json_document_that_can_be_read_back(conversion):

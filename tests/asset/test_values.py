@@ -51,8 +51,7 @@ def test_joints_have_the_kinds_ranges_and_gains_of_the_model_and_the_files_own(s
         np.testing.assert_array_equal(found.axis, item["axis"])
         assert item["armature"] == model.dof_armature[found.dofadr[0]]
         assert item["drive"]["kp"] == pytest.approx(-motor.biasprm[1])
-        assert item["drive"]["kv"] == pytest.approx(-motor.biasprm[2])
-        assert item["effort"] == motor.forcerange[1]
+        assert (item["drive"]["kv"], item["effort"]) == (pytest.approx(-motor.biasprm[2]), motor.forcerange[1])
     authored = report["authored"][joints["l01"]["path"]]
     assert np.radians(authored["physics:upperLimit"]) == pytest.approx(joints["l01"]["range"][1])
     assert np.degrees(authored["drive:angular:physics:stiffness"]) == pytest.approx(joints["l01"]["drive"]["kp"])

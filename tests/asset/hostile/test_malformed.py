@@ -316,8 +316,7 @@ def test_odd_names_give_files_that_every_disk_can_hold(tmp_path):
     )
     model, done = converted(write(tmp_path, link("a", inside=cubes)))
     files = sorted(path.name for path in (done.output.parent / "bot_meshes").iterdir())
-    assert model.nmesh == 4
-    assert len({name.lower() for name in files}) == 4
+    assert (model.nmesh, len({name.lower() for name in files})) == (4, 4)
     assert all(len(name.encode()) < 255 and re.fullmatch(r"[\w.-]+", name) for name in files)
 
 
@@ -335,10 +334,8 @@ def test_a_display_name_that_climbs_becomes_a_plain_file(tmp_path):
 
 # ---------------------------------------------------------------- shapes
 def test_polygons_become_fans_without_the_holes(tmp_path):
-    text = (
-        "point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = [4, 3, 3, 0, 2]\n"
-        "int[] faceVertexIndices = [0,1,2,3, 0,1,4, 1,2,4, 3,4]\nint[] holeIndices = [1, 99]"
-    )
+    text = "point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = [4, 3, 3, 0, 2]\n"
+    text += "int[] faceVertexIndices = [0,1,2,3, 0,1,4, 1,2,4, 3,4]\nint[] holeIndices = [1, 99]"
     _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text))))
     assert done.description.meshes[0].faces.tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 4]]
 

@@ -88,9 +88,7 @@ WHEEL = Drive("velocity", 0.0, 0.5, 30.0)
 # ------------------------------------------------------------------ classes
 def test_what_all_joints_share_is_the_robots_and_what_some_share_has_their_common_name():
     classes = classes_of(legs(SERVO, SERVO, SERVO, SERVO))
-    assert classes["r"] == {"position"}
-    assert classes["hip"] == {"joint"}
-    assert classes["knee"] == {"joint"}
+    assert (classes["r"], classes["hip"], classes["knee"]) == ({"position"}, {"joint"}, {"joint"})
     model = model_of(legs(SERVO, SERVO, SERVO, SERVO))
     np.testing.assert_allclose(model.dof_damping[6:], [1, 2] * 4)
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], 20)
@@ -103,8 +101,7 @@ def test_kinds_of_drives_do_not_spoil_each_others_defaults():
     names = [model.actuator(i).name[:2] for i in range(model.nu)]
     kp = dict(zip(names, -model.actuator_biasprm[:, 1], strict=True))
     kv = dict(zip(names, -model.actuator_biasprm[:, 2], strict=True))
-    assert kp == {"FL": 20, "FR": 0, "RL": 50, "RR": 0}
-    assert kv == {"FL": 0.5, "FR": 0.5, "RL": 0.5, "RR": 0}
+    assert (kp, kv) == ({"FL": 20, "FR": 0, "RL": 50, "RR": 0}, {"FL": 0.5, "FR": 0.5, "RL": 0.5, "RR": 0})
 
 
 def test_an_actuator_of_mujocos_own_is_not_changed_by_drives_beside_it():
@@ -255,8 +252,7 @@ def test_home_is_the_saved_state_with_its_velocities():
 def test_a_home_of_the_files_own_takes_the_place_of_ours():
     own = Keyframe("home", "/r/home", {"qpos": (0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0)})
     model = model_of(robot(body("a"), keyframes=(own,)))
-    assert model.nkey == 1
-    assert model.key("home").qpos[2] == 3
+    assert (model.nkey, model.key("home").qpos[2]) == (1, 3)
 
 
 # ------------------------------------------------------------------ names and numbers
@@ -297,5 +293,4 @@ def test_an_element_may_be_nested_deeper_than_python_recurses():
     root = at = Element("a")
     for _ in range(2000):
         at = at.add("a")
-    assert root.depth() == 2001
-    assert root.text().count("<a") == 2001
+    assert (root.depth(), root.text().count("<a")) == (2001, 2001)

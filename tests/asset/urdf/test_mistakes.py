@@ -119,8 +119,6 @@ def test_a_urdf_has_no_variants(tmp_path):
 
 
 # ---------------------------------------------------------------- where the model goes
-
-
 def test_an_output_among_the_meshes_of_another_is_refused(tmp_path):
     source = write(tmp_path, link("a"))
     (tmp_path / "robot.xml").write_text("<mujoco/>")

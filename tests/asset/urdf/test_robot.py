@@ -14,9 +14,8 @@ from wheelleg_exp.cli.main import main
 from ..small_urdf import BOX, assumed, at_zero, inertial, joint, left, link, made, mass_matrix, pair, tensor, write
 from ..warned import warned
 
+
 # ---------------------------------------------------------------- frames
-
-
 def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
     origin = f'<origin xyz="1 2 3" rpy="{math.pi / 2} 0 {math.pi / 2}"/>'
     model, _ = made(tmp_path, pair(inside=origin), "fixed")
@@ -29,8 +28,7 @@ def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
 def test_fixed_joints_keep_their_bodies_by_name(tmp_path):
     model, conversion = made(tmp_path, link("a") + link("imu") + joint("mount", "a", "imu", "fixed"))
     assert [model.body(i).name for i in range(model.nbody)] == ["world", "a", "imu"]
-    assert conversion.report.bodies == {"/robot/link[a]": "a", "/robot/link[imu]": "imu"}
-    assert model.nv == 6
+    assert (conversion.report.bodies, model.nv) == ({"/robot/link[a]": "a", "/robot/link[imu]": "imu"}, 6)
 
 
 def test_linked_bodies_do_not_touch(tmp_path):
@@ -47,12 +45,9 @@ def test_names_that_mujoco_keeps_for_itself_are_changed(tmp_path):
 
 
 # ---------------------------------------------------------------- base
-
-
 def test_a_base_floats_unless_told_otherwise_and_the_report_says_so(tmp_path):
     model, conversion = made(tmp_path, pair("continuous"))
-    assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)
-    assert conversion.report.base == "floating"
+    assert (model.jnt_type[0], conversion.report.base) == (int(mujoco.mjtJoint.mjJNT_FREE), "floating")
     assert assumed(conversion, "does not define its base") == [("/robot/link[a]", "floating")]
     model, conversion = made(tmp_path, pair("continuous"), "fixed")
     assert (model.nv, conversion.report.base) == (1, "fixed")
@@ -83,13 +78,10 @@ def test_shapes_of_the_world_are_ground_and_not_robot(tmp_path):
     model, conversion = made(
         tmp_path, f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
     )
-    assert len(conversion.description.static_geoms) == 1
-    assert [int(body) for body in model.geom_bodyid] == [0]
+    assert (len(conversion.description.static_geoms), [int(body) for body in model.geom_bodyid]) == (1, [0])
 
 
 # ---------------------------------------------------------------- joints
-
-
 def test_hinges_and_slides_take_axis_limits_and_passive_forces(tmp_path):
     inside = """<axis xyz="0 0 -1"/><limit lower="-0.5" upper="1.25" effort="30" velocity="12"/>
       <dynamics damping="0.7" friction="0.2"/>"""
@@ -200,8 +192,6 @@ def test_orders_of_joints_are_breadth_first_and_depth_first(tmp_path):
 
 
 # ---------------------------------------------------------------- mass
-
-
 def test_inertia_is_turned_from_its_own_frame_into_the_links(tmp_path):
     own = inertial(2, at="1 2 3", rpy=f"0 0 {math.pi / 2}", tensor="0.3 0.4 0.5 0.01 0.02 0.03")
     model, _ = made(tmp_path, link("a", inertial=own))
@@ -323,8 +313,6 @@ def test_moments_that_no_body_can_have_are_mended_and_told(tmp_path):
 
 
 # ---------------------------------------------------------------- the whole
-
-
 CHAIN = (
     link("a", BOX, inertial(3, at="0.1 0 0", rpy="0.3 0.2 0.1", tensor="0.2 0.3 0.4 0.01 0.02 -0.03"))
     + link("b", BOX, inertial(2, at="0 0.2 0.1", tensor="0.02 0.03 0.04 0 0 0"))
@@ -408,8 +396,6 @@ def test_every_attribute_is_read_or_named(tmp_path):
 
 
 # ---------------------------------------------------------------- commands and cache
-
-
 def test_the_command_takes_a_urdf(tmp_path, capsys):
     source = write(tmp_path, pair("continuous"))
     assert main(["convert", str(source), "-o", str(tmp_path / "out.xml"), "--base", "fixed"]) == 0

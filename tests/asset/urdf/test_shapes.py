@@ -71,8 +71,6 @@ def hull_volume(description_mesh) -> float:
 
 
 # ---------------------------------------------------------------- primitives
-
-
 def test_primitives_are_exact_and_stand_where_they_are_put(tmp_path):
     at = '<origin xyz="1 2 3" rpy="0 0 0.5"/>'
     shapes = {
@@ -143,8 +141,6 @@ def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
 
 
 # ---------------------------------------------------------------- formats
-
-
 @pytest.mark.parametrize(
     ("file", "data"),
     [
@@ -160,8 +156,7 @@ def test_meshes_of_each_format_come_back_whole(tmp_path, file, data):
     at = '<origin xyz="0 0 5" rpy="0 0 1.5707963267948966"/>'
     model, conversion = made(tmp_path, link("a", mesh(file, origin=at) + mesh(file, "collision", origin=at)))
     for item in conversion.description.meshes:
-        assert len(item.vertices) == 4
-        assert hull_volume(item) == pytest.approx(1 / 6)
+        assert (len(item.vertices), hull_volume(item)) == (4, pytest.approx(1 / 6))
     data = at_zero(model)
     for index in range(model.ngeom):  # MuJoCo moves a mesh into its inertial frame
         start, count = model.mesh_vertadr[model.geom_dataid[index]], model.mesh_vertnum[model.geom_dataid[index]]
@@ -177,8 +172,7 @@ def test_a_mirrored_mesh_is_not_turned_inside_out(tmp_path):
     _, conversion = made(tmp_path, link("a", mesh("part.stl", scale="2 3 -1")))
     (item,) = conversion.description.meshes
     np.testing.assert_allclose(np.ptp(item.vertices, axis=0), [2, 3, 1])
-    assert item.vertices[:, 2].min() == -1
-    assert hull_volume(item) == pytest.approx(1)
+    assert (item.vertices[:, 2].min(), hull_volume(item)) == (-1, pytest.approx(1))
 
 
 def test_collada_is_placed_by_its_nodes_in_its_unit_and_up_axis_is_ignored_as_in_rviz(tmp_path):
@@ -236,8 +230,6 @@ def test_a_mesh_that_cannot_be_read_is_passed_over_when_drawn_and_told_when_soli
 
 
 # ---------------------------------------------------------------- where files are
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -267,8 +259,7 @@ def test_meshes_are_found_without_a_ros_installation(tmp_path, name):
     (package / "meshes" / "part.obj").write_text(obj())
     source = write(package / "urdf", link("a", mesh(name.format(folder=tmp_path))))
     report = convert(source, tmp_path / "out.xml").report
-    assert report.totals["visuals"] == 1
-    assert set(report.layers) == {"bot.urdf", "../meshes/part.obj"}
+    assert (report.totals["visuals"], set(report.layers)) == (1, {"bot.urdf", "../meshes/part.obj"})
 
 
 def test_a_path_of_another_machine_does_not_match_by_its_last_parts_alone(tmp_path):

@@ -68,8 +68,7 @@ def test_every_authored_physics_is_mapped_or_named(corpus, corpus_asset, convers
         path = str(prim.GetPath())
         authored |= {(path, p.GetName()) for p in prim.GetAuthoredProperties() if PROPERTY.match(p.GetName())}
     assert authored, "the asset has physics"
-    assert authored - mapped - left == set()
-    assert mapped & left == set()
+    assert (authored - mapped - left, mapped & left) == (set(), set())
 
 
 def test_every_physics_prim_and_schema_is_mapped_or_named(corpus, corpus_asset, conversion):

@@ -124,8 +124,7 @@ def articulation(folder, joint: str):
 def test_inside_an_articulation_a_generic_joint_does_not_slide(tmp_path):
     text = f"point3f physics:localPos0 = (1, 0, 0)\n{locked('transY', 'rotX', 'rotY')}"
     model, done = articulation(tmp_path, hinge("j", "a", "b", kind="", text=text))
-    assert names(model) == ["j"]
-    assert model.jnt_type[1] == mujoco.mjtJoint.mjJNT_HINGE
+    assert (names(model), model.jnt_type[1]) == (["j"], mujoco.mjtJoint.mjJNT_HINGE)
     assert any("/bot/j" in warning and "slide" in warning for warning in done.report.warnings)
 
 

@@ -35,8 +35,7 @@ def test_the_distances_limit_a_tendon_between_the_joint_frames(tmp_path, low, hi
     assert model.ntendon == 1
     assert model.tendon_limited[0]
     np.testing.assert_allclose(model.tendon_range[0], expected, rtol=1e-9)
-    assert length(model) == pytest.approx(np.hypot(4 - 1, 2))
-    assert model.nv == 12
+    assert (length(model), model.nv) == (pytest.approx(np.hypot(4 - 1, 2)), 12)
 
 
 def test_distances_are_stage_lengths(tmp_path):
@@ -58,10 +57,8 @@ def test_no_distance_at_all_holds_the_points_together(tmp_path):
 
 def test_physx_springs_at_the_ends_are_springs_with_a_dead_band(tmp_path):
     prefix = "physxPhysicsDistanceJoint"
-    text = (
-        f"float physics:minDistance = 1\n float physics:maxDistance = 2\n bool {prefix}:springEnabled = 1\n"
-        f"float {prefix}:springStiffness = 30\n float {prefix}:springDamping = 4"
-    )
+    text = f"float physics:minDistance = 1\n float physics:maxDistance = 2\n bool {prefix}:springEnabled = 1\n"
+    text += f"float {prefix}:springStiffness = 30\n float {prefix}:springDamping = 4"
     model, _ = roped(tmp_path, text, apis="PhysxPhysicsDistanceJointAPI")
     assert not model.tendon_limited[0]
     np.testing.assert_allclose(np.ravel(model.tendon_stiffness)[0], 30)

@@ -24,10 +24,8 @@ CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    kilogramsPerUnit = 0.00
     ids=["position", "velocity", "motor"],
 )
 def test_angular_gains_are_per_degree(tmp_path, kp, kd, gain, bias):
-    text = (
-        f"float drive:angular:physics:stiffness = {kp}\n float drive:angular:physics:damping = {kd}\n"
-        "float drive:angular:physics:maxForce = 7"
-    )
+    text = f"float drive:angular:physics:stiffness = {kp}\n float drive:angular:physics:damping = {kd}\n"
+    text += "float drive:angular:physics:maxForce = 7"
     model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
     drive = model.actuator("j")
     assert drive.gainprm[0] == pytest.approx(gain, rel=1e-6)
@@ -49,23 +47,18 @@ def test_no_effort_limit_where_none_is_given(tmp_path, force):
 
 
 def test_acceleration_gains_are_times_the_inertia_that_the_drive_meets(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n"
-        'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
-    )
+    text = "float drive:angular:physics:stiffness = 1\n"
+    text += 'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
     model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular", base="fixed")
     assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # kg m²
 
 
 def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n float drive:angular:physics:targetPosition = 90\n"
-        "float state:angular:physics:position = 30\n float state:angular:physics:velocity = 60"
-    )
+    text = "float drive:angular:physics:stiffness = 1\n float drive:angular:physics:targetPosition = 90\n"
+    text += "float state:angular:physics:position = 30\n float state:angular:physics:velocity = 60"
     model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular PhysicsJointStateAPI:angular")
     key = model.key("home")
-    assert key.qpos[-1] == pytest.approx(math.radians(30))
-    assert key.qvel[-1] == pytest.approx(math.radians(60))
+    assert (key.qpos[-1], key.qvel[-1]) == (pytest.approx(math.radians(30)), pytest.approx(math.radians(60)))
     assert key.ctrl[0] == pytest.approx(math.radians(90))
 
 
@@ -165,10 +158,8 @@ def test_an_effort_limit_that_is_none_is_reported(tmp_path, force):
 
 
 def test_a_target_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    text = (
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 10\n float drive:angular:physics:stiffness = 1"
-        "\nfloat drive:angular:physics:targetPosition = 45"
-    )
+    text = "float physics:lowerLimit = -10\n float physics:upperLimit = 10\n float drive:angular:physics:stiffness = 1"
+    text += "\nfloat drive:angular:physics:targetPosition = 45"
     model, done = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
     assert model.key("home").ctrl[0] == pytest.approx(math.radians(10), rel=1e-6)
     assert any("target" in item.rule and "clamped" in item.rule for item in done.report.assumptions)
@@ -183,10 +174,8 @@ def test_a_target_velocity_is_the_control_of_a_velocity_drive(tmp_path):
 def test_an_acceleration_drive_meets_the_inertia_of_a_pendulum(tmp_path):
     """The pendulum's inertia is 0.1 + 2·0.5² + 0.05 (armature) kg m²."""
     mass = MASS.replace("mass = 1", "mass = 2").replace("centerOfMass = (0, 0, 0)", "centerOfMass = (0, 0.5, 0)")
-    text = (
-        "float drive:angular:physics:stiffness = 3\n float drive:angular:physics:damping = 0.2"
-        '\nuniform token drive:angular:physics:type = "acceleration"\n float physxJoint:armature = 0.05'
-    )
+    text = "float drive:angular:physics:stiffness = 3\n float drive:angular:physics:damping = 0.2"
+    text += '\nuniform token drive:angular:physics:type = "acceleration"\n float physxJoint:armature = 0.05'
     joint = hinge("j", "x", "b", apis="PhysicsDriveAPI:angular PhysxJointAPI", text=text)
     joint = joint.replace("rel physics:body0 = </bot/x>", "")
     model, _ = converted(write(tmp_path, link("b", mass=mass) + joint))
@@ -209,19 +198,16 @@ def test_a_hinge_in_centimetres_and_grams(tmp_path):
     model, _ = converted(write(tmp_path, body, header=CM))
     np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2 * DEGREES, -1 * DEGREES], rtol=1e-6)
     np.testing.assert_allclose(model.actuator("j").forcerange, [-3, 3], rtol=1e-6)
-    assert model.dof_armature[6] == pytest.approx(0.5)
-    assert model.dof_frictionloss[6] == pytest.approx(0.4)
+    assert (model.dof_armature[6], model.dof_frictionloss[6]) == (pytest.approx(0.5), pytest.approx(0.4))
 
 
 def test_a_slide_in_centimetres_and_grams(tmp_path):
     """Forces of the USD file are multiplied by kpu·mpu = 1e-5, linear gains and masses by kpu = 1e-3."""
-    text = (
-        "float drive:linear:physics:stiffness = 2000\n float drive:linear:physics:maxForce = 3e5\n"
-        "float drive:linear:physics:targetPosition = 5\n float physics:lowerLimit = -20\n"
-        "float physics:upperLimit = 30\nfloat physxJoint:armature = 500\n float newton:damping = 700\n"
-        "float physxJoint:maxJointVelocity = 250\nfloat state:linear:physics:position = 10\n"
-        "float state:linear:physics:velocity = 40"
-    )
+    text = "float drive:linear:physics:stiffness = 2000\n float drive:linear:physics:maxForce = 3e5\n"
+    text += "float drive:linear:physics:targetPosition = 5\n float physics:lowerLimit = -20\n"
+    text += "float physics:upperLimit = 30\nfloat physxJoint:armature = 500\n float newton:damping = 700\n"
+    text += "float physxJoint:maxJointVelocity = 250\nfloat state:linear:physics:position = 10\n"
+    text += "float state:linear:physics:velocity = 40"
     joint = hinge("j", "a", "b", kind="Prismatic", apis="PhysicsDriveAPI:linear PhysxJointAPI", text=text)
     model, done = converted(write(tmp_path, link("a") + link("b") + joint, header=CM))
     np.testing.assert_allclose(model.actuator("j").biasprm[:2], [0, -2], rtol=1e-6)
@@ -304,10 +290,8 @@ def test_what_mujoco_has_no_place_for_is_named(tmp_path, name):
 
 
 def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path):
-    text = (
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 40\n float drive:angular:physics:stiffness = 2"
-        "\nfloat drive:angular:physics:targetPosition = 25\n float state:angular:physics:position = 15"
-    )
+    text = "float physics:lowerLimit = -10\n float physics:upperLimit = 40\n float drive:angular:physics:stiffness = 2"
+    text += "\nfloat drive:angular:physics:targetPosition = 25\n float state:angular:physics:position = 15"
     body = link("a", apis="PhysicsArticulationRootAPI") + link("b")
     model, _ = converted(write(tmp_path, body + hinge("j", "b", "a", apis="PhysicsDriveAPI:angular", text=text)))
     np.testing.assert_allclose(model.jnt_axis[1], [-1, 0, 0])

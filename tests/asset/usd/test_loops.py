@@ -69,8 +69,7 @@ def test_ball_and_fixed_joints_close_loops_as_a_point_and_a_weld(tmp_path):
     for kind, equality, count in (("Spherical", "mjEQ_CONNECT", 3), ("Fixed", "mjEQ_WELD", 6)):
         text = "bool physics:excludeFromArticulation = 1"
         model, _ = converted(write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", kind=kind, text=text))))
-        assert kinds(model) == [equality]
-        assert len(violation(model)) == count
+        assert (kinds(model), len(violation(model))) == ([equality], count)
         np.testing.assert_allclose(violation(model), 0, atol=1e-9)
 
 
@@ -89,9 +88,7 @@ def test_a_slide_that_closes_a_loop_stays_a_joint_and_a_hinge_of_the_loop_opens(
     closing = at("cd", "c", "d", "(1, 0, 0)", kind="Prismatic")
     model, done = converted(write(tmp_path, square(closing)))
     joints = {model.joint(i).name: int(model.jnt_type[i]) for i in range(1, model.njnt)}
-    assert joints["cd"] == mujoco.mjtJoint.mjJNT_SLIDE
-    assert len(joints) == 3
-    assert kinds(model) == ["mjEQ_CONNECT"] * 2
+    assert (joints["cd"], len(joints), kinds(model)) == (mujoco.mjtJoint.mjJNT_SLIDE, 3, ["mjEQ_CONNECT"] * 2)
     np.testing.assert_allclose(violation(model), 0, atol=1e-9)
     assert any("/bot/cd" in warning and "/bot/bd" in warning for warning in done.report.warnings)
 
@@ -118,10 +115,8 @@ def test_a_generic_joint_of_two_hinges_is_traded_too(tmp_path):
 
 
 def test_what_a_closing_joint_says_of_its_coordinate_is_named(tmp_path):
-    text = (
-        "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
-        "float drive:angular:physics:stiffness = 3"
-    )
+    text = "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
+    text += "float drive:angular:physics:stiffness = 3"
     _, done = converted(
         write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", apis="PhysicsDriveAPI:angular", text=text)))
     )
@@ -133,8 +128,7 @@ def test_what_a_closing_joint_says_of_its_coordinate_is_named(tmp_path):
 def test_two_joints_between_the_same_bodies_close_a_loop(tmp_path):
     body = link("a") + link("b", "(1, 0, 0)") + at("one", "a", "b", "(1, 0, 0)") + at("two", "a", "b", "(1, 0, 0)")
     model, done = converted(write(tmp_path, body))
-    assert model.nv == 7
-    assert model.neq == 2
+    assert (model.nv, model.neq) == (7, 2)
     assert any("/bot/two" in warning for warning in done.report.warnings)
 
 

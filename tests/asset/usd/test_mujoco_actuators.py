@@ -58,8 +58,7 @@ def test_parameters_and_ranges_are_kept_as_they_were_written(tmp_path):
         uniform int mjc:group = 2""",
     )
     motor = model.actuator("motor")
-    assert motor.trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    assert motor.trnid[0] == model.joint("j").id
+    assert (motor.trntype, motor.trnid[0]) == (int(mujoco.mjtTrn.mjTRN_JOINT), model.joint("j").id)
     assert motor.gainprm[0] == 100
     np.testing.assert_allclose(motor.biasprm[:4], [0, -100, -2, 0])
     np.testing.assert_allclose(motor.ctrlrange, [-0.8, 0.9])
@@ -94,8 +93,7 @@ def test_a_gain_of_zero_is_zero(tmp_path):
 )
 def test_dynamics_have_their_states(tmp_path, text, dynamics, states):
     model, _ = pair(tmp_path, text)
-    assert model.actuator_dyntype[0] == int(getattr(mujoco.mjtDyn, f"mjDYN_{dynamics}"))
-    assert model.na == states
+    assert (model.actuator_dyntype[0], model.na) == (int(getattr(mujoco.mjtDyn, f"mjDYN_{dynamics}")), states)
 
 
 def test_activation_range_early_flag_and_length_range(tmp_path):

@@ -40,8 +40,7 @@ def test_two_joints_between_two_bodies_add_up_only_where_the_file_says_so(tmp_pa
         for name, axis in (("x", "X"), ("y", "Y"))
     )
     model, done = converted(write(tmp_path, first + link("b") + slides))
-    assert model.nv - 6 == dofs
-    assert model.neq == equalities
+    assert (model.nv - 6, model.neq) == (dofs, equalities)
     assert any("closes a loop" in warning for warning in done.report.warnings) is not adds
 
 
@@ -219,8 +218,7 @@ def test_a_site_keeps_its_shape_and_its_place_in_the_world(tmp_path):
     model, _ = converted(write(tmp_path, link("a", inside=site.format(name="tip")) + site.format(name="goal")))
     for name, body in (("tip", "a"), ("goal", "world")):
         found = model.site(name)
-        assert found.bodyid[0] == model.body(body).id
-        assert found.type[0] == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+        assert (found.bodyid[0], found.type[0]) == (model.body(body).id, int(mujoco.mjtGeom.mjGEOM_CAPSULE))
         np.testing.assert_allclose(found.size[:2], [0.1, 0.3])
         np.testing.assert_allclose(found.rgba, [1, 0, 0, 1])
         np.testing.assert_allclose(found.pos, [0, 0, 2])

@@ -111,8 +111,7 @@ def test_stands_over_its_axle_in_the_default_pose(home):
 def test_base_height_is_that_of_the_leg_geometry(home):
     formula = WHEEL + THIGH * math.cos(HIP) + SHANK * math.cos(HIP + KNEE)
     measured = WHEEL + home.body("base_link").xpos[2] - home.body("l_wheel_link").xpos[2]
-    assert formula == pytest.approx(0.06995, abs=1e-5)
-    assert measured == pytest.approx(formula, abs=1e-7)
+    assert (formula, measured) == (pytest.approx(0.06995, abs=1e-5), pytest.approx(formula, abs=1e-7))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -252,8 +251,7 @@ def test_is_laid_out_as_the_urdf_importer_lays_robots_out(stage):
         "Sensor": "Sensors",
     }
     links = [p.GetName() for p in root.GetChild("wl2").GetChildren()]
-    assert links[0] == "base_link"
-    assert len(links) == 7
+    assert (links[0], len(links)) == ("base_link", 7)
     for link in root.GetChild("wl2").GetChildren():
         for child in ("visuals", "collisions"):
             assert link.GetChild(child).IsInstance(), link.GetPath()

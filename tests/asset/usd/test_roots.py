@@ -55,8 +55,7 @@ def test_a_mark_on_a_body_wins_over_the_middle(tmp_path):
         'def Xform "b" (\n        prepend apiSchemas = ["PhysicsArticulationRootAPI", ',
     )
     model, _ = converted(write(tmp_path, marked + JOINTS))
-    assert roots(model) == {"b"}
-    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    assert (roots(model), model.jnt_type[0]) == ({"b"}, mujoco.mjtJoint.mjJNT_FREE)
 
 
 def pin(body0: str, body1: str, more: str = "", kind: str = "Fixed", apis: str = "") -> str:
@@ -84,9 +83,7 @@ def test_a_fixed_joint_to_the_world_in_every_spelling(tmp_path, body0, body1, ma
     joint = pin(body0, body1, more, apis=MARK if mark == "joint" else "")
     root = MARK if mark == "above" else ""
     model, done = converted(write(tmp_path, CHAIN + stand + JOINTS + joint, root_apis=root))
-    assert roots(model) == {"c"}
-    assert done.report.base == "fixed"
-    assert model.nv == 4
+    assert (roots(model), done.report.base, model.nv) == ({"c"}, "fixed", 4)
     np.testing.assert_allclose(model.body("c").pos, [2, 0, 0], atol=1e-9)
 
 
@@ -112,8 +109,7 @@ def test_several_articulations_have_a_root_each(tmp_path):
         )
 
     model, _ = converted(write(tmp_path, robot("one") + robot("two")))
-    assert roots(model) == {"one_base", "two_base"}
-    assert model.nv == 2 * 7
+    assert (roots(model), model.nv) == ({"one_base", "two_base"}, 2 * 7)
 
 
 def test_an_instanced_articulation_is_read_through_its_proxies(tmp_path):
@@ -143,9 +139,7 @@ def test_a_chain_of_a_thousand_links_is_read(tmp_path):
 def test_a_kinematic_body_moves_by_mocap_and_carries_what_hangs_on_it(tmp_path):
     base = link("base", "(0, 0, 1)", mass=MASS + "\n bool physics:kinematicEnabled = 1")
     model, _ = converted(write(tmp_path, link("arm", "(1, 0, 1)") + base + hinge("j", "base", "arm", text=AHEAD)))
-    assert model.nmocap == 1
-    assert roots(model) == {"base"}
-    assert model.nv == 1
+    assert (model.nmocap, roots(model), model.nv) == (1, {"base"}, 1)
 
 
 def test_a_kinematic_body_at_the_far_end_pulls_by_an_equality(tmp_path):
@@ -153,8 +147,7 @@ def test_a_kinematic_body_at_the_far_end_pulls_by_an_equality(tmp_path):
     body = link("base") + link("arm", "(1, 0, 0)") + hand + hinge("ba", "base", "arm", text=AHEAD)
     body += hinge("ah", "arm", "hand", kind="Fixed", text=AHEAD)
     model, _ = converted(write(tmp_path, body + pin("", "rel physics:body1 = </bot/base>")))
-    assert roots(model) == {"base", "hand"}
-    assert model.nmocap == 1
+    assert (roots(model), model.nmocap) == ({"base", "hand"}, 1)
     assert [mujoco.mjtEq(int(kind)).name for kind in model.eq_type] == ["mjEQ_WELD"]
 
 
@@ -211,8 +204,7 @@ def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path
     kinematic = link("a").replace("float physics:mass", "bool physics:kinematicEnabled = 1\n float physics:mass", 1)
     to_world = 'def PhysicsRevoluteJoint "hold"\n{\n rel physics:body1 = </bot/a>\n}\n'
     model, done = converted(write(tmp_path, kinematic + link("b") + to_world + hinge("j", "a", "b")))
-    assert model.body("a").mocapid[0] == 0
-    assert model.nv == 1
+    assert (model.body("a").mocapid[0], model.nv) == (0, 1)
     assert any("/bot/hold" in item.values for item in done.report.left_out)
     assert any("/bot/hold" in warning for warning in done.report.warnings)
 
@@ -222,5 +214,4 @@ def test_a_base_set_free_is_still_the_root(tmp_path):
     pin += "{\n rel physics:body1 = </bot/a>\n}\n"
     chain = link("a") + link("b") + link("c") + hinge("ab", "a", "b") + hinge("bc", "b", "c")
     model, _ = converted(write(tmp_path, chain + pin, root_apis="PhysicsArticulationRootAPI"), base="floating")
-    assert model.body(1).name == "a"
-    assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)
+    assert (model.body(1).name, model.jnt_type[0]) == ("a", int(mujoco.mjtJoint.mjJNT_FREE))

@@ -77,10 +77,8 @@ def test_the_axis_is_turned_by_the_joint_frame_of_the_child(tmp_path):
 
 
 def test_a_joint_that_names_the_child_first_turns_the_other_way(tmp_path):
-    text = (
-        'uniform token physics:axis = "Z"\n point3f physics:localPos1 = (1, 0, 0)\n'
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 40"
-    )
+    text = 'uniform token physics:axis = "Z"\n point3f physics:localPos1 = (1, 0, 0)\n'
+    text += "float physics:lowerLimit = -10\n float physics:upperLimit = 40"
     body = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)") + hinge("j", "b", "a", text=text)
     model, done = converted(write(tmp_path, body))
     assert model.body("b").parentid[0] == model.body("a").id
@@ -133,8 +131,7 @@ def test_a_spherical_joint_becomes_a_ball_with_the_smaller_cone(tmp_path):
 
 def test_a_fixed_joint_keeps_both_bodies(tmp_path):
     model, _ = two_links(tmp_path, kind="Fixed")
-    assert model.nv == 6
-    assert model.body("b").parentid[0] == model.body("a").id
+    assert (model.nv, model.body("b").parentid[0]) == (6, model.body("a").id)
 
 
 def test_a_joint_to_a_body_that_is_not_there_is_left_out_and_named(tmp_path):
