@@ -19,16 +19,13 @@ from ..small_usd import link as body
 from ..small_usd import write as write_usd
 from .scratch import CANARY, Scratch
 
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
-
 
 def robot(folder: Path, mesh: str = "part.obj") -> Path:
     path = folder / mesh
     path.parent.mkdir(exist_ok=True)
-    path.write_text(TETRAHEDRON)
-    return small_urdf.write(
-        folder, small_urdf.link("a", f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>')
-    )
+    path.write_text(small_urdf.TETRAHEDRON)
+    shape = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+    return small_urdf.write(folder, small_urdf.link("a", shape))
 
 
 def link_to(target: str) -> Callable[[Path], None]:
@@ -93,7 +90,7 @@ def test_the_robots_own_meshes_are_not_replaced(scratch: Scratch) -> None:
 def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scratch, older: str) -> None:
     source, output = robot(scratch.robot), scratch.robot / "bot.xml"
     (scratch.robot / "bot_meshes").mkdir()
-    (scratch.robot / "bot_meshes" / "mine.obj").write_text(TETRAHEDRON)
+    (scratch.robot / "bot_meshes" / "mine.obj").write_text(small_urdf.TETRAHEDRON)
     if older:
         output.write_text(older)
     said = scratch.run("convert", source, "-o", output)
@@ -118,11 +115,10 @@ def test_a_second_conversion_replaces_the_first(tmp_path: Path) -> None:
 
 # ---------------------------------------------------------------- what is shown
 STEERING = "\x1b[2J\x9b2J\u202e"
+STEERED = [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:unknown = "{STEERING}"']
 
 
-@pytest.mark.parametrize(
-    "text", [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:unknown = "{STEERING}"']
-)
+@pytest.mark.parametrize("text", STEERED)
 def test_what_a_file_says_does_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
     said = scratch.convert(lambda folder: write_usd(folder, body("a", mass=text)))
     assert not [letter for letter in "\x1b\x9b\u202e" if letter in said.out + said.err]
@@ -135,29 +131,15 @@ def test_names_of_files_do_not_steer_the_terminal(scratch: Scratch) -> None:
 
 
 # ---------------------------------------------------------------- the cache
-def deep(path: Path) -> None:
-    path.write_text("[" * 100_000)
-
-
-def piped(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def foldered(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-
-
-DAMAGE: dict[str, Callable[[Path], None]] = {
-    "deep": deep,
-    "pipe": piped,
-    "folder": foldered,
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "deep": lambda path: path.write_text("[" * 100_000),
+    "pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+    "folder": lambda path: (path.unlink(), path.mkdir()),
     "number": lambda path: path.write_text("7"),
     "no text": lambda path: path.write_bytes(b"\xff\xfe"),
     "empty": lambda path: path.write_text(""),
     "gone": Path.unlink,
-    "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name))[1],
+    "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name)),
 }
 
 
@@ -169,8 +151,7 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> 
     whole = first.output.read_bytes()
     DAMAGE[name](first.output.with_name(file))
     again = convert_cached(source, cache_dir=tmp_path / "cache")
-    assert again.fresh
-    assert again.output.read_bytes() == whole
+    assert (again.fresh, again.output.read_bytes()) == (True, whole)
     assert not convert_cached(source, cache_dir=tmp_path / "cache").fresh
 
 

@@ -52,9 +52,7 @@ MANY: list[tuple[str, int, Maker, str]] = [  # limit, its value, robot, message
 
 
 @pytest.mark.parametrize(("bound", "most", "make", "words"), MANY, ids=[row[0] for row in MANY])
-def test_robots_with_too_many_parts_are_refused(
-    scratch: Scratch, monkeypatch: pytest.MonkeyPatch, bound: str, most: int, make: Maker, words: str
-) -> None:
+def test_robots_with_too_many_parts_are_refused(scratch, monkeypatch, bound, most, make, words):
     assert scratch.convert(make, "--json").status == 0
     monkeypatch.setattr(f"wheelleg_exp.asset.{bound}", most)
     said = scratch.convert(make)
