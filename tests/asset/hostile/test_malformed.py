@@ -96,13 +96,6 @@ def test_units_that_no_stage_has_are_refused(tmp_path, name, value):
 
 
 # ---------------------------------------------------------------- accepted values
-def test_a_negative_mass_means_not_given_and_is_reported(tmp_path):
-    sphere = gprim("Sphere", "double radius = 0.1")
-    model, done = converted(write(tmp_path, link("a", mass="float physics:mass = -3", inside=sphere)))
-    assert model.body("a").mass[0] == pytest.approx(1000 * 4 / 3 * np.pi * 0.1**3, rel=1e-5)
-    assert any(item.name == "physics:mass" and "/bot/a" in item.values for item in done.report.left_out)
-
-
 @pytest.mark.parametrize("text", ["int physics:mass = 2", "double physics:mass = 2", "half physics:mass = 2"])
 def test_a_number_of_another_type_is_a_number(tmp_path, text):
     model, _ = converted(write(tmp_path, link("a", mass=text)))
