@@ -22,6 +22,9 @@ def limits(kind: str, text: str) -> str:
     return urdf.pair(kind, f"<limit {text}/>")
 
 
+IMPOSSIBLE = urdf.inertial(2, tensor="1 1 3 0 0 0")
+
+
 @pytest.mark.parametrize(
     ("robot", "kind", "subject", "expected"),
     [
@@ -35,17 +38,12 @@ def limits(kind: str, text: str) -> str:
         (urdf.pair(child=urdf.inertial(0)), "no_inertial", "b", {"mass": 1}),
         (urdf.pair(child=urdf.inertial(2)), "no_inertia", "b", {"mass": 2}),
         (urdf.pair(child=urdf.inertial(2, tensor="1e-20 1e-20 1e-20 0 0 0")), "tiny_inertia", "b", {"mass": 2}),
-        (
-            urdf.pair(child=urdf.inertial(2, tensor="1 1 3 0 0 0")),
-            "impossible_inertia",
-            "b",
-            {"a": 1, "b": 1, "c": 3, "cut_to": 2},
-        ),
+        (urdf.pair(child=IMPOSSIBLE), "impossible_inertia", "b", {"a": 1, "b": 1, "c": 3, "cut_to": 2}),
         (urdf.link("z", urdf.BOX) + urdf.joint("k", "z", "a", "fixed") + urdf.pair(), "end_without_collider", "b", {}),
         (urdf.pair(), "no_colliders", "bot", {}),
     ],
 )
-def test_a_urdf_is_told_by_kind_subject_and_numbers(tmp_path, robot, kind, subject, expected):
+def test_findings_of_a_urdf_have_kind_subject_and_numbers(tmp_path, robot, kind, subject, expected):
     _, done = urdf.made(tmp_path, robot)
     found = numbers(done, kind)[subject]
     assert {key: found[key] for key in expected} == pytest.approx(expected)
@@ -67,7 +65,7 @@ def test_a_mesh_that_is_not_there_is_counted_by_what_it_was_for(tmp_path):
     assert done.report.verdict.reasons == ("2 colliders are lost with their mesh files",)
 
 
-def test_a_usd_is_told_by_kind_subject_and_numbers(tmp_path):
+def test_findings_of_a_usd_have_kind_subject_and_numbers(tmp_path):
     drive = "float drive:angular:physics:maxForce = 5000\n float drive:angular:physics:damping = 1"
     text = f"{drive}\n float physxJoint:maxJointVelocity = 1e6\n"
     text += "float physics:lowerLimit = 3\n float physics:upperLimit = 3"
@@ -85,8 +83,8 @@ def test_the_assumed_share_of_the_mass_is_that_of_what_the_file_does_not_weigh(t
     robot += urdf.joint("j", "a", "b", "continuous") + urdf.joint("k", "a", "frame", "fixed")
     _, done = urdf.made(tmp_path, robot)
     assert numbers(done, "no_inertial") == {"b": {"mass": 1}, "frame": {"mass": 0}}
-    assert (done.report.totals["mass"], done.report.totals["assumed_mass"]) == (2, 1)
-    assert done.report.totals["assumed_share"] == 0.5
+    totals = done.report.totals
+    assert (totals["mass"], totals["assumed_mass"], totals["assumed_share"]) == (2, 1, 0.5)
     assert done.report.verdict.reasons == ("50% of the mass is assumed",)
 
 

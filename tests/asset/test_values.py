@@ -9,16 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset import convert
-from wheelleg_exp.paths import find_asset
-
 from .small_urdf import BOX, inertial, joint, link, made
 
 
 @pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory):
-    done = convert(find_asset("wheelleg/wheelleg.usda"), tmp_path_factory.mktemp("robot") / "wheelleg.xml")
-    return mujoco.MjModel.from_xml_path(str(done.output)), json.loads(done.report.to_json())
+def stock(conversion):
+    return mujoco.MjModel.from_xml_path(str(conversion.output)), json.loads(conversion.report.to_json())
 
 
 def test_bodies_weigh_what_the_model_weighs(stock):

@@ -131,13 +131,15 @@ def test_a_cone_that_is_closed_leaves_a_hinge_about_its_axis(tmp_path):
     np.testing.assert_allclose(model.jnt_axis[1], [0, 1, 0])
 
 
-CONES = [(("-1", "-1"), None), (("30", "-1"), 30), (("0", "30"), 30), (("40", "30"), 30)]
+CONES = [(("-1", "-1"), None), (("30", "-1"), 30), (("0", "30"), 30), (("40", "30"), 30), (("30", "40"), 30)]
 
 
 @pytest.mark.parametrize(("angles", "limit"), CONES)
 def test_the_smaller_angle_of_a_cone_limits_a_ball(tmp_path, angles, limit):
     text = f"float physics:coneAngle0Limit = {angles[0]}\n float physics:coneAngle1Limit = {angles[1]}"
-    model, _ = two_links(tmp_path, text, kind="Spherical")
+    model, done = two_links(tmp_path, text, kind="Spherical")
+    assert model.jnt_type[1] == mujoco.mjtJoint.mjJNT_BALL
+    assert any("cone angles" in warning for warning in done.report.warnings) is ("-1" not in angles)
     assert bool(model.jnt_limited[1]) is (limit is not None)
     if limit:
         assert model.jnt_range[1][1] == pytest.approx(math.radians(limit), rel=1e-6)
