@@ -11,7 +11,21 @@ import pytest
 from wheelleg_exp.asset import convert, convert_cached, source_digest
 from wheelleg_exp.cli.main import main
 
-from ..small_urdf import BOX, assumed, at_zero, inertial, joint, left, link, made, mass_matrix, pair, tensor, write
+from ..small_urdf import (
+    BOX,
+    TETRAHEDRON,
+    assumed,
+    at_zero,
+    inertial,
+    joint,
+    left,
+    link,
+    made,
+    mass_matrix,
+    pair,
+    tensor,
+    write,
+)
 from ..warned import warned
 
 
@@ -53,9 +67,6 @@ def test_a_base_floats_unless_told_otherwise_and_the_report_says_so(tmp_path):
     assert (model.nv, conversion.report.base) == (1, "fixed")
 
 
-WORLD = '  <link name="world"/>\n'
-
-
 @pytest.mark.parametrize(
     ("kind", "base", "expected", "freedoms"),
     [
@@ -68,16 +79,15 @@ WORLD = '  <link name="world"/>\n'
     ],
 )
 def test_a_root_link_named_world_is_the_world(tmp_path, kind, base, expected, freedoms):
-    robot = WORLD + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
+    robot = '<link name="world"/>\n' + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
     model, conversion = made(tmp_path, robot, base)
     assert (conversion.report.base, model.nv, model.nbody) == (expected, freedoms, 2)
     np.testing.assert_allclose(at_zero(model).body("a").xpos, [0, 0, 2])
 
 
 def test_shapes_of_the_world_are_ground_and_not_robot(tmp_path):
-    model, conversion = made(
-        tmp_path, f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
-    )
+    robot = f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
+    model, conversion = made(tmp_path, robot)
     assert (len(conversion.description.static_geoms), [int(body) for body in model.geom_bodyid]) == (1, [0])
 
 
@@ -129,12 +139,11 @@ def test_limits_mean_what_urdf_means_by_them(tmp_path, kind, limit, expected, wa
     assert any("limits" in text for text in conversion.report.warnings) is warned
 
 
-def test_a_hinge_without_limit_is_unlimited_and_people_are_told(tmp_path):
+def test_a_hinge_without_limit_is_unlimited_and_warned_about(tmp_path):
     model, conversion = made(tmp_path, pair())
     assert not model.jnt_limited[1]
-    assert warned(conversion) == (
-        "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint"
 
 
 def test_efforts_and_speeds_of_zero_mean_not_given(tmp_path):
@@ -163,12 +172,8 @@ def test_a_floating_joint_starts_a_tree_of_its_own(tmp_path):
 
 def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
     wide = '<limit lower="-2" upper="2"/>'
-    robot = (
-        pair(inside=wide)
-        + link("c")
-        + joint("k", "a", "c", "revolute", f'{wide}<mimic joint="j" multiplier="-2" offset="0.25"/>')
-    )
-    model, conversion = made(tmp_path, robot)
+    follower = joint("k", "a", "c", "revolute", f'{wide}<mimic joint="j" multiplier="-2" offset="0.25"/>')
+    model, conversion = made(tmp_path, pair(inside=wide) + link("c") + follower)
     assert conversion.description.couplings[0].coefficients == (0.25, -2, 0, 0, 0)
     assert (model.joint(model.eq_obj1id[0]).name, model.joint(model.eq_obj2id[0]).name) == ("k", "j")
     np.testing.assert_array_equal(model.eq_data[0, :5], [0.25, -2, 0, 0, 0])
@@ -176,15 +181,13 @@ def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
 
 def test_a_mimic_joint_without_leader_is_left_out_with_a_hint(tmp_path):
     _, conversion = made(tmp_path, pair("continuous", '<mimic joint="jj"/>'))
-    assert warned(conversion) == (
-        "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?"
 
 
 def test_orders_of_joints_are_breadth_first_and_depth_first(tmp_path):
-    robot = "".join(link(name) for name in "abcde")
-    for name, parent, child in (("ab", "a", "b"), ("bc", "b", "c"), ("ad", "a", "d"), ("de", "d", "e")):
-        robot += joint(name, parent, child, "continuous")
+    pairs = ("ab", "bc", "ad", "de")
+    robot = "".join(map(link, "abcde")) + "".join(joint(pair, *pair, "continuous") for pair in pairs)
     model, conversion = made(tmp_path, robot)
     assert conversion.report.dof_order.physx == ("ab", "ad", "bc", "de")
     assert conversion.report.dof_order.mujoco == ("ab", "bc", "ad", "de")
@@ -197,16 +200,13 @@ def test_inertia_is_turned_from_its_own_frame_into_the_links(tmp_path):
     model, _ = made(tmp_path, link("a", inertial=own))
     assert model.body("a").mass[0] == 2
     np.testing.assert_array_equal(model.body("a").ipos, [1, 2, 3])
-    # The inertial frame is rotated by 90° about z.
-    np.testing.assert_allclose(
-        tensor(model, "a"), [[0.4, -0.01, -0.03], [-0.01, 0.3, 0.02], [-0.03, 0.02, 0.5]], atol=1e-12
-    )
+    expected = [[0.4, -0.01, -0.03], [-0.01, 0.3, 0.02], [-0.03, 0.02, 0.5]]  # rotated by 90° about z
+    np.testing.assert_allclose(tensor(model, "a"), expected, atol=1e-12)
 
 
 def test_tiny_inertias_keep_their_axes(tmp_path):
     own = inertial(1e-6, tensor="2e-15 3e-15 4e-15 5e-16 0 0")
-    robot = link("a") + link("b", inertial=own) + joint("j", "a", "b", "fixed")
-    model, _ = made(tmp_path, robot)
+    model, _ = made(tmp_path, link("a") + link("b", inertial=own) + joint("j", "a", "b", "fixed"))
     expected = [[2e-15, 5e-16, 0], [5e-16, 3e-15, 0], [0, 0, 4e-15]]
     np.testing.assert_allclose(tensor(model, "b"), expected, rtol=1e-9, atol=1e-27)
 
@@ -275,10 +275,8 @@ def test_what_moves_and_weighs_nothing_gets_physx_s_kilogram(tmp_path):
     model, conversion = made(tmp_path, robot)
     assert model.body("b").mass[0] == 1
     np.testing.assert_allclose(model.body("b").inertia, 0.4 * 0.1**2)
-    assert warned(conversion) == (
-        "/robot/link[b]: the link moves, and neither it nor links welded to it have a mass; "
-        "the model's mass is 1 kg, as in PhysX",
-    )
+    reason = "the link moves, and neither it nor links welded to it have a mass"
+    assert warned(conversion) == (f"/robot/link[b]: {reason}; the model's mass is 1 kg, as in PhysX",)
 
 
 def test_a_link_without_inertial_weighs_what_its_colliders_displace(tmp_path):
@@ -307,32 +305,21 @@ def test_inertia_that_is_zero_but_for_rounding_is_not_given(tmp_path, written):
 def test_moments_that_no_body_can_have_are_mended_and_told(tmp_path):
     model, conversion = made(tmp_path, link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")))
     np.testing.assert_allclose(model.body("a").inertia, [1, 1, 2])
-    assert warned(conversion) == (
-        "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)"
 
 
 # ---------------------------------------------------------------- the whole
+HINGED = '<origin xyz="1 0 0" rpy="0.1 -0.2 0.3"/><axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1"/>'
+SLIDING = '<origin xyz="0 0.5 0" rpy="3 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/>'
 CHAIN = (
     link("a", BOX, inertial(3, at="0.1 0 0", rpy="0.3 0.2 0.1", tensor="0.2 0.3 0.4 0.01 0.02 -0.03"))
     + link("b", BOX, inertial(2, at="0 0.2 0.1", tensor="0.02 0.03 0.04 0 0 0"))
     + link("tool", "", inertial(0.5, tensor="0.01 0.01 0.01 0 0 0"))
     + link("c", '<visual><geometry><sphere radius="0.1"/></geometry></visual>', inertial(1, tensor="1 1 1 0 0 0"))
-    + joint(
-        "ab",
-        "a",
-        "b",
-        "revolute",
-        '<origin xyz="1 0 0" rpy="0.1 -0.2 0.3"/><axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1"/>',
-    )
+    + joint("ab", "a", "b", "revolute", HINGED)
     + joint("bt", "b", "tool", "fixed", '<origin xyz="0 0 0.5" rpy="0 1.5 0"/>')
-    + joint(
-        "tc",
-        "tool",
-        "c",
-        "prismatic",
-        '<origin xyz="0 0.5 0" rpy="3 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/>',
-    )
+    + joint("tc", "tool", "c", "prismatic", SLIDING)
 )
 
 
@@ -362,16 +349,10 @@ def test_what_has_no_place_in_the_model_is_named(tmp_path):
       <limit lower="-1" upper="1" velocity="2"/>"""
     _, conversion = made(tmp_path, pair("continuous", inside) + EXTRAS)
     reasons = left(conversion)
-    assert set(reasons) == {
-        "/robot/joint[j]/limit lower",
-        "/robot/joint[j]/limit upper",
-        "/robot/joint[j]/limit velocity",
-        "/robot/joint[j]/safety_controller safety_controller",
-        "/robot/joint[j]/calibration calibration",
-        "/robot/gazebo gazebo",
-        "/robot/transmission[t] transmission",
-        "/robot/sensor[s] sensor",
-    }
+    joint_parts = ("limit lower", "limit upper", "limit velocity", "safety_controller safety_controller")
+    parts = [f"joint[j]/{part}" for part in (*joint_parts, "calibration calibration")]
+    parts += ["gazebo gazebo", "transmission[t] transmission", "sensor[s] sensor"]
+    assert set(reasons) == {f"/robot/{part}" for part in parts}
     values = {item.name: next(iter(item.values.values())) for item in conversion.report.left_out}
     assert values["gazebo"] == "gazebo reference=a, mu1 0.9"
 
@@ -403,11 +384,9 @@ def test_the_command_takes_a_urdf(tmp_path, capsys):
 
 
 def test_the_cache_sees_a_change_of_a_mesh(tmp_path):
-    shape = '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'
-    source = write(tmp_path, link("a", shape))
-    part = tmp_path / "part.obj"
-    part.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
-    cache = tmp_path / "cache"
+    source = write(tmp_path, link("a", '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'))
+    part, cache = tmp_path / "part.obj", tmp_path / "cache"
+    part.write_text(TETRAHEDRON)
     first = convert_cached(source, cache_dir=cache)
     assert (first.fresh, set(first.sources)) == (True, {"bot.urdf", "part.obj"})
     assert first.sources == source_digest(source) == first.report.layers
