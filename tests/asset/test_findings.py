@@ -57,7 +57,7 @@ def test_a_wheel_that_means_no_limits_is_nothing_odd(tmp_path, limit):
     assert {item.kind for item in done.report.findings} == {"no_colliders"}
 
 
-def test_a_mesh_that_is_not_there_is_counted_by_what_it_was_for(tmp_path):
+def test_a_missing_mesh_is_counted_by_its_use(tmp_path):
     mesh = '<{0}><geometry><mesh filename="gone.stl"/></geometry></{0}>'
     inside = mesh.format("visual") + mesh.format("collision") * 2
     _, done = urdf.made(tmp_path, urdf.link("a", inside + urdf.BOX))
@@ -127,7 +127,7 @@ def test_verdicts(tmp_path):
     assert [is_placeholder(value) for value in (0, 999, 1000, -2000)] == [True, False, True, True]
 
 
-def test_findings_come_back_from_json_and_older_reports_have_none(tmp_path):
+def test_findings_are_read_from_json_and_older_reports_have_no_findings(tmp_path):
     _, done = urdf.made(tmp_path, urdf.pair())
     text = done.report.to_json()
     data = json.loads(text)

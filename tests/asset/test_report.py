@@ -41,7 +41,7 @@ def test_every_shape_and_joint_of_the_robot_is_mapped(source, conversion):
             assert str(prim.GetPath()) in mapped
 
 
-def test_what_is_left_out_says_why(conversion):
+def test_omitted_attributes_have_a_reason(conversion):
     left = {item.name: item for item in conversion.report.left_out}
     assert set(left) == {
         "physxArticulation:solverPositionIterationCount",
@@ -93,7 +93,7 @@ def test_a_schema_that_moves_the_robot_and_is_not_read_is_warned_about(tmp_path,
 
 
 @pytest.mark.parametrize("schema", ["PhysxNobodyKnowsAPI", "NobodyKnowsAPI"])
-def test_a_schema_of_physics_that_nobody_knows_is_named_and_no_other(tmp_path, schema):
+def test_an_unknown_schema_of_physics_is_named_and_no_other(tmp_path, schema):
     _, done = converted(write(tmp_path, link("a", apis=schema)))
     assert ([item.name for item in done.report.left_out] == [schema]) is schema.startswith("Physx")
 
@@ -161,7 +161,7 @@ def test_a_relationship_with_the_name_of_an_attribute_is_named(tmp_path):
     assert "physics:velocity" in {item.name for item in done.report.left_out}
 
 
-def test_a_mesh_that_is_no_hull_is_warned_about(tmp_path):
+def test_a_mesh_that_is_not_a_hull_is_warned_about(tmp_path):
     _, done = converted(write(tmp_path, link("a", inside=cube_inside("convexDecomposition"))))
     assert any("convexDecomposition" in warning for warning in done.report.warnings)
 
@@ -189,7 +189,7 @@ def test_is_one_json_document_that_can_be_read_back(conversion):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 99}', '{"version": 1}'])
-def test_what_is_no_report_is_refused(text):
+def test_texts_that_are_not_reports_are_refused(text):
     with pytest.raises(ValueError, match=r".*"):
         Report.from_json(text)
 
@@ -201,7 +201,7 @@ def test_two_conversions_are_equal_to_the_byte(source, tmp_path):
     assert first.report.to_json() == second.report.to_json()
 
 
-def test_assumptions_stand_in_the_models_head(conversion):
+def test_assumptions_are_in_the_models_head(conversion):
     head = conversion.output.read_text().split("<mujoco")[0]
     for item in conversion.report.assumptions:
         assert item.rule in head

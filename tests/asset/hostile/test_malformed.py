@@ -133,13 +133,13 @@ def test_a_joint_to_itself_joins_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("axis", ['""', '"W"', '"x"'])
-def test_an_axis_that_is_none_is_x_and_noted(tmp_path, axis):
+def test_an_invalid_axis_is_x_and_noted(tmp_path, axis):
     model, done = two_links(tmp_path, f"uniform token physics:axis = {axis}")
     assert model.joint("j").axis.tolist() == [1, 0, 0]
     assert any(item.path == "/bot/j" for item in done.report.assumptions)
 
 
-def test_several_targets_of_one_end_are_no_end(tmp_path):
+def test_a_joint_end_with_several_targets_is_ignored(tmp_path):
     ends = "rel physics:body0 = </bot/a>\nrel physics:body1 = [</bot/b>, </bot/a>]"
     joint = f'def PhysicsRevoluteJoint "j"\n{{\n{ends}\n}}\n'
     model, _ = converted(write(tmp_path, link("a") + link("b") + joint))
@@ -165,13 +165,13 @@ def test_cycles_and_a_missing_default_prim_are_reported_and_the_robot_is_read(tm
 @pytest.mark.parametrize(
     ("kind", "said"), [('over "bot"', "over"), ('class "bot"', "class"), ('def Xform "bot" (active = false)', "active")]
 )
-def test_a_default_prim_that_stands_for_nothing_says_so(tmp_path, kind, said):
+def test_a_default_prim_that_defines_nothing_is_refused(tmp_path, kind, said):
     path = write(tmp_path, link("a"))
     path.write_text(path.read_text().replace('def Xform "bot" ', kind))
     assert said in told(path).message
 
 
-def test_a_robot_in_another_variant_says_how_to_choose_it(tmp_path):
+def test_a_robot_in_another_variant_names_the_variants(tmp_path):
     path = tmp_path / "bot.usda"
     head = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" (\n variants = { string Physics = "None" }\n'
     head += ' prepend variantSets = "Physics"\n)\n{\n variantSet "Physics" = {\n "None" {\n }\n "PhysX" {\n'
@@ -284,7 +284,7 @@ def test_odd_names_give_files_that_every_disk_can_hold(tmp_path):
     assert all(len(name.encode()) < 255 and re.fullmatch(r"[\w.-]+", name) for name in files)
 
 
-def test_a_display_name_that_nobody_can_read_is_not_used(tmp_path):
+def test_a_display_name_with_control_characters_is_not_used(tmp_path):
     path = write(tmp_path, link("tn__x").replace("prepend", 'displayName = "a\\tb"\n prepend'))
     _, done = converted(path)
     assert done.description.bodies[0].name == "tn__x"
@@ -320,7 +320,7 @@ def test_the_newer_round_shapes_are_read(tmp_path, kind):
     assert np.abs(done.description.meshes[0].vertices[:, :2]).max() == pytest.approx(0.4)
 
 
-def test_a_plane_on_a_body_that_moves_is_no_collider_but_drawn(tmp_path):
+def test_a_plane_on_a_moving_body_is_drawn_and_does_not_collide(tmp_path):
     _, done = converted(write(tmp_path, link("a", inside=gprim("Plane"))))
     assert any("/bot/a/shape" in text for text in done.report.warnings)
     drawn = gprim("Plane", 'double width = 4\ndouble length = 2\nuniform token axis = "X"', apis="")

@@ -119,7 +119,7 @@ STEERED = [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:un
 
 
 @pytest.mark.parametrize("text", STEERED)
-def test_what_a_file_says_does_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
+def test_texts_of_a_file_do_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
     said = scratch.convert(lambda folder: write_usd(folder, body("a", mass=text)))
     assert not [letter for letter in "\x1b\x9b\u202e" if letter in said.out + said.err]
 
@@ -156,7 +156,7 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> 
 
 
 @pytest.mark.parametrize("kind", ["file", "pipe", "link to itself", "link elsewhere"])
-def test_an_entry_that_is_none_is_made_again(tmp_path: Path, kind: str) -> None:
+def test_an_invalid_cache_entry_is_replaced(tmp_path: Path, kind: str) -> None:
     source = robot(tmp_path)
     entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
     shutil.rmtree(entry)
@@ -184,7 +184,7 @@ def test_an_unwritable_home_is_no_error_of_the_robots_file(monkeypatch, capsys, 
     assert "env.robot" not in told
 
 
-def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> None:
+def test_a_user_without_a_home_folder_is_refused_with_the_variable(monkeypatch) -> None:
     for name in ("WHEELLEG_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for an unknown user ID
@@ -193,7 +193,7 @@ def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> N
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "loop", "/dev/null", "a" * 300])
-def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, place: str) -> None:
+def test_a_cache_that_cannot_be_written_is_an_error(tmp_path: Path, place: str) -> None:
     source = robot(tmp_path)
     (tmp_path / "file").write_text(CANARY)
     (tmp_path / "loop").symlink_to("loop")

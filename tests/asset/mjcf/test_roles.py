@@ -63,7 +63,7 @@ def test_a_round_end_that_turns_without_limits_is_a_wheel_and_what_is_above_it_i
     ],
     ids=["limits", "across", "off the axis", "a box"],
 )
-def test_what_is_not_round_about_its_axis_or_has_limits_is_no_wheel(tip, limits):
+def test_an_end_that_is_not_round_about_its_axis_or_has_limits_is_not_a_wheel(tip, limits):
     assert roles_of(robot(tip, limits)) == {}
 
 

@@ -82,7 +82,7 @@ def test_a_file_of_somebody_elses_is_not_replaced_and_an_older_scene_is(tmp_path
     assert first.read_text() == "<mujoco/>"
 
 
-def test_the_command_writes_it_and_says_how_to_look_at_it(tmp_path, capsys):
+def test_the_command_writes_the_scene_and_prints_how_to_view_it(tmp_path, capsys):
     source = write(tmp_path, link("a", inside=CUBE))
     assert main(["convert", str(source), "-o", str(tmp_path / "bot.xml")]) == 0
     told = capsys.readouterr().out

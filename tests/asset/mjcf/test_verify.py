@@ -103,7 +103,7 @@ def test_a_frame_without_mass_passes():
         ('<geom type="mesh" mesh="none"/>', "none"),
     ],
 )
-def test_what_mujoco_refuses_is_told_by_name_and_not_by_lines_that_nobody_sees(tmp_path, inside, told):
+def test_errors_of_mujoco_name_the_element_and_not_the_line(tmp_path, inside, told):
     path = tmp_path / "draft.xml"
     path.write_text(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
     with pytest.raises(AssetError) as caught:

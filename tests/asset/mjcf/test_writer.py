@@ -69,7 +69,7 @@ WHEEL = rd.Drive("velocity", 0.0, 0.5, 30.0)
 
 
 # ------------------------------------------------------------------ classes
-def test_what_all_joints_share_is_the_robots_and_what_some_share_has_their_common_name():
+def test_defaults_of_all_joints_have_the_robots_name_and_others_a_common_name():
     classes = classes_of(legs(SERVO, SERVO, SERVO, SERVO))
     assert (classes["r"], classes["hip"], classes["knee"]) == ({"position"}, {"joint"}, {"joint"})
     model = model_of(legs(SERVO, SERVO, SERVO, SERVO))
@@ -155,7 +155,7 @@ def test_defaults_of_mujoco_are_not_written():
     assert "condim" not in text
 
 
-def test_a_drawn_collider_keeps_the_colour_of_its_material():
+def test_a_drawn_collider_has_the_colour_of_its_material():
     material = rd.Material("red", (1.0, 0.0, 0.0, 1.0))
     shown = replace(ball("g", material="red"), drawn=True)
     model = model_of(robot(body("a", geoms=(shown, ball("hidden"))), materials=(material,)))
@@ -164,7 +164,7 @@ def test_a_drawn_collider_keeps_the_colour_of_its_material():
 
 
 # ------------------------------------------------------------------ notes
-def test_each_note_stands_beside_the_element_that_it_is_about():
+def test_each_note_is_above_its_element():
     description = robot(body("a", geoms=(ball("g"),)), body("b", "a", dofs=(hinge("j"),)))
     notes = [Assumption("/r/a", "no mass", "1 kg"), Assumption("/r/a", "no inertia", "a sphere")]
     notes += [Assumption("/r/g", "flat", "a box"), Assumption("/r/j", "no axis", "X")]

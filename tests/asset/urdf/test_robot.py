@@ -30,7 +30,7 @@ from ..warned import warned
 
 
 # ---------------------------------------------------------------- frames
-def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
+def test_bodies_have_the_frames_of_their_links(tmp_path):
     origin = f'<origin xyz="1 2 3" rpy="{math.pi / 2} 0 {math.pi / 2}"/>'
     model, _ = made(tmp_path, pair(inside=origin), "fixed")
     data = at_zero(model)
@@ -39,7 +39,7 @@ def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
     np.testing.assert_allclose(data.body("b").xmat.reshape(3, 3), [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
 
 
-def test_fixed_joints_keep_their_bodies_by_name(tmp_path):
+def test_bodies_at_fixed_joints_are_bodies_of_the_model(tmp_path):
     model, conversion = made(tmp_path, link("a") + link("imu") + joint("mount", "a", "imu", "fixed"))
     assert [model.body(i).name for i in range(model.nbody)] == ["world", "a", "imu"]
     assert (conversion.report.bodies, model.nv) == ({"/robot/link[a]": "a", "/robot/link[imu]": "imu"}, 6)
@@ -52,14 +52,14 @@ def test_linked_bodies_do_not_touch(tmp_path):
         assert at_zero(model).ncon == 0
 
 
-def test_names_that_mujoco_keeps_for_itself_are_changed(tmp_path):
+def test_names_that_mujoco_reserves_are_changed(tmp_path):
     model, conversion = made(tmp_path, link("world") + link("b") + joint("j", "world", "b", "continuous"))
     assert [model.body(i).name for i in (1, 2)] == ["world_link", "b"]
     assert assumed(conversion, "MuJoCo keeps the name") == [("/robot/link[world]", "world_link")]
 
 
 # ---------------------------------------------------------------- base
-def test_a_base_floats_unless_told_otherwise_and_the_report_says_so(tmp_path):
+def test_a_base_floats_by_default_and_the_report_notes_it(tmp_path):
     model, conversion = made(tmp_path, pair("continuous"))
     assert (model.jnt_type[0], conversion.report.base) == (int(mujoco.mjtJoint.mjJNT_FREE), "floating")
     assert assumed(conversion, "does not define its base") == [("/robot/link[a]", "floating")]
@@ -204,7 +204,7 @@ def test_inertia_is_turned_from_its_own_frame_into_the_links(tmp_path):
     np.testing.assert_allclose(tensor(model, "a"), expected, atol=1e-12)
 
 
-def test_tiny_inertias_keep_their_axes(tmp_path):
+def test_tiny_inertias_have_the_axes_of_the_file(tmp_path):
     own = inertial(1e-6, tensor="2e-15 3e-15 4e-15 5e-16 0 0")
     model, _ = made(tmp_path, link("a") + link("b", inertial=own) + joint("j", "a", "b", "fixed"))
     expected = [[2e-15, 5e-16, 0], [5e-16, 3e-15, 0], [0, 0, 4e-15]]
@@ -220,7 +220,7 @@ def test_links_without_mass_are_frames_on_what_they_are_welded_to(tmp_path):
     assert [path for path, _ in assumed(conversion, "no mass: a frame")] == ["/robot/link[frame]", "/robot/link[foot]"]
 
 
-def test_a_link_without_inertial_weighs_nothing_beside_what_has_one(tmp_path):
+def test_a_link_without_inertial_welded_to_one_with_inertial_weighs_nothing(tmp_path):
     robot = link("base", BOX, inertial="") + link("spacer", inertial="") + link("weight")
     robot += joint("m", "base", "spacer", "fixed") + joint("n", "spacer", "weight", "fixed")
     robot += link("leg") + link("sole", BOX, inertial="") + joint("j", "base", "leg", "continuous")
@@ -232,7 +232,7 @@ def test_a_link_without_inertial_weighs_nothing_beside_what_has_one(tmp_path):
     assert found == {name: {"mass": 0} for name in ("base", "spacer", "sole")}
 
 
-def test_a_frame_that_weighs_a_rounding_error_carries_nobody(tmp_path):
+def test_a_frame_with_a_negligible_mass_does_not_count_as_mass(tmp_path):
     speck = inertial(4e-15, tensor="2e-27 2e-27 2e-27 0 0 0")
     welded = link("base", BOX, inertial="") + link("imu", inertial=speck) + joint("m", "base", "imu", "fixed")
     model, conversion = made(tmp_path, welded)
@@ -269,7 +269,7 @@ def test_the_first_link_with_mass_is_the_root(tmp_path, links):
     assert assumed(conversion, "has no mass: the first link with mass") == [("/robot/link[footprint]", "body")]
 
 
-def test_what_moves_and_weighs_nothing_gets_physx_s_kilogram(tmp_path):
+def test_a_moving_link_without_mass_weighs_one_kilogram_as_in_physx(tmp_path):
     robot = link("a") + '<link name="b"/>' + link("c")
     robot += joint("j", "a", "b", "continuous") + joint("k", "b", "c", "continuous")
     model, conversion = made(tmp_path, robot)
@@ -302,7 +302,7 @@ def test_inertia_that_is_zero_but_for_rounding_is_not_given(tmp_path, written):
     np.testing.assert_allclose(model.body("a").inertia, 0.4 * 2 * 0.01)
 
 
-def test_moments_that_no_body_can_have_are_mended_and_told(tmp_path):
+def test_impossible_moments_of_inertia_are_reduced_and_reported(tmp_path):
     model, conversion = made(tmp_path, link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")))
     np.testing.assert_allclose(model.body("a").inertia, [1, 1, 2])
     (warning,) = warned(conversion)
@@ -344,7 +344,7 @@ EXTRAS = """<gazebo reference="a"><mu1>0.9</mu1></gazebo>
 """
 
 
-def test_what_has_no_place_in_the_model_is_named(tmp_path):
+def test_parts_without_a_place_in_the_model_are_named(tmp_path):
     inside = """<safety_controller k_velocity="3" soft_upper_limit="1"/><calibration rising="0.1"/>
       <limit lower="-1" upper="1" velocity="2"/>"""
     _, conversion = made(tmp_path, pair("continuous", inside) + EXTRAS)

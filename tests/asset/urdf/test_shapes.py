@@ -71,7 +71,7 @@ def hull_volume(description_mesh) -> float:
 
 
 # ---------------------------------------------------------------- primitives
-def test_primitives_are_exact_and_stand_where_they_are_put(tmp_path):
+def test_primitives_have_the_size_and_pose_of_the_file(tmp_path):
     at = '<origin xyz="1 2 3" rpy="0 0 0.5"/>'
     shapes = {
         "box": ('<box size="0.2 0.4 0.6"/>', (0.1, 0.2, 0.3), mujoco.mjtGeom.mjGEOM_BOX),
@@ -98,7 +98,7 @@ def test_visuals_are_drawn_and_colliders_touch(tmp_path):
     assert [(int(model.geom(n).group[0]), int(model.geom(n).contype[0])) for n in names] == [(2, 0), (3, 1), (3, 1)]
 
 
-def test_shapes_without_size_are_left_out_and_a_lost_collider_is_told(tmp_path):
+def test_shapes_without_size_are_left_out_and_a_lost_collider_is_a_warning(tmp_path):
     flat, odd = '<geometry><box size="0 0 0"/></geometry>', "<geometry><heightmap/></geometry>"
     _, conversion = made(tmp_path, link("a", f"<visual>{flat}</visual><collision>{odd}</collision>"))
     assert left(conversion)["/robot/link[a]/visual visual"] == "its size is zero"
@@ -123,7 +123,7 @@ def test_colours_come_from_the_shape_else_from_the_material_of_that_name(tmp_pat
     assert left(conversion)["/robot/link[a]/visual[4]/material[unknown] name"] == "a material without colour"
 
 
-def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
+def test_an_invalid_colour_is_left_out_and_the_robot_is_converted(tmp_path):
     look = '<material name="odd"><color rgba="1 0 red"/></material>'
     _, conversion = made(tmp_path, link("a", f'<visual><geometry><sphere radius="1"/></geometry>{look}</visual>'))
     assert conversion.report.totals["visuals"] == 1
@@ -141,7 +141,7 @@ def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
         ("polygons.dae", dae("polylist").encode()),
     ],
 )
-def test_meshes_of_each_format_come_back_whole(tmp_path, file, data):
+def test_meshes_of_each_format_are_read_completely(tmp_path, file, data):
     (tmp_path / file).write_bytes(data)
     at = '<origin xyz="0 0 5" rpy="0 0 1.5707963267948966"/>'
     model, conversion = made(tmp_path, link("a", mesh(file, origin=at) + mesh(file, "collision", origin=at)))
@@ -205,7 +205,7 @@ def test_a_flat_visual_stays_and_a_flat_collider_becomes_a_thin_box(tmp_path):
         ("part.dae", b"<!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA/>", "entities"),
     ],
 )
-def test_a_mesh_that_cannot_be_read_is_passed_over_when_drawn_and_told_when_solid(tmp_path, file, data, reason):
+def test_an_unreadable_mesh_is_left_out_and_a_lost_collider_is_a_warning(tmp_path, file, data, reason):
     (tmp_path / file).write_bytes(data)
     _, conversion = made(tmp_path, link("a", mesh(file)))
     assert reason in left(conversion)["/robot/link[a]/visual visual"]
@@ -288,7 +288,7 @@ def test_a_missing_mesh_is_named_and_the_robot_is_converted(tmp_path, name):
     )
 
 
-def test_a_mesh_that_git_lfs_has_not_fetched_is_told(tmp_path):
+def test_a_mesh_that_git_lfs_has_not_fetched_is_reported(tmp_path):
     (tmp_path / "part.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     _, conversion = made(tmp_path, link("a", mesh("part.stl", "collision")))
     assert "git lfs pull" in warned(conversion)[0]

@@ -257,7 +257,7 @@ def test_equal_values_of_two_schemas_are_both_read(tmp_path):
     assert {"physxJoint:armature", "physxJointAxis:angular:armature"} <= {item.name for item in done.report.mapped}
 
 
-def test_static_friction_stands_in_where_no_dynamic_one_is_given(tmp_path):
+def test_static_friction_is_used_if_no_dynamic_friction_is_given(tmp_path):
     model, _ = two_links(tmp_path, "float physxJointAxis:angular:staticFrictionEffort = 0.6")
     assert model.dof_frictionloss[6] == pytest.approx(0.6)
 
@@ -266,7 +266,7 @@ NO_PLACE = ["physxJoint:jointFriction", "physxLimit:angular:stiffness", "newton:
 
 
 @pytest.mark.parametrize("name", NO_PLACE)
-def test_what_mujoco_has_no_place_for_is_named(tmp_path, name):
+def test_attributes_without_a_place_in_mujoco_are_named(tmp_path, name):
     model, done = two_links(tmp_path, f"float {name} = 0.25")
     assert name in {item.name for item in done.report.left_out}
     assert model.dof_frictionloss[6] == 0

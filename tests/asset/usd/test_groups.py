@@ -119,7 +119,7 @@ def test_filtered_pairs_of_bodies_and_of_colliders(tmp_path, where, target, gone
     assert touching(model) == TOUCHING - pairs(*gone)
 
 
-def test_filtered_pairs_on_what_stands_above_bodies_go_for_all_of_them(tmp_path):
+def test_filtered_pairs_of_a_prim_above_bodies_apply_to_all_of_these_bodies(tmp_path):
     left = f'def Xform "left" {applied("PhysicsFilteredPairsAPI")}\n{{\n rel physics:filteredPairs = </bot/c>\n'
     left += link("a", inside=cube()) + link("b", inside=cube()) + "}\n"
     model, _ = converted(write(tmp_path, left + link("c", inside=cube()) + GROUND))

@@ -100,7 +100,7 @@ def test_a_generic_joint_of_two_hinges_is_traded_too(tmp_path):
     np.testing.assert_allclose(violation(model), 0, atol=1e-9)
 
 
-def test_what_a_closing_joint_says_of_its_coordinate_is_named(tmp_path):
+def test_limits_and_drives_of_a_closing_joint_are_named(tmp_path):
     text = "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
     text += "float drive:angular:physics:stiffness = 3"
     closing = at("cd", "c", "d", "(1, 0, 0)", apis="PhysicsDriveAPI:angular", text=text)

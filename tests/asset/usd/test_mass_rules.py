@@ -250,7 +250,7 @@ def test_moments_that_mujoco_refuses_are_cut_and_reported(tmp_path, moments):
     assert any("/bot/a" in warning for warning in done.report.warnings) is (moments != "(0.1, 0.1, 0.2000001)")
 
 
-def test_a_mass_too_small_for_mujoco_is_told_with_its_prim(tmp_path):
+def test_a_mass_too_small_for_mujoco_is_refused_with_its_prim(tmp_path):
     with pytest.raises(AssetError, match="too small") as caught:
         converted(write(tmp_path, link("a", mass=MASS.replace("mass = 1", "mass = 1e-30"))))
     assert caught.value.key == "/bot/a"

@@ -26,7 +26,7 @@ def test_a_missing_file_is_refused(tmp_path):
     assert "absent.usda" in str(error)
 
 
-BODILESS = '#usda 1.0\ndef Xform "thing"{}\n{{\n}}\n'
+BODILESS = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" {{\ndef Xform "thing"{}\n{{\n}}\n}}\n'
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_variant_set_without_a_selection_lists_its_choices(tmp_path, place):
     assert not any("Grip" in warning for warning in chosen.warnings)
 
 
-def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path, monkeypatch):
+def test_a_model_that_mujoco_refuses_is_an_error_and_leaves_no_output(tmp_path, monkeypatch):
     def refuse(path: str) -> None:
         raise ValueError("Error: no such thing")
 
@@ -86,7 +86,7 @@ def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path, monkeypatch)
     assert leftovers(tmp_path) == ["bot.usda"]
 
 
-def test_a_failed_conversion_keeps_the_older_output(tmp_path):
+def test_a_failed_conversion_does_not_change_the_older_output(tmp_path):
     output = tmp_path / "bot.xml"
     convert(write(tmp_path, link("a")), output)
     before = output.read_bytes()

@@ -31,7 +31,7 @@ def test_a_joint_that_follows_another_is_an_equality(tmp_path):
 
 
 @pytest.mark.parametrize(("adds", "dofs"), [(True, 2), (False, 1)])
-def test_two_joints_between_two_bodies_add_up_only_where_the_file_says_so(tmp_path, adds, dofs):
+def test_two_joints_between_two_bodies_add_up_only_if_the_file_allows_it(tmp_path, adds, dofs):
     switch = "bool newton:jointsAddMobility = 1" if adds else ""
     first = link("a", apis="PhysicsArticulationRootAPI").replace("float physics:mass", f"{switch}\n float physics:mass")
     axis = 'uniform token physics:axis = "{}"'
@@ -73,7 +73,7 @@ def test_angles_of_mujocos_schemas_are_in_the_unit_of_its_compiler(tmp_path, uni
     np.testing.assert_allclose([model.qpos0[-1], model.qpos_spring[-1]], [expected, expected], rtol=1e-6)
 
 
-def test_a_slides_spring_rests_where_it_says_in_metres(tmp_path):
+def test_the_rest_position_of_a_slides_spring_is_in_metres(tmp_path):
     model, _ = two_links(tmp_path, "double mjc:springref = 0.5\n double mjc:stiffness = 2", kind="Prismatic")
     assert model.qpos_spring[-1] == 0.5
 
@@ -109,7 +109,7 @@ def test_mujocos_offset_is_in_radians_and_wins(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "api"), [("Spherical", "Connect"), ("Fixed", "Weld")])
-def test_a_loop_is_as_stiff_as_it_says(tmp_path, kind, api):
+def test_a_loop_has_the_stiffness_of_the_file(tmp_path, kind, api):
     text = "uniform bool physics:excludeFromArticulation = 1\n uniform double[] mjc:solref = [0.005, 1]\n"
     text += "uniform double[] mjc:solimp = [0.8, 0.9, 0.01, 0.5, 2]\n uniform float mjc:torqueScale = 3"
     body = link("a") + link("b", "(1, 0, 0)") + hinge("ab", "a", "b", text="point3f physics:localPos0 = (1, 0, 0)")
@@ -145,7 +145,7 @@ def test_contact_parameters_of_a_shape(tmp_path):
     np.testing.assert_allclose(model.geom_solimp[geom], [0.015, 1, 0.03, 0.5, 2])
 
 
-def test_mujocos_margin_wins_over_newtons_and_infinity_is_none(tmp_path):
+def test_mujocos_margin_wins_over_newtons_and_infinity_is_unset(tmp_path):
     text = "float newton:contactMargin = 0.25\n float newton:contactGap = -inf\n uniform double mjc:margin = 0.5"
     model, geom = contact_of(tmp_path, text)
     assert (model.geom_margin[geom], model.geom_gap[geom]) == (0.5, 0)
@@ -197,7 +197,7 @@ def with_scene(folder, text: str, more: str = "", **options: object) -> mujoco.M
     return converted(write(folder, body, outside=scene), **options)[0]
 
 
-def test_options_that_change_the_model_come_back(tmp_path):
+def test_options_that_change_the_model_are_read(tmp_path):
     text = """uniform token mjc:option:integrator = "implicitfast"; uniform token mjc:option:cone = "elliptic"
         uniform double mjc:option:impratio = 10; uniform double mjc:option:density = 1.2
         uniform double3 mjc:option:wind = (1, 0, 0); uniform int[] mjc:option:actuatorgroupdisable = [1, 3]
@@ -235,7 +235,7 @@ def test_masses_are_what_the_scenes_compiler_makes_of_them(tmp_path, text, mass,
     np.testing.assert_allclose(model.body_inertia[1], [moment] * 3)
 
 
-def test_a_keyframe_comes_back_and_one_that_does_not_fit_is_named(tmp_path):
+def test_a_keyframe_is_read_and_one_of_another_size_is_named(tmp_path):
     keys = 'def MjcKeyframe "crouch" { double[] mjc:qpos = [0, 0, 1, 1, 0, 0, 0]; }\n'
     keys += 'def MjcKeyframe "other" { double[] mjc:qpos = [1, 2]; }\n'
     model, done = converted(write(tmp_path, link("a") + keys))

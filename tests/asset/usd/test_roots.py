@@ -33,7 +33,7 @@ def openusd_root(path) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_root_of_what_floats_is_the_one_that_openusd_chooses(tmp_path, seed):
+def test_the_root_of_a_floating_articulation_is_that_of_openusd(tmp_path, seed):
     dice = random.Random(seed)
     names = [f"b{i}" for i in range(dice.randint(2, 9))]
     dice.shuffle(names)
@@ -146,7 +146,7 @@ def test_a_switched_off_body_is_part_of_what_is_above_it(tmp_path):
     assert {model.body(i).name for i in range(1, model.nbody)} == {"a"}
 
 
-def test_nested_bodies_stand_where_they_are_drawn(tmp_path):
+def test_nested_bodies_have_the_poses_of_their_prims(tmp_path):
     joint = hinge("j", "a", "b", text=AHEAD).replace("</bot/b>", "</bot/a/b>")
     model, _ = converted(write(tmp_path, link("a", "(0, 0, 5)", inside=link("b", "(1, 0, 0)")) + joint))
     assert model.body("b").parentid[0] == model.body("a").id
@@ -165,7 +165,7 @@ def test_a_target_below_a_body_is_that_body_and_its_frame_is_composed(tmp_path):
     np.testing.assert_allclose(model.body("b").quat, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
 
 
-def test_a_switched_off_joint_is_no_joint(tmp_path):
+def test_a_switched_off_joint_is_left_out(tmp_path):
     body = link("a") + link("b") + hinge("j", "a", "b", text="bool physics:jointEnabled = 0")
     model, done = converted(write(tmp_path, body))
     assert roots(model) == {"a", "b"}

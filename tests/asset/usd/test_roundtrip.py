@@ -117,7 +117,7 @@ def test_equalities(pair):
         np.testing.assert_allclose(getattr(pair.ours, key), getattr(pair.original, key), rtol=TOLERANCE)
 
 
-def test_what_the_scene_says(pair):
+def test_scene_options_are_equal(pair):
     for key in ("gravity", "cone", "impratio", "integrator"):
         np.testing.assert_allclose(getattr(pair.ours.opt, key), getattr(pair.original.opt, key), rtol=1e-7)
     assert pair.ours.opt.disableflags == pair.original.opt.disableflags
