@@ -7,7 +7,21 @@ from typing import Any
 
 import pytest
 
+from wheelleg_exp.asset import Conversion, convert
+from wheelleg_exp.paths import find_asset
+
 from .corpus import ABSENT, corpus_folder, expectations
+
+
+@pytest.fixture(scope="session")
+def source() -> Path:
+    """Return the path of the stock robot."""
+    return find_asset("wheelleg/wheelleg.usda")
+
+
+@pytest.fixture(scope="session")
+def conversion(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Conversion:
+    return convert(source, tmp_path_factory.mktemp("robot") / "wheelleg.xml")
 
 
 @pytest.fixture(scope="session")

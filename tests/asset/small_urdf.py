@@ -13,6 +13,7 @@ from wheelleg_exp.asset import Conversion, convert
 INERTIAL = """<inertial><mass value="1"/>
       <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 BOX = '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
 
 
 def link(name: str, inside: str = "", inertial: str = INERTIAL) -> str:

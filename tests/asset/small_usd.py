@@ -10,6 +10,7 @@ import numpy as np
 
 from wheelleg_exp.asset import Conversion, convert
 
+AXES = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 DEGREES = 180 / math.pi
 SI = 'defaultPrim = "bot"\n    metersPerUnit = 1\n    upAxis = "Z"'
 
@@ -70,13 +71,22 @@ def two_links(folder: Path, joint_text: str = "", *, apis: str = "", kind: str =
     return converted(write(folder, body), **options)
 
 
+def limits(**ranges: tuple[float | str, float]) -> str:
+    return "\n".join(
+        f"float limit:{axis}:physics:low = {low}\n float limit:{axis}:physics:high = {high}"
+        for axis, (low, high) in ranges.items()
+    )
+
+
+def locked(*axes: str) -> str:
+    return limits(**dict.fromkeys(axes, (1, -1)))
+
+
 def tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
     """Return a body's inertia tensor about its centre of mass, in the body's axes."""
-    index = model.body(body).id
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[index])
-    turn = turn.reshape(3, 3)
-    return turn @ np.diag(model.body_inertia[index]) @ turn.T
+    item, turn = model.body(body), np.zeros(9)
+    mujoco.mju_quat2Mat(turn, item.iquat)
+    return turn.reshape(3, 3) @ np.diag(item.inertia) @ turn.reshape(3, 3).T
 
 
 def cube_inside(approximation: str) -> str:

@@ -14,12 +14,7 @@ import pytest
 from wheelleg_exp.asset import convert, convert_cached, source_digest
 from wheelleg_exp.paths import find_asset
 
-LAYERS = {
-    "wheelleg.usda",
-    "configuration/wheelleg_base.usda",
-    "configuration/wheelleg_physics.usda",
-    "configuration/wheelleg_sensor.usda",
-}
+LAYERS = {"wheelleg.usda", *(f"configuration/wheelleg_{part}.usda" for part in ("base", "physics", "sensor"))}
 
 
 @pytest.fixture
@@ -43,19 +38,13 @@ def test_the_digest_names_every_layer_with_its_hash(robot):
         assert value == hashlib.sha256((robot.parent / name).read_bytes()).hexdigest()
 
 
-def test_the_second_time_nothing_is_converted(robot, tmp_path):
+def test_the_second_time_nothing_is_converted_and_the_cached_model_is_the_converted_one(robot, tmp_path):
     first = convert_cached(robot, cache_dir=tmp_path / "cache")
     second = convert_cached(robot, cache_dir=tmp_path / "cache")
     assert (first.fresh, second.fresh) == (True, False)
-    assert first.output == second.output
-    assert first.report == second.report
-
-
-def test_a_cached_model_is_the_converted_one(robot, tmp_path):
-    cached = convert_cached(robot, cache_dir=tmp_path / "cache")
+    assert (first.output, first.report) == (second.output, second.report)
     direct = convert(robot, tmp_path / "model.xml")
-    assert cached.output.read_bytes() == direct.output.read_bytes()
-    assert cached.report == direct.report
+    assert (second.output.read_bytes(), second.report) == (direct.output.read_bytes(), direct.report)
 
 
 @pytest.mark.parametrize("layer", sorted(LAYERS))
@@ -85,11 +74,8 @@ def test_the_same_bytes_elsewhere_are_the_same_entry(robot, tmp_path):
 
 
 def test_options_have_entries_of_their_own(robot, tmp_path):
-    keys = {
-        convert_cached(robot, cache_dir=tmp_path / "cache").key,
-        convert_cached(robot, base="fixed", cache_dir=tmp_path / "cache").key,
-        convert_cached(robot, variants={"Sensor": "None"}, cache_dir=tmp_path / "cache").key,
-    }
+    options = ({}, {"base": "fixed"}, {"variants": {"Sensor": "None"}})
+    keys = {convert_cached(robot, cache_dir=tmp_path / "cache", **option).key for option in options}
     assert len(keys) == 3
 
 
@@ -103,5 +89,4 @@ def test_several_processes_may_fill_one_cache(robot, tmp_path):
     fresh = multiprocessing.get_context("spawn")  # A forked process would wait forever for USD's locks.
     with ProcessPoolExecutor(2, mp_context=fresh) as pool:
         found = set(pool.map(_work, [(str(robot), str(cache))] * 4))
-    assert len(found) == 1
-    assert len(list(cache.iterdir())) == 1  # no incomplete entry
+    assert (len(found), len(list(cache.iterdir()))) == (1, 1)  # no incomplete entry

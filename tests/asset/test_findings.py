@@ -22,6 +22,9 @@ def limits(kind: str, text: str) -> str:
     return urdf.pair(kind, f"<limit {text}/>")
 
 
+IMPOSSIBLE = urdf.inertial(2, tensor="1 1 3 0 0 0")
+
+
 @pytest.mark.parametrize(
     ("robot", "kind", "subject", "expected"),
     [
@@ -35,17 +38,12 @@ def limits(kind: str, text: str) -> str:
         (urdf.pair(child=urdf.inertial(0)), "no_inertial", "b", {"mass": 1}),
         (urdf.pair(child=urdf.inertial(2)), "no_inertia", "b", {"mass": 2}),
         (urdf.pair(child=urdf.inertial(2, tensor="1e-20 1e-20 1e-20 0 0 0")), "tiny_inertia", "b", {"mass": 2}),
-        (
-            urdf.pair(child=urdf.inertial(2, tensor="1 1 3 0 0 0")),
-            "impossible_inertia",
-            "b",
-            {"a": 1, "b": 1, "c": 3, "cut_to": 2},
-        ),
+        (urdf.pair(child=IMPOSSIBLE), "impossible_inertia", "b", {"a": 1, "b": 1, "c": 3, "cut_to": 2}),
         (urdf.link("z", urdf.BOX) + urdf.joint("k", "z", "a", "fixed") + urdf.pair(), "end_without_collider", "b", {}),
         (urdf.pair(), "no_colliders", "bot", {}),
     ],
 )
-def test_a_urdf_is_told_by_kind_subject_and_numbers(tmp_path, robot, kind, subject, expected):
+def test_findings_of_a_urdf_have_kind_subject_and_numbers(tmp_path, robot, kind, subject, expected):
     _, done = urdf.made(tmp_path, robot)
     found = numbers(done, kind)[subject]
     assert {key: found[key] for key in expected} == pytest.approx(expected)
@@ -59,7 +57,7 @@ def test_a_wheel_that_means_no_limits_is_nothing_odd(tmp_path, limit):
     assert {item.kind for item in done.report.findings} == {"no_colliders"}
 
 
-def test_a_mesh_that_is_not_there_is_counted_by_what_it_was_for(tmp_path):
+def test_a_missing_mesh_is_counted_by_its_use(tmp_path):
     mesh = '<{0}><geometry><mesh filename="gone.stl"/></geometry></{0}>'
     inside = mesh.format("visual") + mesh.format("collision") * 2
     _, done = urdf.made(tmp_path, urdf.link("a", inside + urdf.BOX))
@@ -67,7 +65,7 @@ def test_a_mesh_that_is_not_there_is_counted_by_what_it_was_for(tmp_path):
     assert done.report.verdict.reasons == ("2 colliders are lost with their mesh files",)
 
 
-def test_a_usd_is_told_by_kind_subject_and_numbers(tmp_path):
+def test_findings_of_a_usd_have_kind_subject_and_numbers(tmp_path):
     drive = "float drive:angular:physics:maxForce = 5000\n float drive:angular:physics:damping = 1"
     text = f"{drive}\n float physxJoint:maxJointVelocity = 1e6\n"
     text += "float physics:lowerLimit = 3\n float physics:upperLimit = 3"
@@ -85,8 +83,8 @@ def test_the_assumed_share_of_the_mass_is_that_of_what_the_file_does_not_weigh(t
     robot += urdf.joint("j", "a", "b", "continuous") + urdf.joint("k", "a", "frame", "fixed")
     _, done = urdf.made(tmp_path, robot)
     assert numbers(done, "no_inertial") == {"b": {"mass": 1}, "frame": {"mass": 0}}
-    assert (done.report.totals["mass"], done.report.totals["assumed_mass"]) == (2, 1)
-    assert done.report.totals["assumed_share"] == 0.5
+    totals = done.report.totals
+    assert (totals["mass"], totals["assumed_mass"], totals["assumed_share"]) == (2, 1, 0.5)
     assert done.report.verdict.reasons == ("50% of the mass is assumed",)
 
 
@@ -122,15 +120,14 @@ def test_a_size_that_no_robot_has_is_in_doubt(tmp_path, capsys, radius, mass, sa
 
 
 def test_verdicts(tmp_path):
-    assert verdict_of([], 0.0, 0).level == "good"
-    assert verdict_of([], 0.0, 1).level == "check"
+    assert (verdict_of([], 0.0, 0).level, verdict_of([], 0.0, 1).level) == ("good", "check")
     assert verdict_of([], 0.05, 0) == Verdict("check", ("5.0% of the mass is assumed",))
     lost = Finding("limits_ignored", "j", "/j", {"lower": -1, "upper": 1})
     assert verdict_of([lost], 0.0, 1).reasons == ("1 joints lost the limits that the file writes",)
     assert [is_placeholder(value) for value in (0, 999, 1000, -2000)] == [True, False, True, True]
 
 
-def test_findings_come_back_from_json_and_older_reports_have_none(tmp_path):
+def test_findings_are_read_from_json_and_older_reports_have_no_findings(tmp_path):
     _, done = urdf.made(tmp_path, urdf.pair())
     text = done.report.to_json()
     data = json.loads(text)

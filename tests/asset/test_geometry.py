@@ -37,7 +37,7 @@ def test_a_map_is_split_into_turn_and_stretch(rng):
     np.testing.assert_allclose(found_stretch, stretch, atol=1e-12)
 
 
-def test_a_mirrored_map_keeps_a_proper_turn(rng):
+def test_a_mirrored_map_has_a_proper_rotation(rng):
     turn = rotation_matrix(tuple(rng.normal(size=4)))
     mirrored = turn @ np.diag([1.0, 2.0, -3.0])
     found_turn, found_stretch = split_scale(mirrored)

@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 from pxr import Usd
 
-from wheelleg_exp.asset import Conversion, Report, convert
+from wheelleg_exp.asset import Report, convert
 from wheelleg_exp.asset.usd.ledger import Ledger
-from wheelleg_exp.paths import find_asset
 
-from .small_usd import converted, cube_inside, link, two_links, write
+from .small_usd import applied, converted, cube_inside, link, two_links, write
 from .warned import warned
 
 # Prefixes of physics attributes in USD; the test does not use the converter's own list.
 PHYSICS = ("physics:", "physx", "drive:", "state:", "limit:", "newton:", "mjc:")
-
-
-@pytest.fixture(scope="module")
-def source() -> Path:
-    return find_asset("wheelleg/wheelleg.usda")
-
-
-@pytest.fixture(scope="module")
-def conversion(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Conversion:
-    return convert(source, tmp_path_factory.mktemp("robot") / "wheelleg.xml")
 
 
 def test_every_physics_property_of_the_robot_is_mapped_or_named(source, conversion):
@@ -41,8 +29,7 @@ def test_every_physics_property_of_the_robot_is_mapped_or_named(source, conversi
         if prop.GetName().startswith(PHYSICS)
     }
     assert len(authored) > 100
-    assert authored - mapped - left == set()
-    assert not mapped & left
+    assert (authored - mapped - left, mapped & left) == (set(), set())
 
 
 def test_every_shape_and_joint_of_the_robot_is_mapped(source, conversion):
@@ -54,7 +41,7 @@ def test_every_shape_and_joint_of_the_robot_is_mapped(source, conversion):
             assert str(prim.GetPath()) in mapped
 
 
-def test_what_is_left_out_says_why(conversion):
+def test_omitted_attributes_have_a_reason(conversion):
     left = {item.name: item for item in conversion.report.left_out}
     assert set(left) == {
         "physxArticulation:solverPositionIterationCount",
@@ -69,21 +56,15 @@ def test_what_is_left_out_says_why(conversion):
         assert left[f"{schema}:maxJointVelocity"].values["/wheelleg/joints/l03"] == "45 rad/s"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "float physxJoint:jointFriction = 0.1",
-        "float physxLimit:angular:stiffness = 3",
-        "float mjc:nobody:knows = 10",
-        "float newton:nobody:knows = 1",
-        "float physics:nobody:knows = 1",
-    ],
-)
-def test_an_unread_physics_attribute_is_named_with_its_value(tmp_path, text):
-    _, done = two_links(tmp_path, text)
-    name, value = text.split()[1], text.split()[-1]
+UNREAD = ["physxJoint:jointFriction", "physxLimit:angular:stiffness"]
+UNREAD += [f"{prefix}:nobody:knows" for prefix in ("mjc", "newton", "physics")]
+
+
+@pytest.mark.parametrize("name", UNREAD)
+def test_an_unread_physics_attribute_is_named_with_its_value(tmp_path, name):
+    _, done = two_links(tmp_path, f"float {name} = 0.1")
     (entry,) = [item for item in done.report.left_out if item.name == name]
-    assert float(entry.values["/bot/j"]) == float(value)
+    assert float(entry.values["/bot/j"]) == 0.1
 
 
 def test_a_scene_beside_the_robot_is_read_and_its_rest_is_named(tmp_path):
@@ -101,16 +82,10 @@ def test_kinds_of_prims_without_a_place_are_named(tmp_path):
     assert any("/bot/rope" in warning for warning in done.report.warnings)
 
 
-@pytest.mark.parametrize(
-    "schema",
-    [
-        "PhysxForceAPI",
-        "PhysxSurfaceVelocityAPI",
-        "PhysxTendonAxisAPI:inst0",
-        "PhysxDeformableBodyAPI",
-        "PhysxParticleAPI",
-    ],
-)
+MOVING = ["ForceAPI", "SurfaceVelocityAPI", "TendonAxisAPI:inst0", "DeformableBodyAPI", "ParticleAPI"]
+
+
+@pytest.mark.parametrize("schema", [f"Physx{name}" for name in MOVING])
 def test_a_schema_that_moves_the_robot_and_is_not_read_is_warned_about(tmp_path, schema):
     _, done = converted(write(tmp_path, link("a", apis=schema)))
     assert any(item.name == schema and "/bot/a" in item.values for item in done.report.left_out)
@@ -118,7 +93,7 @@ def test_a_schema_that_moves_the_robot_and_is_not_read_is_warned_about(tmp_path,
 
 
 @pytest.mark.parametrize("schema", ["PhysxNobodyKnowsAPI", "NobodyKnowsAPI"])
-def test_a_schema_of_physics_that_nobody_knows_is_named_and_no_other(tmp_path, schema):
+def test_an_unknown_schema_of_physics_is_named_and_no_other(tmp_path, schema):
     _, done = converted(write(tmp_path, link("a", apis=schema)))
     assert ([item.name for item in done.report.left_out] == [schema]) is schema.startswith("Physx")
 
@@ -147,14 +122,10 @@ def test_physics_outside_the_default_prim_is_named_but_not_what_the_robot_is_mad
 
 
 def test_a_material_outside_the_default_prim_is_accounted_for(tmp_path):
-    material = (
-        'def Material "rubber" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\nfloat physics:dynamicFriction = 0.7\n'
-        "float physxMaterial:compliantContactStiffness = 5\n}\n"
-    )
-    shape = (
-        'def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"])\n'
-        "{\nrel material:binding:physics = </rubber>\n}\n"
-    )
+    material = f'def Material "rubber" {applied("PhysicsMaterialAPI")} {{ float physics:dynamicFriction = 0.7\n'
+    material += "float physxMaterial:compliantContactStiffness = 5\n}\n"
+    shape = f'def Sphere "s" {applied("PhysicsCollisionAPI MaterialBindingAPI")}\n'
+    shape += "{\nrel material:binding:physics = </rubber>\n}\n"
     model, done = converted(write(tmp_path, link("a", inside=shape), outside=material))
     assert model.geom_friction[0, 0] == 0.7
     assert "physxMaterial:compliantContactStiffness" in {item.name for item in done.report.left_out}
@@ -162,10 +133,8 @@ def test_a_material_outside_the_default_prim_is_accounted_for(tmp_path):
 
 
 def test_a_texture_and_a_library_that_are_not_there_are_reported_and_no_end(tmp_path):
-    shader = (
-        'def Shader "s"\n{\nasset inputs:diffuse_texture = @gone.png@\nasset info:mdl:sourceAsset = @OmniPBR.mdl@\n}\n'
-    )
-    _, done = converted(write(tmp_path, link("a") + f'def Material "m"\n{{\n{shader}}}\n'))
+    assets = "asset inputs:diffuse_texture = @gone.png@; asset info:mdl:sourceAsset = @OmniPBR.mdl@"
+    _, done = converted(write(tmp_path, link("a") + f'def Material "m" {{ def Shader "s" {{ {assets}; }}\n}}\n'))
     left = {item.name: item for item in done.report.left_out}
     assert set(left) == {"inputs:diffuse_texture", "info:mdl:sourceAsset"}
     assert left["inputs:diffuse_texture"].values == {"/bot/m/s": "gone.png"}
@@ -175,14 +144,11 @@ def test_a_texture_and_a_library_that_are_not_there_are_reported_and_no_end(tmp_
 
 def test_a_mesh_of_several_materials_takes_that_of_most_faces(tmp_path):
     def material(name: str, color: str) -> str:
-        shader = f'def Shader "s"\n{{\ncolor3f inputs:diffuseColor = {color}\n}}\n'
-        return f'def Material "{name}"\n{{\n{shader}}}\n'
+        return f'def Material "{name}" {{ def Shader "s" {{ color3f inputs:diffuseColor = {color}; }}\n}}\n'
 
     def subset(name: str, indices: str) -> str:
-        apis = '(prepend apiSchemas = ["MaterialBindingAPI"])'
-        return (
-            f'def GeomSubset "{name}" {apis}\n{{\nint[] indices = {indices}\nrel material:binding = </bot/{name}>\n}}\n'
-        )
+        text = f"int[] indices = {indices}; rel material:binding = </bot/{name}>"
+        return f'def GeomSubset "{name}" {applied("MaterialBindingAPI")} {{ {text}; }}\n'
 
     block = cube_inside("none").rstrip()[:-1] + subset("red", "[0]") + subset("blue", "[1, 2, 3, 4, 5]") + "}\n"
     body = link("a", inside=block) + material("red", "(1, 0, 0)") + material("blue", "(0, 0, 1)")
@@ -190,35 +156,30 @@ def test_a_mesh_of_several_materials_takes_that_of_most_faces(tmp_path):
     assert [item.rgba for item in done.description.materials] == [(0, 0, 1, 1)]
 
 
-def test_what_is_authored_in_two_ways_is_no_end(tmp_path):
-    path = write(tmp_path, link("a", inside="rel physics:velocity = </bot>"))
-    _, done = converted(path)
+def test_a_relationship_with_the_name_of_an_attribute_is_named(tmp_path):
+    _, done = converted(write(tmp_path, link("a", inside="rel physics:velocity = </bot>")))
     assert "physics:velocity" in {item.name for item in done.report.left_out}
 
 
-def test_a_mesh_that_is_no_hull_is_warned_about(tmp_path):
+def test_a_mesh_that_is_not_a_hull_is_warned_about(tmp_path):
     _, done = converted(write(tmp_path, link("a", inside=cube_inside("convexDecomposition"))))
     assert any("convexDecomposition" in warning for warning in done.report.warnings)
 
 
-def test_what_is_left_out_after_all_is_not_mapped_as_well():
+def test_an_entry_that_is_left_out_after_all_is_not_mapped_as_well():
     ledger = Ledger()
     ledger.mapped("/a", "x", "something")
     ledger.leave("/a", "x", "no place")
     ledger.mapped("/a", "x", "something")
     mapped, _, left, _ = ledger.entries()
-    assert mapped == ()
-    assert left[0].values == {"/a": ""}
+    assert (mapped, left[0].values) == ((), {"/a": ""})
     assert ledger.knows("/a", "x")
 
 
 def test_totals_are_those_of_the_model(conversion):
     totals = conversion.report.totals
-    assert totals["bodies"] == 7
-    assert totals["dofs"] == 6
-    assert totals["colliders"] == 7
-    assert totals["actuators"] == 6
-    assert totals["mass"] == pytest.approx(0.5)
+    assert (totals["bodies"], totals["dofs"], totals["colliders"]) == (7, 6, 7)
+    assert (totals["actuators"], totals["mass"]) == (6, pytest.approx(0.5))
 
 
 def test_is_one_json_document_that_can_be_read_back(conversion):
@@ -228,7 +189,7 @@ def test_is_one_json_document_that_can_be_read_back(conversion):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 99}', '{"version": 1}'])
-def test_what_is_no_report_is_refused(text):
+def test_texts_that_are_not_reports_are_refused(text):
     with pytest.raises(ValueError, match=r".*"):
         Report.from_json(text)
 
@@ -240,7 +201,7 @@ def test_two_conversions_are_equal_to_the_byte(source, tmp_path):
     assert first.report.to_json() == second.report.to_json()
 
 
-def test_assumptions_stand_in_the_models_head(conversion):
+def test_assumptions_are_in_the_models_head(conversion):
     head = conversion.output.read_text().split("<mujoco")[0]
     for item in conversion.report.assumptions:
         assert item.rule in head

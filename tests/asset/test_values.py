@@ -9,16 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset import convert
-from wheelleg_exp.paths import find_asset
-
 from .small_urdf import BOX, inertial, joint, link, made
 
 
 @pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory):
-    done = convert(find_asset("wheelleg/wheelleg.usda"), tmp_path_factory.mktemp("robot") / "wheelleg.xml")
-    return mujoco.MjModel.from_xml_path(str(done.output)), json.loads(done.report.to_json())
+def stock(conversion):
+    return mujoco.MjModel.from_xml_path(str(conversion.output)), json.loads(conversion.report.to_json())
 
 
 def test_bodies_weigh_what_the_model_weighs(stock):
@@ -51,8 +47,7 @@ def test_joints_have_the_kinds_ranges_and_gains_of_the_model_and_the_files_own(s
         np.testing.assert_array_equal(found.axis, item["axis"])
         assert item["armature"] == model.dof_armature[found.dofadr[0]]
         assert item["drive"]["kp"] == pytest.approx(-motor.biasprm[1])
-        assert item["drive"]["kv"] == pytest.approx(-motor.biasprm[2])
-        assert item["effort"] == motor.forcerange[1]
+        assert (item["drive"]["kv"], item["effort"]) == (pytest.approx(-motor.biasprm[2]), motor.forcerange[1])
     authored = report["authored"][joints["l01"]["path"]]
     assert np.radians(authored["physics:upperLimit"]) == pytest.approx(joints["l01"]["range"][1])
     assert np.degrees(authored["drive:angular:physics:stiffness"]) == pytest.approx(joints["l01"]["drive"]["kp"])

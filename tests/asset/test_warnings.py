@@ -21,7 +21,7 @@ def _provoke() -> None:
     mujoco.mj_step(model, data)
 
 
-def test_a_warning_of_mujoco_stands_in_the_report_and_in_no_log_file(tmp_path, monkeypatch):
+def test_a_warning_of_mujoco_is_in_the_report_and_in_no_log_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     load = compile_mjcf.load
 

@@ -61,13 +61,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 
 
 @pytest.fixture
-def trial(
-    trained: Trained,
-    tmp_path: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-    monkeypatch: pytest.MonkeyPatch,
-    quick: None,
-) -> Trial:
+def trial(trained, tmp_path, tmp_path_factory, monkeypatch, quick) -> Trial:
     """Return a trial with a copy of the healthy run in a folder of the test."""
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     monkeypatch.setenv(VARIABLE, SECRET)

@@ -331,7 +331,7 @@ def test_a_result_that_is_made_again_runs_no_code_and_trusts_nothing(archive, pl
 
 
 @pytest.mark.parametrize("kind", ["run", "pipeline", "sweep", "bundle"])
-def test_who_stands_in_a_record_does_not_stand_in_its_project(archive, kind, monkeypatch):
+def test_a_command_in_a_record_does_not_use_the_records_project(archive, kind, monkeypatch):
     folder = RECORDS[kind](archive)
     archive.project(folder)
     (folder / "below").mkdir()

@@ -84,13 +84,12 @@ PLANTS: dict[str, Callable[[Trial], bytes]] = {
 def test_a_checkpoint_runs_nothing_and_is_as_large_as_its_file(trial, plant):
     trial.write(LAST, plant(trial))
     trial.try_("play", 2, LAST)
-    for command in ("verify", "compare"):
-        trial.try_(command, 1, LAST)
+    trial.try_each(("verify", "compare"), 1, LAST)
 
 
 @pytest.mark.parametrize("key", ["optimizer_state_dict", "env", "log", "rng", "unsaved"])
 @pytest.mark.parametrize("value", [7, {"torch": 1, "x": [torch.ones(2)]}], ids=["number", "mapping"])
-def test_a_checkpoint_whose_parts_are_anything_is_told(trial, key, value):
+def test_a_checkpoint_with_parts_of_wrong_types_is_refused(trial, key, value):
     for number in range(3):
         content = checkpoint.load(trial.run.path / f"model_{number}.pt")
         trial.write(f"model_{number}.pt", checkpoint.serialize({**content, key: value}))
@@ -151,7 +150,7 @@ FAILURES: dict[str, Callable[[Trial], bytes]] = {
 
 
 @pytest.mark.parametrize("make", FAILURES.values(), ids=FAILURES)
-def test_what_a_training_failed_with_may_be_anything(trial, make):
+def test_a_damaged_failure_file_is_reported(trial, make):
     trial.write("failure.npz", make(trial))
     trial.manifest(failure={"file": "failure.npz", "key": "env.sim", "iteration": 1, "message": "x"})
     trial.try_("verify", 1, "failure.npz")

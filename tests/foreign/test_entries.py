@@ -24,8 +24,7 @@ COMMANDS = ("play", "resume", "inspect", "diff", "compare", "replay")
 
 def try_all(trial: Trial, name: str, what: str) -> None:
     """Check that no command follows the entry ``name`` of the run, and that the commands report the entry."""
-    for command in COMMANDS:
-        trial.try_(command, 2, name, what)
+    trial.try_each(COMMANDS, 2, name, what)
     trial.try_("verify", 1, f"{name} is {what}")
     trial.try_("list", 0)
 
@@ -44,7 +43,7 @@ def test_where_a_link_leads_does_not_matter(trial, target):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_nobody_waits_for_a_pipe(trial, name):
+def test_a_pipe_is_not_read(trial, name):
     trial.replace(name, os.mkfifo)
     try_all(trial, name, "a pipe, a socket or a device")
 
@@ -56,7 +55,7 @@ def test_a_report_says_so_and_reads_nothing_of_it(trial, name, make):
     trial.try_("report", 0, name)
 
 
-def test_a_socket_is_no_file(trial, monkeypatch):
+def test_a_socket_is_refused(trial, monkeypatch):
     monkeypatch.chdir(trial.run.path)  # A socket needs a short path.
     with socket.socket(socket.AF_UNIX) as made:
         made.bind("model_9.pt")
@@ -65,10 +64,9 @@ def test_a_socket_is_no_file(trial, monkeypatch):
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
-def test_a_manifest_that_is_no_file(trial, make):
+def test_a_manifest_that_is_a_pipe_or_a_device_is_refused(trial, make):
     trial.replace("manifest.json", make)
-    for command in ("play", "resume", "compare", "replay", "verify", "report"):
-        trial.try_(command, 2, "manifest.json")
+    trial.try_each(("play", "resume", "compare", "replay", "verify", "report"), 2, "manifest.json")
     trial.try_("inspect", 0)  # The folder contains a recording but is not a run directory.
     trial.try_("list", 0)
 
@@ -88,8 +86,6 @@ def test_a_checkpoint_named_on_the_command_line_may_be_a_link(trial):
 
 
 ODD = "\x1b[2J\x9b31m\r\x07\u202e"
-
-
 PLANTS: dict[str, Callable[[Trial], None]] = {
     "file": lambda trial: (trial.run.path / f"a{ODD}.rrd").write_bytes(b""),
     "bytes": lambda trial: Path(os.fsdecode(os.fsencode(trial.run.path) + b"/\xff\xfe")).write_bytes(b""),
@@ -111,9 +107,8 @@ def test_no_text_of_a_run_reaches_the_terminal_as_more_than_text(trial, plant):
         assert not {"\x1b", "\x9b", "\r", "\x07", "\u202e"} & set(said.out + said.err)
 
 
-def test_a_run_with_such_a_name_is_told_by_its_codes(trial):
+def test_a_run_with_such_a_name_is_reported_by_the_codes_of_its_name(trial):
     moved = trial.run.path.parent / f"a{ODD}b"
     trial.run.path.rename(moved)
     trial.run = RunDirectory(moved)
-    for command in ("list", "verify", "report", "play"):
-        trial.try_(command, (0, 1, 2), "\\x1b[2J\\x9b31m")
+    trial.try_each(("list", "verify", "report", "play"), (0, 1, 2), "\\x1b[2J\\x9b31m")

@@ -34,10 +34,9 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
-def test_a_manifest_that_is_none_is_told(trial, content):
+def test_a_damaged_manifest_is_refused(trial, content):
     trial.write(MANIFEST, content)
-    for command in READERS:
-        trial.try_(command, 2, MANIFEST)
+    trial.try_each(READERS, 2, MANIFEST)
     trial.try_("list", 0, "damaged")
 
 
@@ -59,10 +58,9 @@ ENTRIES = ({"when": 1}, {"before": 1}, {"overrides": 3}, {"changes": ["x"]}, {"w
 
 def test_every_key_of_a_manifest_may_hold_anything(trial):
     whole = trial.healthy.manifest().data
-    entries = [*VALUES, *ENTRIES]
     plants = [{key: value} for key in KEYS for value in VALUES]
     plants += [{"results": {"non_finite": value}} for value in VALUES]
-    plants += [{key: [entry]} for key in ("resumes", "additions") for entry in entries]
+    plants += [{key: [entry]} for key in ("resumes", "additions") for entry in (*VALUES, *ENTRIES)]
     for number, plant in enumerate(plants):
         write_json(trial.root / "runs" / "stand" / f"2026-01-01_00-00-00_{number}" / MANIFEST, {**whole, **plant})
     for command in ("list", "json"):
@@ -92,40 +90,37 @@ def test_no_name_in_a_manifest_leads_outside(trial, name):
     ]
     for plant in plants:
         trial.manifest(**plant)
-        for command in ("verify", "resume", "play"):
-            trial.try_(command, 2, MANIFEST, "outside its directory")
+        trial.try_each(("verify", "resume", "play"), 2, MANIFEST, "outside its directory")
         trial.try_("list", 0, "damaged")
 
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", "x", "2026-01-01"])
-def test_times_that_are_none_are_told(trial, moment):
+def test_invalid_times_are_reported(trial, moment):
     for changes in ({"started": moment}, {"ended": moment}):
         trial.manifest(**changes)
-        trial.try_("list", 0)
-        trial.try_("json", 0)
+        trial.try_each(("list", "json"), 0)
         trial.try_("verify", 2, "is not a time")
 
 
-@pytest.mark.parametrize(
-    "process", [{"pid": -1}, {"pid": 10**300}, {"pid": "1"}, {"pid": 1, "host": []}, [1]], ids=repr
-)
+PROCESSES = [{"pid": -1}, {"pid": 10**300}, {"pid": "1"}, {"pid": 1, "host": []}, [1]]
+
+
+@pytest.mark.parametrize("process", PROCESSES, ids=repr)
 def test_a_process_may_be_anything(trial, process):
     trial.manifest(status="running", ended=None, process=process)
-    for command in ("list", "verify"):
-        trial.try_(command, (0, 1, 2))
+    trial.try_each(("list", "verify"), (0, 1, 2))
 
 
-def test_kept_variables_do_not_get_into_this_process(trial, monkeypatch):
+def test_stored_variables_do_not_get_into_this_process(trial, monkeypatch):
     monkeypatch.setenv("PATH", os.environ["PATH"])
     kept = {"PATH": str(trial.run.path), "LD_PRELOAD": "evil.so", "A=B": "c", "": "x", VARIABLE: "theirs"}
     trial.yaml(".hydra/config.yaml", lambda config: config["run"].update(name="${oc.env:PATH}"))
     trial.manifest(config_variables=kept, environment_variables=kept)
-    for command in ("diff", "verify", "report"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("diff", "verify", "report"), (0, 1))
     assert (os.environ.get("LD_PRELOAD"), os.environ[VARIABLE]) == (None, SECRET)
 
 
-def test_what_a_run_says_it_replays_is_no_path(trial):
+def test_the_replayed_run_of_a_manifest_is_not_used_as_a_path(trial):
     secret = trial.outside()
     for of in (str(secret.parent), "..", "latest", "../here"):
         trial.manifest(replay_of=of)
@@ -146,8 +141,7 @@ LINES = {
 def test_a_line_of_the_log_may_be_anything(trial, line):
     trial.write(LOG, trial.run.iterations.read_bytes() + line)
     trial.try_("list", 0)
-    for command in ("verify", "report", "compare"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("verify", "report", "compare"), (0, 1))
 
 
 @pytest.mark.parametrize("value", ["x", None, [], {"a": 1}, True, 10**300], ids=repr)
@@ -156,8 +150,7 @@ def test_scalars_may_be_anything(trial, value):
     for line in lines:
         line["scalars"] = dict.fromkeys(line["scalars"], value)
     trial.write(LOG, "".join(json.dumps(line) + "\n" for line in lines))
-    for command in ("list", "json", "verify", "report", "compare"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("list", "json", "verify", "report", "compare"), (0, 1))
 
 
 RECORDS = [
@@ -176,8 +169,7 @@ def test_a_record_of_the_source_may_hold_anything(trial, change):
     trial.write(GIT, json.dumps({**record, **change}))
     trial.try_("replay", 2, GIT)
     trial.try_("diff", (0, 1, 2))
-    for command in ("verify", "report"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("verify", "report"), (0, 1))
 
 
 def test_no_repository_that_a_run_names_is_asked_at_a_resume(trial):

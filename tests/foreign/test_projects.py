@@ -61,7 +61,7 @@ def test_a_project_in_the_run_is_not_used(asking, name, command):
     asking.try_(command, 2 if told else 0, *told)
 
 
-def test_what_to_write_is_said(asking):
+def test_the_error_names_the_untrusted_folder_and_the_option(asking):
     configs = project(asking.root / "theirs", asking.canary)
     asking.manifest(config_dirs=[str(configs)])
     told = f"what the run was made with is not one of your trusted folders: {configs}"
@@ -76,7 +76,7 @@ def test_a_project_beside_the_run_that_its_command_line_names_is_not_used(asking
 
 
 @pytest.mark.parametrize("folder", ["gone", "\0", "x" * 5000, "", "/dev/null", "\n"])
-def test_a_folder_that_is_none_is_told(asking, folder):
+def test_an_invalid_config_folder_is_refused(asking, folder):
     asking.manifest(config_dirs=[folder])
     asking.try_("resume", 2, "evil.terms.f")
 
@@ -103,12 +103,11 @@ def test_the_users_own_project_is_found_again_and_may_be_named(asking):
 
 
 @pytest.mark.parametrize("command", ["play", "report", "resume", "inspect", "diff", "verify"])
-def test_who_stands_in_a_run_does_not_stand_in_its_project(asking, command, monkeypatch):
+def test_a_command_in_a_run_does_not_use_the_runs_project(asking, command, monkeypatch):
     project(asking.run.path, asking.canary)
-    monkeypatch.chdir(asking.run.path / "params")
-    asking.try_(command, (0, 1, 2))
-    monkeypatch.chdir(asking.run.path)
-    asking.try_(command, (0, 1, 2))
+    for folder in (asking.run.path / "params", asking.run.path):
+        monkeypatch.chdir(folder)
+        asking.try_(command, (0, 1, 2))
 
 
 PYPROJECTS = {
@@ -129,7 +128,7 @@ def test_a_declaration_may_be_anything(trial, text, monkeypatch):
     trial.try_("play", 0)
 
 
-def test_nobody_waits_for_a_declaration(trial, monkeypatch):
+def test_a_declaration_that_is_a_pipe_is_not_read(trial, monkeypatch):
     folder = trial.root / "theirs" / "configs"
     folder.mkdir(parents=True)
     os.mkfifo(folder.parent / "pyproject.toml")

@@ -112,17 +112,16 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
-def test_parameters_that_are_no_plain_yaml_are_told(trial, content):
+def test_parameters_that_are_not_plain_yaml_are_refused(trial, content):
     trial.write(ENV, content)
-    for command in ("play", "resume", "diff"):
-        trial.try_(command, 2, ENV)
+    trial.try_each(("play", "resume", "diff"), 2, ENV)
     trial.try_("verify", 1, ENV)
     trial.try_("report", 0, "env.yaml")
     trial.try_("list", 0)
 
 
 @pytest.mark.parametrize("value", [None, 5, "x", [], [1], {}, {"a": 1}, True, 1e999])
-def test_sections_of_another_kind_are_told(trial, value):
+def test_sections_of_another_type_are_refused(trial, value):
     for section in ("sim", "scene", "robot", "rewards", "observations", "events", "num_envs", "actions"):
         kept = (trial.run.path / ENV).read_text()
         trial.yaml(ENV, lambda env, section=section: env.update({section: value}))
@@ -139,44 +138,41 @@ def test_no_variable_of_this_machine_gets_into_anything(trial, text):
     missing = f"requests the environment variable {VARIABLE}, which was not stored with the run"
     told = [CONFIG, missing] if ",x" not in text else []
     trial.try_("resume", 2, *told)
-    for command in ("diff", "verify", "compare", "report"):
-        trial.try_(command, (0, 1) if command != "report" else 0)
+    trial.try_each(("diff", "verify", "compare"), (0, 1))
+    trial.try_("report", 0)
 
 
 def test_a_resolver_of_this_process_is_not_called(trial):
     OmegaConf.register_new_resolver("trial", lambda: trial.canary.touch(), replace=True)
     trial.yaml(CONFIG, lambda config: config["run"].update(name="${trial:}"))
     trial.try_("resume", 2, CONFIG, "trial")
-    for command in ("diff", "verify", "compare", "report"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("diff", "verify", "compare", "report"), (0, 1))
     OmegaConf.clear_resolver("trial")
 
 
-def test_interpolations_that_double_each_other_come_to_an_end(trial, monkeypatch):
+def test_interpolations_that_double_each_other_are_refused(trial, monkeypatch):
     monkeypatch.setattr("wheelleg_exp.run.run_config._MAX_STEPS", 1000)  # A smaller limit shortens the test.
     bomb = {"x0": "0123456789", **{f"x{i}": f"${{run.x{i - 1}}}" * 2 for i in range(1, 16)}, "name": "${run.x15}"}
     trial.yaml(CONFIG, lambda config: config["run"].update(bomb))
     trial.try_("resume", 2, CONFIG, "more than 1000 interpolations")
-    for command in ("diff", "report"):  # The command report also verifies the run.
-        trial.try_(command, (0, 1))
+    trial.try_each(("diff", "report"), (0, 1))  # The command report also verifies the run.
 
 
 @pytest.mark.parametrize("text", ["${" * 5000, "${oc.decode:" + "[" * 5000 + "}", "${a" + "${b}" * 40_000 + "}"])
-def test_interpolations_without_end_are_told(trial, text):
+def test_interpolations_without_end_are_refused(trial, text):
     trial.yaml(CONFIG, lambda config: config["run"].update(name=text))
     trial.try_("resume", 2, CONFIG)
     trial.try_("verify", (0, 1))
 
 
 @pytest.mark.parametrize("content", [*list(BROKEN.values())[:6], "a list: [", "- 1\n"])
-def test_a_config_that_is_none_is_told(trial, content):
+def test_a_damaged_config_is_refused(trial, content):
     trial.write(CONFIG, content)
     trial.try_("resume", 2, CONFIG)
-    for command in ("verify", "report", "inspect"):
-        trial.try_(command, (0, 1))
+    trial.try_each(("verify", "report", "inspect"), (0, 1))
 
 
-def test_a_config_without_its_sections_is_told(trial):
+def test_a_config_without_its_sections_is_refused(trial):
     for key in ("recording", "run", "seed", "task"):
         kept = (trial.run.path / CONFIG).read_text()
         trial.yaml(CONFIG, lambda config, key=key: config.pop(key))
@@ -210,7 +206,7 @@ def test_no_recorded_word_leads_hydra_anywhere(trial, word, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["{a: 1}", "seed=3", "3"])
-def test_overrides_that_are_no_list_are_told(trial, text):
+def test_overrides_that_are_not_a_list_are_refused(trial, text):
     trial.write(".hydra/overrides.yaml", text)
     trial.try_("resume", 2, "is not a list", ".hydra/overrides.yaml")
 
@@ -245,13 +241,12 @@ def test_a_robot_reads_no_other_files_and_takes_no_memory(trial, part):
     trial.outside()
     path = trial.run.asset / "robot.xml"
     trial.write("asset/robot.xml", path.read_text().replace("<worldbody>", f"{part}<worldbody>", 1))
-    trial.try_("play", 2, "asset/robot.xml")
-    trial.try_("resume", 2, "asset/robot.xml")
+    trial.try_each(("play", "resume"), 2, "asset/robot.xml")
 
 
 @pytest.mark.parametrize("content", ["[]", "{}", "[" * 5000, '{"model_sha256": 1, "sources": []}', "\xff"])
 @pytest.mark.parametrize("name", ["asset/asset.json", "asset/report.json"])
-def test_what_is_said_of_the_robot_may_be_anything(trial, name, content):
+def test_damaged_reports_of_the_robot_are_reported(trial, name, content):
     trial.write(name, content.encode("latin-1"))
     trial.try_("resume", 2, name)
     trial.try_("play", (0, 2))

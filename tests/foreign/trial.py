@@ -108,6 +108,10 @@ class Trial:
             "replay": ["replay", run, "--root", runs],
         }[command]
 
+    def try_each(self, commands: Collection[str], status: int | Collection[int], *told: str) -> None:
+        for command in commands:
+            self.try_(command, status, *told)
+
     def try_(self, command: str, status: int | Collection[int], *told: str) -> Words:
         """Run a command on the planted run, and check the exit status, the output, and all files."""
         before, inside = state(self.root, self.run.path), state(self.run.path)

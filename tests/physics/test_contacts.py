@@ -78,7 +78,7 @@ def test_on_a_slope_the_block_stays_or_slides_by_the_angle_of_friction(world, de
     assert (expected > 0) == (degrees > math.degrees(math.atan(mu)))
 
 
-def test_what_the_ground_bears_is_the_weight_with_the_payload(world):
+def test_the_ground_carries_the_weight_with_the_payload(world):
     contact = {"_target_": "wheelleg_exp.sim.sensors.ContactSensor", "body_names": [".*"], "max_contacts": 8}
     contact |= {"history_length": 1, "track_air_time": False, "force_threshold": 1.0}
     sensor = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "feet"}

@@ -20,8 +20,7 @@ def _mass(value, operation):
 
 
 def _wrench(force, torque):
-    ranges = {"force_range": [force, force], "torque_range": [torque, torque]}
-    return at_reset("set_permanent_body_wrench", **ranges)
+    return at_reset("set_permanent_body_wrench", force_range=[force, force], torque_range=[torque, torque])
 
 
 @pytest.mark.parametrize("integrator", ["euler", "implicitfast", "rk4"])

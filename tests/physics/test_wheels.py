@@ -3,26 +3,18 @@ import math
 import pytest
 import torch
 
-from .worlds import drive, seen, term, watch
+from .worlds import drive, mounted, seen, term, watch
 
 OWN, ARMATURE = 0.002, 0.003  # the wheel's moment of inertia and the armature, kg m^2
 INERTIA = OWN + ARMATURE
 DAMPING, WANTED = 0.05, 12.0  # N m s/rad, rad/s; the time constant is 0.1 s.
 
 # The wheel's centre of mass is on its fixed axle.
-WHEEL = """
-<mujoco model="wheel">
-  <worldbody>
-    <body name="mount">
-      <geom type="sphere" size=".01" contype="0" conaffinity="0" mass="1"/>
-      <body name="wheel">
-        <joint name="axle" axis="0 1 0"/>
-        <inertial pos="0 0 0" mass=".4" diaginertia=".001 .002 .001"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+ROLLER = """<body name="wheel">
+  <joint name="axle" axis="0 1 0"/>
+  <inertial pos="0 0 0" mass=".4" diaginertia=".001 .002 .001"/>
+</body>"""
+WHEEL = mounted("wheel", ROLLER)
 
 
 def _speeds(world, kind, dt, steps, decimation=1, **numbers):

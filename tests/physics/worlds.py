@@ -19,20 +19,19 @@ STONE = """
 </mujoco>
 """
 
+
+def mounted(name: str, bodies: str) -> str:
+    """Return the MJCF of a fixed mount that carries bodies."""
+    mount = f'<geom type="sphere" size=".01" contype="0" conaffinity="0" mass="1"/>\n{bodies}'
+    return f'<mujoco model="{name}"><worldbody><body name="mount">{mount}</body></worldbody></mujoco>'
+
+
 # A pendulum on a fixed base, with a mass of 0.5 kg at 0.3 m below the hinge, and a moment of inertia.
-PENDULUM = """
-<mujoco model="pendulum">
-  <worldbody>
-    <body name="mount">
-      <geom type="sphere" size=".01" contype="0" conaffinity="0" mass="1"/>
-      <body name="bob">
-        <joint name="hinge" axis="0 1 0"/>
-        <inertial pos="0 0 -.3" mass=".5" diaginertia=".004 .004 .004"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+BOB = """<body name="bob">
+  <joint name="hinge" axis="0 1 0"/>
+  <inertial pos="0 0 -.3" mass=".5" diaginertia=".004 .004 .004"/>
+</body>"""
+PENDULUM = mounted("pendulum", BOB)
 
 
 def term(module: str, name: str, **fields: Any) -> dict[str, Any]:
@@ -40,8 +39,7 @@ def term(module: str, name: str, **fields: Any) -> dict[str, Any]:
 
 
 def seen(*names: str) -> dict[str, Any]:
-    terms = {name: term("observations", name) for name in names}
-    return {"seen": {"concatenate_terms": False, "terms": terms}}
+    return {"seen": {"concatenate_terms": False, "terms": {name: term("observations", name) for name in names}}}
 
 
 def at_reset(name: str, **fields: Any) -> dict[str, Any]:

@@ -16,8 +16,11 @@ from pxr import Sdf
 
 from wheelleg_exp.errors import EXIT_INPUT, EXIT_OK
 
+from .. import small_urdf, small_usd
+
 CANARY = "only its owner reads this"
 SECONDS = 120  # against hanging alone
+GROWTH = 2**30  # bytes
 GROWTH = 2**30  # bytes
 
 Maker = Callable[[Path], Path]
@@ -97,3 +100,11 @@ def crate(text_layer: Path) -> Path:
     assert Sdf.Layer.FindOrOpen(str(text_layer)).Export(str(path))
     text_layer.unlink()
     return path
+
+
+def usd(inside: str, *, outside: str = "", header: str = small_usd.SI) -> Maker:
+    return lambda folder: small_usd.write(folder, small_usd.link("a") + inside, outside=outside, header=header)
+
+
+def urdf(text: str) -> Maker:
+    return lambda folder: small_urdf.write(folder, text)

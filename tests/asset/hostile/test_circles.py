@@ -8,7 +8,7 @@ import pytest
 
 from .. import small_urdf, small_usd
 from ..small_usd import SI, applied, link
-from .scratch import Maker, Scratch
+from .scratch import Maker, Scratch, urdf
 
 BALL = f'def Sphere "ball" {applied("PhysicsCollisionAPI MaterialBindingAPI")}\n{{\n%s\n}}\n'
 
@@ -40,19 +40,12 @@ def package_of_itself(folder: Path) -> Path:
 VARIANTS = """def Xform "v" (
     variants = { string s = "a" }
     prepend variantSets = "s"
-)
-{
+) {
     variantSet "s" = {
-        "a" (
-            variants = { string s = "b" }
-        ) {
-            def "x" (references = </bot/v>)
-            {
-            }
+        "a" (variants = { string s = "b" }) {
+            def "x" (references = </bot/v>) {}
         }
-        "b" (
-            variants = { string s = "a" }
-        ) {
+        "b" (variants = { string s = "a" }) {
         }
     }
 }
@@ -63,9 +56,11 @@ COLLECTION = """def PhysicsCollisionGroup "g" (prepend apiSchemas = ["Collection
     rel physics:filteredGroups = </bot/g>
 }
 """
-MATERIALS = prim(
-    "m", "references = </bot/n>", "token outputs:surface.connect = </bot/m.outputs:surface>", "Material"
-) + prim("n", "references = </bot/m>", kind="Material")
+METAL = prim("m", "references = </bot/n>", "token outputs:surface.connect = </bot/m.outputs:surface>", "Material")
+MATERIALS = METAL + prim("n", "references = </bot/m>", kind="Material")
+FOLLOWERS = "".join(small_urdf.link(name) for name in "abc")
+FOLLOWERS += small_urdf.joint("j", "a", "b", "continuous", '<mimic joint="k"/>')
+FOLLOWERS += small_urdf.joint("k", "b", "c", "continuous", '<mimic joint="j"/>')
 
 CIRCLES: dict[str, Maker] = {
     "a class of itself": usd(prim("x", "inherits = </bot/x>")),
@@ -75,23 +70,14 @@ CIRCLES: dict[str, Maker] = {
     "a package that is a link to itself": package_of_itself,
     "a layer below itself": usd("", header=SI + "\n    subLayers = [@./bot.usda@]"),
     "variants that choose each other": usd(VARIANTS),
-    "prims that move to each other's place": usd(
-        "", header=SI + "\n    relocates = { </bot/a>: </bot/b>, </bot/b>: </bot/a> }"
-    ),
+    "prims that swap places": usd("", header=SI + "\n    relocates = { </bot/a>: </bot/b>, </bot/b>: </bot/a> }"),
     "materials of each other": usd(MATERIALS),
     "an attribute of itself": usd('def "x"\n{\nfloat inputs:a.connect = </bot/x.inputs:a>\n}\n'),
     "a collection of itself": usd(COLLECTION),
     "a joint whose ends are each other": usd(joint("</bot/j.physics:body1>", "</bot/j.physics:body0>")),
     "a joint to an attribute": usd(joint("</bot/a.physics:mass>", "</bot/a>")),
-    "joints that follow each other": lambda folder: small_urdf.write(
-        folder,
-        "".join(small_urdf.link(name) for name in "abc")
-        + small_urdf.joint("j", "a", "b", "continuous", '<mimic joint="k"/>')
-        + small_urdf.joint("k", "b", "c", "continuous", '<mimic joint="j"/>'),
-    ),
-    "a joint that follows itself": lambda folder: small_urdf.write(
-        folder, small_urdf.pair("continuous", '<mimic joint="j"/>')
-    ),
+    "joints that follow each other": urdf(FOLLOWERS),
+    "a joint that follows itself": urdf(small_urdf.pair("continuous", '<mimic joint="j"/>')),
 }
 
 

@@ -26,23 +26,20 @@ from .scratch import Maker, Scratch, crate
 
 def claiming(claim: int) -> Maker:
     def make(folder: Path) -> Path:
-        count = 999
-        corners = ", ".join(str(i % 8) for i in range(count))
+        corners = ", ".join(str(i % 8) for i in range(999))
         block = re.sub(r"(faceVertexIndices = )\[.*?\]", rf"\1[{corners}]", cube_inside("convexHull"))
-        block = re.sub(r"(faceVertexCounts = )\[.*?\]", rf"\1[{', '.join(['3'] * (count // 3))}]", block)
+        block = re.sub(r"(faceVertexCounts = )\[.*?\]", rf"\1[{', '.join(['3'] * 333)}]", block)
         path = crate(small_usd.write(folder, link("a", inside=block)))
         data = path.read_bytes()
-        assert data.count(struct.pack("<Q", count)) == 1
-        path.write_bytes(data.replace(struct.pack("<Q", count), struct.pack("<Q", claim)))
+        assert data.count(struct.pack("<Q", 999)) == 1
+        path.write_bytes(data.replace(struct.pack("<Q", 999), struct.pack("<Q", claim)))
         return path
 
     return make
 
 
 @pytest.mark.parametrize("claim", [2**30, 2**31 - 1, 2**40, 2**63, 2**64 - 1])
-def test_a_crate_that_claims_more_than_it_holds_takes_no_memory(
-    scratch: Scratch, monkeypatch: pytest.MonkeyPatch, claim: int
-) -> None:
+def test_a_crate_that_declares_more_than_it_contains_takes_no_memory(scratch, monkeypatch, claim):
     monkeypatch.setattr(file_limits, "MOST", 2**29)
     said = scratch.convert(claiming(claim))
     assert said.status == 2
@@ -94,26 +91,22 @@ def test_bounds_on_memory_may_overlap(tmp_path: Path) -> None:
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
-ROBOT = (
-    link("a", inside=cube_inside("convexHull"))
-    + link("b", "(1, 0, 0)", inside='def Capsule "c" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n')
-    + hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 1")
-    + """def PointInstancer "many"
+MANY = """def PointInstancer "many"
 {
     rel prototypes = </bot/many/ball>
     int[] protoIndices = [0, 0]
     point3f[] positions = [(0, 0, 0), (1, 1, 1)]
     float3[] scales = [(1, 1, 1), (2, 2, 2)]
-    def Sphere "ball"
-    {
-    }
+    def Sphere "ball" {}
 }
 """
-)
+CAPSULE = 'def Capsule "c" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
+DRIVEN = hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 1")
+ROBOT = link("a", inside=cube_inside("convexHull")) + link("b", "(1, 0, 0)", inside=CAPSULE) + DRIVEN + MANY
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_whatever_bytes_are_changed_gives_a_model_or_one_sentence(tmp_path: Path, seed: int) -> None:
+def test_a_crate_with_changed_bytes_gives_a_model_or_one_error_message(tmp_path: Path, seed: int) -> None:
     dice = random.Random(seed)
     path = crate(small_usd.write(tmp_path, ROBOT))
     data = bytearray(path.read_bytes())

@@ -12,32 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from .. import small_urdf, small_usd
+from .. import small_urdf
 from ..small_usd import SI
-from .scratch import CANARY, Maker, Scratch, sparse
+from .scratch import CANARY, Maker, Scratch, sparse, usd
 
 GIGABYTES_64 = 64 * 2**30
-
-
-def usd(inside: str, header: str = SI) -> Maker:
-    return lambda folder: small_usd.write(folder, small_usd.link("a") + inside, header=header)
 
 
 def urdf(inside: str, before: str = "") -> Maker:
     return lambda folder: small_urdf.write(folder, before + small_urdf.link("a", inside))
 
 
-def with_files(make: Maker, **files: str | bytes) -> Maker:
-    def both(folder: Path) -> Path:
-        for name, content in files.items():
-            data = content.encode() if isinstance(content, str) else content
-            (folder / name.replace("_", ".")).write_bytes(data)
-        return make(folder)
-
-    return both
-
-
-def beside(make: Maker, name: str, kind: str) -> Maker:
+def beside(make: Maker, name: str, kind: str | bytes) -> Maker:
     def both(folder: Path) -> Path:
         odd(folder / name, kind)
         return make(folder)
@@ -45,9 +31,10 @@ def beside(make: Maker, name: str, kind: str) -> Maker:
     return both
 
 
-def odd(path: Path, kind: str) -> Path:
-    path.parent.mkdir(exist_ok=True)
-    if kind == "pipe":
+def odd(path: Path, kind: str | bytes) -> Path:
+    if isinstance(kind, bytes):
+        path.write_bytes(kind)
+    elif kind == "pipe":
         os.mkfifo(path)
     elif kind == "folder":
         path.mkdir()
@@ -62,10 +49,6 @@ def reference(asset: str, kind: str = "references") -> str:
     return f'def Xform "x" ({kind} = @{asset}@)\n{{\n}}\n'
 
 
-def sublayer(asset: str) -> str:
-    return SI + f"\n    subLayers = [@{asset}@]"
-
-
 def mesh(name: str, kind: str = "collision") -> str:
     return f'<{kind}><geometry><mesh filename="{name}"/></geometry></{kind}>'
 
@@ -73,8 +56,7 @@ def mesh(name: str, kind: str = "collision") -> str:
 VARIANT = """def Xform "v" (
     variants = { string s = "a" }
     prepend variantSets = "s"
-)
-{
+) {
     variantSet "s" = {
         "a" {
         }
@@ -90,13 +72,16 @@ SHADER = """def Shader "s"
     asset info:mdl:sourceAsset = @../canary@
 }
 """
-CLIPS = """def Xform "x" (
-    clips = { dictionary default = { asset[] assetPaths = [@./odd.usda@]
-        asset manifestAssetPath = @./odd.usda@ } }
-)
-{
-}
-"""
+COMPUTED = SI + "\n    subLayers = [@`'odd.usda'`@]"
+ODD_ASSETS = "asset[] assetPaths = [@./odd.usda@]\nasset manifestAssetPath = @./odd.usda@"
+CLIPS = f'def Xform "x" (\nclips = {{ dictionary default = {{ {ODD_ASSETS} }} }}\n)\n{{\n}}\n'
+ARGUMENTS = reference("./odd.py:SDF_FORMAT_ARGS:a=b", "payload")
+SCRIPT = b"raise SystemExit(7)"
+INCLUDES = """<mujoco><include file="../canary"/><extension><plugin plugin="mujoco.elasticity.cable"/></extension>
+<asset><texture name="t" file="../canary"/><hfield name="h" file="../canary"/></asset></mujoco>"""
+XINCLUDE = '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="../canary" parse="text"/>'
+PLUGIN = small_urdf.link("a&quot;/&gt;&lt;plugin/&gt;&lt;x y=&quot;")
+COMMENT = f'<robot name="--&gt; &lt;include file=&quot;x&quot;/&gt;">{small_urdf.link("a")}</robot>'.encode()
 
 SOURCES = {
     "a pipe": ("pipe", "is a pipe or a device"),
@@ -112,24 +97,14 @@ REFUSED: dict[str, tuple[Maker, str]] = {
     "pipe in a variant not chosen": (beside(usd(VARIANT), "odd.usda", "pipe"), "odd.usda' is a pipe"),
     "reference to a device": (beside(usd(reference("./odd.usda")), "odd.usda", "zero"), "odd.usda' is a pipe or a dev"),
     "reference to 64 GB": (beside(usd(reference("./odd.usda")), "odd.usda", "huge"), "odd.usda' is larger than"),
-    "name that is computed": (usd("", sublayer("`'odd.usda'`")), "computes the name of a layer"),
+    "name that is computed": (usd("", header=COMPUTED), "computes the name of a layer"),
     "mesh that is the process's memory": (beside(urdf(mesh("odd.stl")), "odd.stl", "memory"), "cannot be read"),
     "bytes that are no text": (
-        lambda folder: _usda(folder, b'#usda 1.0\ndef Xform "\xff\xfe" {\n}\n'),
+        lambda f: odd(f / "bot.usda", b'#usda 1.0\ndef Xform "\xff\xfe" {\n}\n'),
         "expected UTF-8",
     ),
     "substitution of a package": (urdf(mesh("$(find pkg)/$(arg part).stl")), "xacro"),
 }
-
-
-def _text(folder: Path, text: str) -> Path:
-    (folder / "bot.urdf").write_text(text)
-    return folder / "bot.urdf"
-
-
-def _usda(folder: Path, data: bytes) -> Path:
-    (folder / "bot.usda").write_bytes(data)
-    return folder / "bot.usda"
 
 
 PASSED: dict[str, tuple[Maker, str]] = {
@@ -138,11 +113,8 @@ PASSED: dict[str, tuple[Maker, str]] = {
     "reference by URL": (usd(reference("file:///etc/passwd")), "passwd"),
     "reference to a variable": (usd(reference("$HOME/canary.usda")), "HOME"),
     "reference to a name without end": (usd(reference("a" * 5000 + ".usda")), "not found"),
-    "reference to a script": (with_files(usd(reference("odd.py")), odd_py="raise SystemExit(7)"), "odd.py"),
-    "arguments of a format": (
-        with_files(usd(reference("./odd.py:SDF_FORMAT_ARGS:a=b", "payload")), odd_py="raise SystemExit(7)"),
-        "not found",
-    ),
+    "reference to a script": (beside(usd(reference("odd.py")), "odd.py", SCRIPT), "odd.py"),
+    "arguments of a format": (beside(usd(ARGUMENTS), "odd.py", SCRIPT), "not found"),
     "texture that is a pipe": (beside(usd(SHADER), "odd.usda", "pipe"), ""),
     "clips that are a pipe": (beside(usd(CLIPS), "odd.usda", "pipe"), ""),
     "mesh that is a pipe": (beside(urdf(mesh("odd.stl")), "odd.stl", "pipe"), "not found"),
@@ -151,34 +123,16 @@ PASSED: dict[str, tuple[Maker, str]] = {
     "mesh that is none": (urdf(mesh("../canary")), "not a supported mesh format"),
     "mesh out of its package": (urdf(mesh("package://../../canary")), "not a supported mesh format"),
     "mesh in a name without end": (urdf(mesh("a" * 5000 + ".stl")), "not found"),
-    "MuJoCo's include and plugins": (
-        urdf(
-            "",
-            '<mujoco><include file="../canary"/><extension><plugin plugin="mujoco.elasticity.cable"/></extension>'
-            '<asset><texture name="t" file="../canary"/><hfield name="h" file="../canary"/></asset></mujoco>',
-        ),
-        "",
-    ),
-    "XML's include": (
-        urdf("", '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="../canary" parse="text"/>'),
-        "",
-    ),
-    "MJCF in a name": (
-        lambda folder: small_urdf.write(folder, small_urdf.link("a&quot;/&gt;&lt;plugin/&gt;&lt;x y=&quot;")),
-        "",
-    ),
-    "end of a comment in a name": (
-        lambda folder: _text(
-            folder, f'<robot name="--&gt; &lt;include file=&quot;x&quot;/&gt;">{small_urdf.link("a")}</robot>'
-        ),
-        "",
-    ),
+    "MuJoCo's include and plugins": (urdf("", INCLUDES), ""),
+    "XML's include": (urdf("", XINCLUDE), ""),
+    "MJCF in a name": (lambda folder: small_urdf.write(folder, PLUGIN), ""),
+    "end of a comment in a name": (lambda folder: odd(folder / "bot.urdf", COMMENT), ""),
 }
 
 
 @pytest.mark.parametrize("ending", ["usda", "usdc", "usdz", "urdf"])
 @pytest.mark.parametrize("name", SOURCES)
-def test_a_source_that_is_no_file_is_told(scratch: Scratch, name: str, ending: str) -> None:
+def test_a_source_that_is_not_a_regular_file_is_refused(scratch: Scratch, name: str, ending: str) -> None:
     kind, words = SOURCES[name]
     said = scratch.convert(lambda folder: odd(folder / f"bot.{ending}", kind))
     assert said.status == 2
@@ -187,7 +141,7 @@ def test_a_source_that_is_no_file_is_told(scratch: Scratch, name: str, ending: s
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_would_never_end_is_refused_by_name(scratch: Scratch, name: str) -> None:
+def test_files_that_would_never_end_are_refused_by_name(scratch: Scratch, name: str) -> None:
     make, words = REFUSED[name]
     said = scratch.convert(make)
     assert said.status == 2
@@ -195,7 +149,7 @@ def test_what_would_never_end_is_refused_by_name(scratch: Scratch, name: str) ->
 
 
 @pytest.mark.parametrize("name", PASSED)
-def test_what_is_no_part_of_a_robot_is_passed_over_and_told(scratch: Scratch, name: str) -> None:
+def test_files_that_belong_to_no_robot_are_reported_and_not_read(scratch: Scratch, name: str) -> None:
     make, words = PASSED[name]
     said = scratch.convert(make)
     assert said.status == 0, said.err
@@ -205,14 +159,14 @@ def test_what_is_no_part_of_a_robot_is_passed_over_and_told(scratch: Scratch, na
 
 
 @pytest.mark.parametrize("make", [urdf(mesh("../canary")), usd(reference("../canary"))], ids=["urdf", "usd"])
-def test_a_report_holds_nothing_of_what_is_no_part_of_a_robot(scratch: Scratch, make: Maker) -> None:
+def test_a_report_contains_nothing_of_files_that_belong_to_no_robot(scratch: Scratch, make: Maker) -> None:
     said = scratch.convert(make, "--json")
     assert hashlib.sha256(CANARY.encode()).hexdigest() not in said.out
     assert len(json.loads(said.out)["layers"]) == 1
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:{}/a.usda", "http://127.0.0.1:{}/a.stl"])
-def test_nobody_asks_the_network(scratch: Scratch, url: str) -> None:
+def test_a_conversion_opens_no_network_connection(scratch: Scratch, url: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.setblocking(False)
         name = url.format(server.getsockname()[1])
@@ -222,7 +176,7 @@ def test_nobody_asks_the_network(scratch: Scratch, url: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["check", "zero-agent", "train"])
-def test_commands_that_take_a_robot_tell_its_key_once(scratch: Scratch, command: str) -> None:
+def test_commands_with_a_refused_robot_name_its_key_once(scratch: Scratch, command: str) -> None:
     make, words = REFUSED["reference to a pipe"]
     said = scratch.run(command, "task=stand", f"env.robot.asset={make(scratch.robot)}")
     assert said.status == 2

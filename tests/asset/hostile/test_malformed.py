@@ -48,6 +48,7 @@ def triangle(corner: str, indices: str) -> str:
     return shape("Mesh", f"{points}int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [{indices}]")
 
 
+AXES = "float3 physics:diagonalInertia = (1, 1, 1)\nfloat3 physics:principalAxes = (1, 0, 0)"
 REFUSED = [  # a robot, and texts of its error
     (mass("float physics:mass = inf"), "/bot/a", "'physics:mass'"),
     (mass("float physics:mass = nan"), "/bot/a", "'physics:mass'"),
@@ -58,11 +59,7 @@ REFUSED = [  # a robot, and texts of its error
     (mass('string physics:mass = "heavy"'), "/bot/a", "expected a number"),
     (mass("float[] physics:mass = [1, 2]"), "/bot/a", "expected a number"),
     (mass("float4 physics:diagonalInertia = (1, 1, 1, 1)"), "/bot/a", "expected 3 numbers"),
-    (
-        mass("float3 physics:diagonalInertia = (1, 1, 1)\nfloat3 physics:principalAxes = (1, 0, 0)"),
-        "/bot/a",
-        "expected 4 numbers",
-    ),
+    (mass(AXES), "/bot/a", "expected 4 numbers"),
     (mass('token physics:kinematicEnabled = "yes"'), "/bot/a", "expected true or false"),
     (joint("float drive:angular:physics:stiffness = nan"), "/bot/j", "'drive:angular:physics:stiffness'"),
     (joint("float drive:angular:physics:targetPosition = inf"), "/bot/j", "'drive:angular:physics:targetPosition'"),
@@ -99,53 +96,33 @@ def test_units_that_no_stage_has_are_refused(tmp_path, name, value):
 
 
 # ---------------------------------------------------------------- accepted values
-@pytest.mark.parametrize("value", ["-inf, inf", "-3.4e38, 3.4e38", "-57295776, 57295776", "-1e38, 1e38"])
-def test_limits_without_end_are_no_limits(tmp_path, value):
-    low, high = value.split(", ")
-    model, _ = two_links(tmp_path, f"float physics:lowerLimit = {low}\nfloat physics:upperLimit = {high}")
-    assert not model.jnt_limited[model.joint("j").id]
-
-
-def test_a_negative_mass_means_not_given_and_is_reported(tmp_path):
-    sphere = gprim("Sphere", "double radius = 0.1")
-    model, done = converted(write(tmp_path, link("a", mass="float physics:mass = -3", inside=sphere)))
-    assert model.body("a").mass[0] == pytest.approx(1000 * 4 / 3 * np.pi * 0.1**3, rel=1e-5)
-    assert any(item.name == "physics:mass" and "/bot/a" in item.values for item in done.report.left_out)
-
-
 @pytest.mark.parametrize("text", ["int physics:mass = 2", "double physics:mass = 2", "half physics:mass = 2"])
 def test_a_number_of_another_type_is_a_number(tmp_path, text):
     model, _ = converted(write(tmp_path, link("a", mass=text)))
     assert model.body("a").mass[0] == 2
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        'string points = "x"',
-        "int[] points = [1, 2, 3]",
-        'string faceVertexCounts = "x"',
-        "float[] faceVertexIndices = [0.5]",
-    ],
-)
-def test_a_mesh_of_other_types_is_left_out_by_name(tmp_path, text):
+TETRAHEDRON = "point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,1)]\nint[] faceVertexIndices = [0,1,2]\n"
+MESHES = ['string points = "x"', "int[] points = [1, 2, 3]", 'string faceVertexCounts = "x"']
+MESHES += ["float[] faceVertexIndices = [0.5]"]
+MESHES += [f"{TETRAHEDRON}int[] faceVertexCounts = {counts}" for counts in ("[-3, 6]", "[2147483647]", "[3, 3]")]
+
+
+@pytest.mark.parametrize("text", MESHES)
+def test_a_mesh_with_wrong_types_or_counts_is_left_out_by_name(tmp_path, text):
     _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text))))
     assert done.description.colliders == ()
     assert any("/bot/a/shape" in item.values for item in done.report.left_out)
+    assert any("/bot/a/shape" in text for text in done.report.warnings)
 
 
-def test_values_over_time_alone_are_read_at_their_start_and_noted(tmp_path):
+def test_values_and_poses_with_time_samples_alone_are_read_at_their_start(tmp_path):
     timed = "float physics:mass.timeSamples = { 1: 2.5, 2: 7 }\nfloat3 physics:diagonalInertia = (1, 1, 1)"
-    model, done = converted(write(tmp_path, link("a", mass=timed)))
-    assert model.body("a").mass[0] == 2.5
-    assert any(item.path == "/bot/a.physics:mass" for item in done.report.assumptions)
-
-
-def test_a_pose_over_time_alone_is_the_one_at_its_start(tmp_path):
-    path = write(tmp_path, link("a", "(0, 0, 3)"))
+    path = write(tmp_path, link("a", "(0, 0, 3)", mass=timed))
     path.write_text(path.read_text().replace("translate = (0, 0, 3)", "translate.timeSamples = { 5: (0, 0, 3) }"))
-    model, _ = converted(path)
-    assert model.body("a").pos.tolist() == [0, 0, 3]
+    model, done = converted(path)
+    assert (model.body("a").mass[0], model.body("a").pos.tolist()) == (2.5, [0, 0, 3])
+    assert any(item.path == "/bot/a.physics:mass" for item in done.report.assumptions)
 
 
 # ---------------------------------------------------------------- joints
@@ -156,58 +133,49 @@ def test_a_joint_to_itself_joins_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("axis", ['""', '"W"', '"x"'])
-def test_an_axis_that_is_none_is_x_and_noted(tmp_path, axis):
+def test_an_invalid_axis_is_x_and_noted(tmp_path, axis):
     model, done = two_links(tmp_path, f"uniform token physics:axis = {axis}")
     assert model.joint("j").axis.tolist() == [1, 0, 0]
     assert any(item.path == "/bot/j" for item in done.report.assumptions)
 
 
-def test_several_targets_of_one_end_are_no_end(tmp_path):
-    text = "rel physics:body1 = [</bot/b>, </bot/a>]"
-    joint = f'def PhysicsRevoluteJoint "j"\n{{\nrel physics:body0 = </bot/a>\n{text}\n}}\n'
+def test_a_joint_end_with_several_targets_is_ignored(tmp_path):
+    ends = "rel physics:body0 = </bot/a>\nrel physics:body1 = [</bot/b>, </bot/a>]"
+    joint = f'def PhysicsRevoluteJoint "j"\n{{\n{ends}\n}}\n'
     model, _ = converted(write(tmp_path, link("a") + link("b") + joint))
     assert model.njnt == 2
 
 
 # ---------------------------------------------------------------- composition
-def test_references_that_go_in_circles_are_cut_and_told(tmp_path):
-    body = link("a") + 'def Xform "again" (references = </bot>)\n{\n}\n'
-    model, done = converted(write(tmp_path, body))
-    assert model.nbody == 2
-    assert any("cycle" in text and "/bot/again" in text for text in done.report.warnings)
-
-
-def test_layers_below_themselves_are_cut_and_told(tmp_path):
+@pytest.mark.parametrize(
+    ("inside", "header", "words"),
+    [
+        ('def Xform "again" (references = </bot>)\n{\n}\n', SI, ("cycle", "/bot/again")),
+        ("", SI + "\n    subLayers = [@./other.usda@]", ("cycle",)),
+        ("", SI.replace('"bot"', '"robot"'), ("'robot'",)),
+    ],
+)
+def test_cycles_and_a_missing_default_prim_are_reported_and_the_robot_is_read(tmp_path, inside, header, words):
     (tmp_path / "other.usda").write_text("#usda 1.0\n(\n    subLayers = [@./bot.usda@]\n)\n")
-    path = write(tmp_path, link("a"), header=SI + "\n    subLayers = [@./other.usda@]")
-    model, done = converted(path)
+    model, done = converted(write(tmp_path, link("a") + inside, header=header))
     assert model.nbody == 2
-    assert any("cycle" in text for text in done.report.warnings)
+    assert any(all(word in text for word in words) for text in done.report.warnings)
 
 
 @pytest.mark.parametrize(
     ("kind", "said"), [('over "bot"', "over"), ('class "bot"', "class"), ('def Xform "bot" (active = false)', "active")]
 )
-def test_a_default_prim_that_stands_for_nothing_says_so(tmp_path, kind, said):
+def test_a_default_prim_that_defines_nothing_is_refused(tmp_path, kind, said):
     path = write(tmp_path, link("a"))
     path.write_text(path.read_text().replace('def Xform "bot" ', kind))
     assert said in told(path).message
 
 
-def test_a_default_prim_that_is_not_there_is_told_and_the_stage_is_read(tmp_path):
-    model, done = converted(write(tmp_path, link("a"), header=SI.replace('"bot"', '"robot"')))
-    assert model.nbody == 2
-    assert any("'robot'" in text for text in done.report.warnings)
-
-
-def test_a_robot_in_another_variant_says_how_to_choose_it(tmp_path):
+def test_a_robot_in_another_variant_names_the_variants(tmp_path):
     path = tmp_path / "bot.usda"
-    path.write_text(
-        '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" (\n variants = { string Physics = "None" }\n'
-        ' prepend variantSets = "Physics"\n)\n{\n variantSet "Physics" = {\n "None" {\n }\n "PhysX" {\n'
-        + link("a")
-        + " }\n }\n}\n"
-    )
+    head = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" (\n variants = { string Physics = "None" }\n'
+    head += ' prepend variantSets = "Physics"\n)\n{\n variantSet "Physics" = {\n "None" {\n }\n "PhysX" {\n'
+    path.write_text(f"{head}{link('a')} }}\n }}\n}}\n")
     assert "Physics: None, PhysX" in told(path).expected
     model, _ = converted(path, variants={"Physics": "PhysX"})
     assert model.nbody == 2
@@ -216,26 +184,38 @@ def test_a_robot_in_another_variant_says_how_to_choose_it(tmp_path):
 BALL = link("z", "(0, 0, 9)", inside='def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n')
 
 
-def missing(folder, asset: str, holder: str = "parts", inside: str = "") -> str:
-    return link("a") + f'def Xform "{holder}" (references = @{asset}@)\n{{\n{inside}\n}}\n'
+def missing(asset: str, holder: str = "parts") -> str:
+    return link("a") + f'def Xform "{holder}" (references = @{asset}@)\n{{\n}}\n'
 
 
 @pytest.mark.parametrize("asset", ["bot_physics.usd", "configuration/colliders.usd", "./looks.usda"])
 def test_a_missing_layer_is_judged_by_what_it_was_referenced_for_and_not_by_its_name(tmp_path, asset):
-    error = told(write(tmp_path, missing(tmp_path, asset, "collisions")))
+    error = told(write(tmp_path, missing(asset, "collisions")))
     assert asset.removeprefix("./") in error.message
     for holder, level in (("visuals", "check"), ("parts", "doubtful")):
-        _, done = converted(write(tmp_path, missing(tmp_path, asset, holder, "") + BALL))
+        _, done = converted(write(tmp_path, missing(asset, holder) + BALL))
         assert done.report.verdict.level == level
         (found,) = [item for item in done.report.findings if item.kind == "layer_not_found"]
         assert found.numbers == {"places": 1, "looks": level == "check"}
 
 
-def test_a_missing_layer_that_is_seen_and_collides_is_an_error_wherever_it_is_named_first(tmp_path):
-    both = 'def Xform "visuals" (references = @p.usd@)\n{\n}\ndef Xform "collisions" (references = @p.usd@)\n{\n}\n'
-    error = told(write(tmp_path, link("a", inside=both)))
-    assert error.key == "/bot/a/collisions"
-    assert "p.usd" in error.message
+BOTH = 'def Xform "visuals" (references = @p.usd@)\n{\n}\ndef Xform "collisions" (references = @p.usd@)\n{\n}\n'
+COLLIDER = 'def Xform "c" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\nreferences = @meshes.usd@)\n{\n}\n'
+
+
+@pytest.mark.parametrize(
+    ("body", "key", "words"),
+    [
+        (link("a", inside=BOTH), "/bot/a/collisions", ["p.usd"]),
+        (link("a", inside=COLLIDER), "/bot/a/c", ["meshes.usd"]),
+        (missing("arm.usd") + hinge("j", "a", "parts/arm"), "/bot/parts", ["arm.usd", "/bot/j"]),
+    ],
+    ids=["seen and collides", "collides", "joined"],
+)
+def test_a_missing_layer_that_a_collider_or_joint_needs_is_an_error_that_names_it(tmp_path, body, key, words):
+    error = told(write(tmp_path, body))
+    assert error.key == key
+    assert all(word in error.message for word in words)
 
 
 def test_a_missing_sublayer_is_an_error_when_nothing_joins_the_bodies(tmp_path):
@@ -246,55 +226,39 @@ def test_a_missing_sublayer_is_an_error_when_nothing_joins_the_bodies(tmp_path):
 
 
 @pytest.mark.parametrize("asset", ["textures/wood.usda", "../Materials/steel.usd", "bot_visuals.usd", "mat.mdl"])
-def test_a_missing_layer_for_looks_is_passed_over_and_told(tmp_path, asset):
-    _, done = converted(write(tmp_path, missing(tmp_path, asset)))
-    assert len(done.report.unresolved) == 1
-    assert asset.split("/")[-1] in done.report.unresolved[0]
-
-
-def test_a_missing_layer_that_a_joint_needs_is_an_error_that_names_it(tmp_path):
-    error = told(write(tmp_path, missing(tmp_path, "arm.usd") + hinge("j", "a", "parts/arm")))
-    assert "arm.usd" in error.message
-    assert "/bot/j" in error.message
+def test_a_missing_layer_for_looks_is_omitted_and_reported(tmp_path, asset):
+    _, done = converted(write(tmp_path, missing(asset)))
+    (layer,) = done.report.unresolved
+    assert asset.split("/")[-1] in layer
 
 
 def test_a_missing_texture_is_not_blamed_for_a_joint_to_nowhere(tmp_path):
-    body = missing(tmp_path, "textures/wood.usda") + hinge("j", "a", "gone")
-    _, done = converted(write(tmp_path, body))
+    _, done = converted(write(tmp_path, missing("textures/wood.usda") + hinge("j", "a", "gone")))
     assert any("/bot/j" in text for text in done.report.warnings)
 
 
-def test_a_missing_layer_that_a_collider_needs_is_an_error_that_names_it(tmp_path):
-    body = link(
-        "a", inside='def Xform "c" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\nreferences = @meshes.usd@)\n{\n}\n'
-    )
-    assert "meshes.usd" in told(write(tmp_path, body)).message
-
-
 def test_a_layer_outside_the_files_folder_is_read_and_noted(tmp_path):
-    (tmp_path / "Materials").mkdir()
+    for folder in ("Materials", "bot"):
+        (tmp_path / folder).mkdir()
     (tmp_path / "Materials" / "m.usda").write_text('#usda 1.0\n(\n defaultPrim = "m"\n)\ndef Scope "m"\n{\n}\n')
-    (tmp_path / "bot").mkdir()
-    path = write(tmp_path / "bot", missing(tmp_path, "../Materials/m.usda"))
-    _, done = converted(path)
+    _, done = converted(write(tmp_path / "bot", missing("../Materials/m.usda")))
     assert any("../Materials/m.usda" in item.rule for item in done.report.assumptions)
 
 
 # ---------------------------------------------------------------- files
-def test_a_folder_an_empty_file_and_a_name_without_end_are_told(tmp_path):
-    folder = tmp_path / "robot.usd"
-    folder.mkdir()
-    assert "is a folder" in told(folder).message
-    empty = tmp_path / "empty.usda"
-    empty.touch()
-    assert "is empty" in told(empty).message
+def test_a_folder_an_empty_file_and_a_name_without_end_are_refused(tmp_path):
+    (tmp_path / "robot.usd").mkdir()
+    (tmp_path / "empty.usda").touch()
+    assert "is a folder" in told(tmp_path / "robot.usd").message
+    assert "is empty" in told(tmp_path / "empty.usda").message
     assert told(tmp_path / ("x" * 5000 + ".usd")).expected
 
 
-@pytest.mark.parametrize(
-    ("suffix", "part"), [("usdc", 0.05), ("usdc", 0.5), ("usdc", 0.98), ("usdz", 0.05), ("usdz", 0.5)]
-)
-def test_a_file_that_ends_in_the_middle_is_told(tmp_path, suffix, part):
+BROKEN = [("usdc", 0.05), ("usdc", 0.5), ("usdc", 0.98), ("usdz", 0.05), ("usdz", 0.5)]
+
+
+@pytest.mark.parametrize(("suffix", "part"), BROKEN)
+def test_a_truncated_file_is_refused(tmp_path, suffix, part):
     whole = tmp_path / f"whole.{suffix}"
     source = write(tmp_path, link("a", inside=cube_inside("convexHull")))
     if suffix == "usdz":
@@ -316,12 +280,11 @@ def test_odd_names_give_files_that_every_disk_can_hold(tmp_path):
     )
     model, done = converted(write(tmp_path, link("a", inside=cubes)))
     files = sorted(path.name for path in (done.output.parent / "bot_meshes").iterdir())
-    assert model.nmesh == 4
-    assert len({name.lower() for name in files}) == 4
+    assert (model.nmesh, len({name.lower() for name in files})) == (4, 4)
     assert all(len(name.encode()) < 255 and re.fullmatch(r"[\w.-]+", name) for name in files)
 
 
-def test_a_display_name_that_nobody_can_read_is_not_used(tmp_path):
+def test_a_display_name_with_control_characters_is_not_used(tmp_path):
     path = write(tmp_path, link("tn__x").replace("prepend", 'displayName = "a\\tb"\n prepend'))
     _, done = converted(path)
     assert done.description.bodies[0].name == "tn__x"
@@ -335,19 +298,10 @@ def test_a_display_name_that_climbs_becomes_a_plain_file(tmp_path):
 
 # ---------------------------------------------------------------- shapes
 def test_polygons_become_fans_without_the_holes(tmp_path):
-    text = (
-        "point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = [4, 3, 3, 0, 2]\n"
-        "int[] faceVertexIndices = [0,1,2,3, 0,1,4, 1,2,4, 3,4]\nint[] holeIndices = [1, 99]"
-    )
+    text = "point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = [4, 3, 3, 0, 2]\n"
+    text += "int[] faceVertexIndices = [0,1,2,3, 0,1,4, 1,2,4, 3,4]\nint[] holeIndices = [1, 99]"
     _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text))))
     assert done.description.meshes[0].faces.tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 4]]
-
-
-@pytest.mark.parametrize("counts", ["[-3, 6]", "[2147483647]", "[3, 3]"])
-def test_counts_that_do_not_fit_leave_the_mesh_out(tmp_path, counts):
-    text = f"point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = {counts}\n"
-    _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text + "int[] faceVertexIndices = [0,1,2]"))))
-    assert any("/bot/a/shape" in text for text in done.report.warnings)
 
 
 def test_a_capsule_without_height_is_a_sphere(tmp_path):
@@ -366,7 +320,7 @@ def test_the_newer_round_shapes_are_read(tmp_path, kind):
     assert np.abs(done.description.meshes[0].vertices[:, :2]).max() == pytest.approx(0.4)
 
 
-def test_a_plane_on_a_body_that_moves_is_no_collider_but_drawn(tmp_path):
+def test_a_plane_on_a_moving_body_is_drawn_and_does_not_collide(tmp_path):
     _, done = converted(write(tmp_path, link("a", inside=gprim("Plane"))))
     assert any("/bot/a/shape" in text for text in done.report.warnings)
     drawn = gprim("Plane", 'double width = 4\ndouble length = 2\nuniform token axis = "X"', apis="")
@@ -383,8 +337,7 @@ def test_a_mirrored_ground_keeps_its_solid_side(tmp_path):
 
 
 def test_a_gprim_that_collides_leaves_its_children_alone(tmp_path):
-    nested = gprim("Cube", 'def Sphere "inner"\n{\n}\n')
-    _, done = converted(write(tmp_path, link("a", inside=nested)))
+    _, done = converted(write(tmp_path, link("a", inside=gprim("Cube", 'def Sphere "inner"\n{\n}\n'))))
     assert [geom.kind for geom in done.description.colliders] == ["box"]
 
 
@@ -401,8 +354,7 @@ def test_tiny_and_flat_colliders_become_something_that_mujoco_builds(tmp_path):
 
 
 def test_a_point_instancer_is_left_out_with_a_warning(tmp_path):
-    ball = gprim("Sphere")
-    text = f'def PointInstancer "many"\n{{\nrel prototypes = </bot/a/many/shape>\n{ball}\n}}\n'
+    text = f'def PointInstancer "many"\n{{\nrel prototypes = </bot/a/many/shape>\n{gprim("Sphere")}\n}}\n'
     _, done = converted(write(tmp_path, link("a", inside=text)))
     assert any("/bot/a/many: a PointInstancer was left out" in warning for warning in done.report.warnings)
     assert done.description.colliders == ()
@@ -422,14 +374,7 @@ def test_names_take_time_in_proportion_to_their_number():
 
 # ---------------------------------------------------------------- a small fuzz
 NUMBERS = [float("nan"), float("inf"), 0.0, -1.0, 1e300, 3.4e38, 1e-300, 1e12]
-TYPES = [
-    ("string", "abc"),
-    ("token", "X"),
-    ("bool", True),
-    ("float[]", [1.0, 2.0]),
-    ("double", 1e300),
-    ("float3", (1, 2, 3)),
-]
+TYPES = {"string": "abc", "token": "X", "bool": True, "float[]": [1.0, 2.0], "double": 1e300, "float3": (1, 2, 3)}
 KINDS = ["Xform", "Sphere", "Mesh", "Plane", "PhysicsFixedJoint", "PhysicsJoint", "PhysicsScene", "PointInstancer", "X"]
 
 
@@ -449,10 +394,9 @@ def mutated(layer: Sdf.Layer, dice: random.Random) -> None:
         path = dice.choice(attributes)
         prim = layer.GetPrimAtPath(path.GetPrimPath())
         del prim.properties[path.name]
-        kind, value = dice.choice(TYPES)
-        Sdf.AttributeSpec(
-            prim, path.name, getattr(Sdf.ValueTypeNames, kind, None) or Sdf.ValueTypeNames.Find(kind)
-        ).default = value
+        kind, value = dice.choice(list(TYPES.items()))
+        value_type = getattr(Sdf.ValueTypeNames, kind, None) or Sdf.ValueTypeNames.Find(kind)
+        Sdf.AttributeSpec(prim, path.name, value_type).default = value
     elif act == 2:
         layer.GetPrimAtPath(dice.choice(prims)).typeName = dice.choice(KINDS)
     elif act == 3 and links:
@@ -467,7 +411,7 @@ def mutated(layer: Sdf.Layer, dice: random.Random) -> None:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_whatever_is_changed_gives_a_model_or_one_sentence(tmp_path, seed):
+def test_a_changed_layer_gives_a_model_or_one_error_message(tmp_path, seed):
     dice = random.Random(seed)
     body = link("a", inside=cube_inside("convexHull")) + link("b", "(1, 0, 0)", inside=gprim("Capsule"))
     body += hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 1")
@@ -489,9 +433,8 @@ def test_whatever_is_changed_gives_a_model_or_one_sentence(tmp_path, seed):
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_the_library_says_nothing_of_its_own(tmp_path, capfd):
-    converted(write(tmp_path, missing(tmp_path, "textures/wood.usda")))
-    told(write(tmp_path, missing(tmp_path, "bot_physics.usd", "collisions")))
-    out, err = capfd.readouterr()
-    assert (out, err) == ("", "")
+def test_openusd_prints_nothing(tmp_path, capfd):
+    converted(write(tmp_path, missing("textures/wood.usda")))
+    told(write(tmp_path, missing("bot_physics.usd", "collisions")))
+    assert tuple(capfd.readouterr()) == ("", "")
     assert Usd.GetVersion()

@@ -19,16 +19,13 @@ from ..small_usd import link as body
 from ..small_usd import write as write_usd
 from .scratch import CANARY, Scratch
 
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
-
 
 def robot(folder: Path, mesh: str = "part.obj") -> Path:
     path = folder / mesh
     path.parent.mkdir(exist_ok=True)
-    path.write_text(TETRAHEDRON)
-    return small_urdf.write(
-        folder, small_urdf.link("a", f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>')
-    )
+    path.write_text(small_urdf.TETRAHEDRON)
+    shape = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+    return small_urdf.write(folder, small_urdf.link("a", shape))
 
 
 def link_to(target: str) -> Callable[[Path], None]:
@@ -93,7 +90,7 @@ def test_the_robots_own_meshes_are_not_replaced(scratch: Scratch) -> None:
 def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scratch, older: str) -> None:
     source, output = robot(scratch.robot), scratch.robot / "bot.xml"
     (scratch.robot / "bot_meshes").mkdir()
-    (scratch.robot / "bot_meshes" / "mine.obj").write_text(TETRAHEDRON)
+    (scratch.robot / "bot_meshes" / "mine.obj").write_text(small_urdf.TETRAHEDRON)
     if older:
         output.write_text(older)
     said = scratch.run("convert", source, "-o", output)
@@ -118,12 +115,11 @@ def test_a_second_conversion_replaces_the_first(tmp_path: Path) -> None:
 
 # ---------------------------------------------------------------- what is shown
 STEERING = "\x1b[2J\x9b2J\u202e"
+STEERED = [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:unknown = "{STEERING}"']
 
 
-@pytest.mark.parametrize(
-    "text", [f'token physics:kinematicEnabled = "{STEERING}"', f'string physics:unknown = "{STEERING}"']
-)
-def test_what_a_file_says_does_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
+@pytest.mark.parametrize("text", STEERED)
+def test_texts_of_a_file_do_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
     said = scratch.convert(lambda folder: write_usd(folder, body("a", mass=text)))
     assert not [letter for letter in "\x1b\x9b\u202e" if letter in said.out + said.err]
 
@@ -135,29 +131,15 @@ def test_names_of_files_do_not_steer_the_terminal(scratch: Scratch) -> None:
 
 
 # ---------------------------------------------------------------- the cache
-def deep(path: Path) -> None:
-    path.write_text("[" * 100_000)
-
-
-def piped(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def foldered(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-
-
-DAMAGE: dict[str, Callable[[Path], None]] = {
-    "deep": deep,
-    "pipe": piped,
-    "folder": foldered,
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "deep": lambda path: path.write_text("[" * 100_000),
+    "pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+    "folder": lambda path: (path.unlink(), path.mkdir()),
     "number": lambda path: path.write_text("7"),
     "no text": lambda path: path.write_bytes(b"\xff\xfe"),
     "empty": lambda path: path.write_text(""),
     "gone": Path.unlink,
-    "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name))[1],
+    "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name)),
 }
 
 
@@ -169,13 +151,12 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> 
     whole = first.output.read_bytes()
     DAMAGE[name](first.output.with_name(file))
     again = convert_cached(source, cache_dir=tmp_path / "cache")
-    assert again.fresh
-    assert again.output.read_bytes() == whole
+    assert (again.fresh, again.output.read_bytes()) == (True, whole)
     assert not convert_cached(source, cache_dir=tmp_path / "cache").fresh
 
 
 @pytest.mark.parametrize("kind", ["file", "pipe", "link to itself", "link elsewhere"])
-def test_an_entry_that_is_none_is_made_again(tmp_path: Path, kind: str) -> None:
+def test_an_invalid_cache_entry_is_replaced(tmp_path: Path, kind: str) -> None:
     source = robot(tmp_path)
     entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
     shutil.rmtree(entry)
@@ -203,7 +184,7 @@ def test_an_unwritable_home_is_no_error_of_the_robots_file(monkeypatch, capsys, 
     assert "env.robot" not in told
 
 
-def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> None:
+def test_a_user_without_a_home_folder_is_refused_with_the_variable(monkeypatch) -> None:
     for name in ("WHEELLEG_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for an unknown user ID
@@ -212,11 +193,10 @@ def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> N
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "loop", "/dev/null", "a" * 300])
-def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, place: str) -> None:
+def test_a_cache_that_cannot_be_written_is_an_error(tmp_path: Path, place: str) -> None:
     source = robot(tmp_path)
     (tmp_path / "file").write_text(CANARY)
     (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(WheellegError, match="cannot write the cache") as told:
         convert_cached(source, cache_dir=tmp_path / place)
-    assert told.value.key == "WHEELLEG_CACHE"
-    assert (tmp_path / "file").read_text() == CANARY
+    assert (told.value.key, (tmp_path / "file").read_text()) == ("WHEELLEG_CACHE", CANARY)

@@ -31,25 +31,21 @@ def hinge(name: str, limits: tuple[float, float] | None = LIMITS, **more: object
 
 
 def robot(tip: Geom, limits: tuple[float, float] | None = None, meshes: tuple[Mesh, ...] = ()) -> RobotDescription:
-    return RobotDescription(
-        "r",
-        (
-            body("p", None, geom("trunk", "box", (1.0, 1.0, 1.0))),
-            body("q", "p", geom("g1"), hinge("one", damping=1.0)),
-            body("s", "q", geom("g2"), hinge("two", damping=1.0)),
-            body("t", "s", tip, hinge("three", limits)),
-            body("u", "p", geom("g3", "box", (0.1, 0.1, 0.1)), hinge("four", damping=2.0)),
-        ),
-        meshes=meshes,
+    bodies = (
+        body("p", None, geom("trunk", "box", (1.0, 1.0, 1.0))),
+        body("q", "p", geom("g1"), hinge("one", damping=1.0)),
+        body("s", "q", geom("g2"), hinge("two", damping=1.0)),
+        body("t", "s", tip, hinge("three", limits)),
+        body("u", "p", geom("g3", "box", (0.1, 0.1, 0.1)), hinge("four", damping=2.0)),
     )
+    return RobotDescription("r", bodies, meshes=meshes)
 
 
 def disc(points: int, radius: float = 0.1, stretch: float = 1.0) -> Mesh:
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     ring = np.stack([radius * np.cos(angle), np.zeros(points), stretch * radius * np.sin(angle)], axis=1)
     half = np.array([0.0, 0.02, 0.0])
-    vertices = np.concatenate([ring - half, ring + half])
-    return Mesh("m", vertices, np.zeros((1, 3), dtype=np.int64), solid=True)
+    return Mesh("m", np.concatenate([ring - half, ring + half]), np.zeros((1, 3), dtype=np.int64), solid=True)
 
 
 def test_a_round_end_that_turns_without_limits_is_a_wheel_and_what_is_above_it_its_leg():
@@ -67,7 +63,7 @@ def test_a_round_end_that_turns_without_limits_is_a_wheel_and_what_is_above_it_i
     ],
     ids=["limits", "across", "off the axis", "a box"],
 )
-def test_what_is_not_round_about_its_axis_or_has_limits_is_no_wheel(tip, limits):
+def test_an_end_that_is_not_round_about_its_axis_or_has_limits_is_not_a_wheel(tip, limits):
     assert roles_of(robot(tip, limits)) == {}
 
 

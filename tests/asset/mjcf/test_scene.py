@@ -6,10 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset import convert
 from wheelleg_exp.asset.mjcf.preview_scene import scene_path, write_scene
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.paths import find_asset
 
 from ..small_usd import converted, hinge, link, write
 
@@ -27,9 +25,8 @@ def settled(model: mujoco.MjModel, key: str | None = None, seconds: float = 2.0,
 
 
 @pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
-    done = convert(find_asset("wheelleg/wheelleg.usda"), tmp_path_factory.mktemp("robot") / "wheelleg.xml")
-    path = write_scene(done.description, done.output)
+def stock(conversion) -> mujoco.MjModel:
+    path = write_scene(conversion.description, conversion.output)
     assert path is not None
     return mujoco.MjModel.from_xml_path(str(path))
 
@@ -58,10 +55,8 @@ def test_a_keyframe_puts_the_robot_on_the_floor(stock):
     assert 0 <= wheel - stock.geom("floor").pos[2] < 0.02  # bounding boxes are larger
 
 
-STIFF = """float drive:angular:physics:stiffness = 20000
-        float drive:angular:physics:damping = 1
-        uniform token drive:angular:physics:type = "force"
-        point3f physics:localPos0 = (0.3, 0, 0)"""
+STIFF = """float drive:angular:physics:stiffness = 20000; float drive:angular:physics:damping = 1
+        uniform token drive:angular:physics:type = "force"; point3f physics:localPos0 = (0.3, 0, 0)"""
 
 
 def test_gains_that_the_time_step_cannot_carry_do_not_tear_the_robot_apart(tmp_path):
@@ -87,7 +82,7 @@ def test_a_file_of_somebody_elses_is_not_replaced_and_an_older_scene_is(tmp_path
     assert first.read_text() == "<mujoco/>"
 
 
-def test_the_command_writes_it_and_says_how_to_look_at_it(tmp_path, capsys):
+def test_the_command_writes_the_scene_and_prints_how_to_view_it(tmp_path, capsys):
     source = write(tmp_path, link("a", inside=CUBE))
     assert main(["convert", str(source), "-o", str(tmp_path / "bot.xml")]) == 0
     told = capsys.readouterr().out

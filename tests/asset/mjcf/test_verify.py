@@ -7,20 +7,9 @@ from dataclasses import replace
 import mujoco
 import pytest
 
+from wheelleg_exp.asset import robot_description as rd
 from wheelleg_exp.asset.mjcf.compile_mjcf import load, verify
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer
-from wheelleg_exp.asset.robot_description import (
-    Actuator,
-    Body,
-    Closure,
-    Coupling,
-    Geom,
-    Inertial,
-    Pose,
-    RobotDescription,
-    Site,
-    Tendon,
-)
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import MASS, converted, cube_inside, link, two_links, write
@@ -43,8 +32,8 @@ def test_the_model_that_was_written_passes(pair):
         ({"mass": 2.0}, "mass of b"),
         ({"moments": (0.1, 0.1, 0.11)}, "inertia of b"),
         ({"center_of_mass": (0.0, 0.0, 0.01)}, "centre of mass of b"),
-        ({"pose": Pose((1.0, 0.0, 0.0), (0.6, 0.8, 0.0, 0.0))}, "rotation of b"),
-        ({"pose": Pose((1.0, 0.0, 0.1))}, "position of b"),
+        ({"pose": rd.Pose((1.0, 0.0, 0.0), (0.6, 0.8, 0.0, 0.0))}, "rotation of b"),
+        ({"pose": rd.Pose((1.0, 0.0, 0.1))}, "position of b"),
         ({"parent": None}, "parent of b"),
         ({"range": (-1.0, 1.0)}, "range of j"),
         ({"axis": (0.0, 1.0, 0.0)}, "axis of j"),
@@ -66,19 +55,19 @@ def test_a_different_body_or_joint_is_refused(pair, changes, what):
         verify(model, replace(done.description, bodies=(first, replace(body, **changes))), "bot.usda")
 
 
-BALL = Geom("g", "/g", "sphere", (0.1,), Pose(), collides=True, drawn=False)
+BALL = rd.Geom("g", "/g", "sphere", (0.1,), rd.Pose(), collides=True, drawn=False)
 
 
 @pytest.mark.parametrize(
     ("changes", "what"),
     [
         ({"static_geoms": (BALL,)}, "shapes"),
-        ({"static_sites": (Site("s", "/s", Pose()),)}, "sites"),
+        ({"static_sites": (rd.Site("s", "/s", rd.Pose()),)}, "sites"),
         ({"exclusions": ()}, "exclusions"),
-        ({"closures": (Closure("c", "/c", "weld", ("a", "b"), ((Pose(), Pose()),)),)}, "sites|equalities"),
-        ({"couplings": (Coupling("c", "/c", "j", "j", (0.0, 1.0, 0.0, 0.0, 0.0)),)}, "equalities"),
-        ({"tendons": (Tendon("t", "/t", joints=(("j", 1.0),)),)}, "tendons"),
-        ({"actuators": (Actuator("m", "/m", "joint", "j"),)}, "actuators"),
+        ({"closures": (rd.Closure("c", "/c", "weld", ("a", "b"), ((rd.Pose(), rd.Pose()),)),)}, "sites|equalities"),
+        ({"couplings": (rd.Coupling("c", "/c", "j", "j", (0.0, 1.0, 0.0, 0.0, 0.0)),)}, "equalities"),
+        ({"tendons": (rd.Tendon("t", "/t", joints=(("j", 1.0),)),)}, "tendons"),
+        ({"actuators": (rd.Actuator("m", "/m", "joint", "j"),)}, "actuators"),
     ],
 )
 def test_other_counts_are_refused(pair, changes, what):
@@ -99,9 +88,10 @@ def test_colliders_are_counted_without_self_collision_too(tmp_path):
 
 
 def test_a_frame_without_mass_passes():
-    nothing = Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    nothing = rd.Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     whole = replace(nothing, mass=1.0, moments=(0.1, 0.1, 0.1))
-    robot = RobotDescription("r", (Body("a", "/a", None, Pose(), whole), Body("b", "/b", "a", Pose(), nothing)))
+    bodies = (rd.Body("a", "/a", None, rd.Pose(), whole), rd.Body("b", "/b", "a", rd.Pose(), nothing))
+    robot = rd.RobotDescription("r", bodies)
     verify(mujoco.MjModel.from_xml_string(Writer(robot, "").text()), robot, "r")
 
 
@@ -113,7 +103,7 @@ def test_a_frame_without_mass_passes():
         ('<geom type="mesh" mesh="none"/>', "none"),
     ],
 )
-def test_what_mujoco_refuses_is_told_by_name_and_not_by_lines_that_nobody_sees(tmp_path, inside, told):
+def test_errors_of_mujoco_name_the_element_and_not_the_line(tmp_path, inside, told):
     path = tmp_path / "draft.xml"
     path.write_text(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
     with pytest.raises(AssetError) as caught:

@@ -11,68 +11,51 @@ import numpy as np
 import pytest
 from effort import bytecodes
 
+from wheelleg_exp.asset import robot_description as rd
 from wheelleg_exp.asset.conversion_report import Assumption
 from wheelleg_exp.asset.mjcf.compile_mjcf import verify
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer
 from wheelleg_exp.asset.mjcf.mjcf_elements import Element, number
-from wheelleg_exp.asset.robot_description import (
-    Actuator,
-    Body,
-    Closure,
-    Coupling,
-    Dof,
-    Drive,
-    Geom,
-    Inertial,
-    Keyframe,
-    Material,
-    Mesh,
-    Pose,
-    RobotDescription,
-    Site,
-    Tendon,
-    TendonPoint,
-)
 from wheelleg_exp.errors import AssetError
 
-SOLID = Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1), (1.0, 0.0, 0.0, 0.0))
+SOLID = rd.Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1), (1.0, 0.0, 0.0, 0.0))
 X = (1.0, 0.0, 0.0)
 ZERO = (0.0, 0.0, 0.0)
 
 
-def hinge(name: str, **values: object) -> Dof:
-    return Dof(name, f"/r/{name}", "hinge", X, ZERO, **values)
+def hinge(name: str, **values: object) -> rd.Dof:
+    return rd.Dof(name, f"/r/{name}", "hinge", X, ZERO, **values)
 
 
-def ball(name: str, *, collides: bool = True, **values: object) -> Geom:
-    return Geom(name, f"/r/{name}", "sphere", (0.1,), Pose(), collides=collides, drawn=not collides, **values)
+def ball(name: str, *, collides: bool = True, **values: object) -> rd.Geom:
+    return rd.Geom(name, f"/r/{name}", "sphere", (0.1,), rd.Pose(), collides=collides, drawn=not collides, **values)
 
 
-def body(name: str, parent: str | None = None, **values: object) -> Body:
-    return Body(name, f"/r/{name}", parent, Pose(), SOLID, floating=parent is None, **values)
+def body(name: str, parent: str | None = None, **values: object) -> rd.Body:
+    return rd.Body(name, f"/r/{name}", parent, rd.Pose(), SOLID, floating=parent is None, **values)
 
 
-def robot(*bodies: Body, **values: object) -> RobotDescription:
-    return RobotDescription("r", bodies, **values)
+def robot(*bodies: rd.Body, **values: object) -> rd.RobotDescription:
+    return rd.RobotDescription("r", bodies, **values)
 
 
-def text_of(description: RobotDescription, notes: Iterable[Assumption] = ()) -> str:
+def text_of(description: rd.RobotDescription, notes: Iterable[Assumption] = ()) -> str:
     return Writer(description, "", tuple(notes)).text()
 
 
-def model_of(description: RobotDescription) -> mujoco.MjModel:
+def model_of(description: rd.RobotDescription) -> mujoco.MjModel:
     model = mujoco.MjModel.from_xml_string(text_of(description))
     verify(model, description, "r")
     return model
 
 
-def classes_of(description: RobotDescription) -> dict[str, set[str]]:
+def classes_of(description: rd.RobotDescription) -> dict[str, set[str]]:
     root = ElementTree.fromstring(text_of(description))
     found = {c.get("class"): c for c in root.iter("default") if c.get("class")}
     return {name: {child.tag for child in element if child.tag != "default"} for name, element in found.items()}
 
 
-def legs(*drives: Drive | None) -> RobotDescription:
+def legs(*drives: rd.Drive | None) -> rd.RobotDescription:
     parts = [body("trunk")]
     for side, drive in zip(("FL", "FR", "RL", "RR"), drives, strict=False):
         parts.append(body(f"{side}_thigh", "trunk", dofs=(hinge(f"{side}_hip", damping=1.0, drive=drive),)))
@@ -81,16 +64,14 @@ def legs(*drives: Drive | None) -> RobotDescription:
     return robot(*parts)
 
 
-SERVO = Drive("position", 20.0, 0.5, 30.0)
-WHEEL = Drive("velocity", 0.0, 0.5, 30.0)
+SERVO = rd.Drive("position", 20.0, 0.5, 30.0)
+WHEEL = rd.Drive("velocity", 0.0, 0.5, 30.0)
 
 
 # ------------------------------------------------------------------ classes
-def test_what_all_joints_share_is_the_robots_and_what_some_share_has_their_common_name():
+def test_defaults_of_all_joints_have_the_robots_name_and_others_a_common_name():
     classes = classes_of(legs(SERVO, SERVO, SERVO, SERVO))
-    assert classes["r"] == {"position"}
-    assert classes["hip"] == {"joint"}
-    assert classes["knee"] == {"joint"}
+    assert (classes["r"], classes["hip"], classes["knee"]) == ({"position"}, {"joint"}, {"joint"})
     model = model_of(legs(SERVO, SERVO, SERVO, SERVO))
     np.testing.assert_allclose(model.dof_damping[6:], [1, 2] * 4)
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], 20)
@@ -99,18 +80,17 @@ def test_what_all_joints_share_is_the_robots_and_what_some_share_has_their_commo
 
 def test_kinds_of_drives_do_not_spoil_each_others_defaults():
     stronger = replace(SERVO, stiffness=50.0)
-    model = model_of(legs(SERVO, WHEEL, stronger, Drive("motor", 0.0, 0.0, 5.0)))
+    model = model_of(legs(SERVO, WHEEL, stronger, rd.Drive("motor", 0.0, 0.0, 5.0)))
     names = [model.actuator(i).name[:2] for i in range(model.nu)]
     kp = dict(zip(names, -model.actuator_biasprm[:, 1], strict=True))
     kv = dict(zip(names, -model.actuator_biasprm[:, 2], strict=True))
-    assert kp == {"FL": 20, "FR": 0, "RL": 50, "RR": 0}
-    assert kv == {"FL": 0.5, "FR": 0.5, "RL": 0.5, "RR": 0}
+    assert (kp, kv) == ({"FL": 20, "FR": 0, "RL": 50, "RR": 0}, {"FL": 0.5, "FR": 0.5, "RL": 0.5, "RR": 0})
 
 
 def test_an_actuator_of_mujocos_own_is_not_changed_by_drives_beside_it():
     parts = list(legs(SERVO, SERVO).bodies)
     parts[1] = replace(parts[1], dofs=(replace(parts[1].dofs[0], drive=None),))
-    item = Actuator("own", "/r/own", "joint", "FL_hip", {"gainprm": (7.0,)})
+    item = rd.Actuator("own", "/r/own", "joint", "FL_hip", {"gainprm": (7.0,)})
     model = model_of(robot(*parts, actuators=(item,)))
     assert model.actuator("own").gainprm[0] == 7
     np.testing.assert_allclose(model.actuator("own").biasprm, 0)
@@ -127,21 +107,18 @@ def test_shapes_share_what_contacts_are_like():
     description = robot(body("a", geoms=(ball("trunk"), ball("skin", collides=False))), *feet)
     assert classes_of(description)["foot_collision"] == {"geom"}
     model = model_of(description)
-    assert {model.geom(i).name: int(model.geom_condim[i]) for i in range(model.ngeom)} == {
-        "trunk": 3,
-        "skin": 3,
-        "l_foot": 6,
-        "r_foot": 6,
-    }
+    contacts = {model.geom(i).name: int(model.geom_condim[i]) for i in range(model.ngeom)}
+    assert contacts == {"trunk": 3, "skin": 3, "l_foot": 6, "r_foot": 6}
 
 
 def test_tendons_equalities_and_sites_share_too():
-    sites = tuple(Site(f"s{i}", f"/r/s{i}", Pose((0.0, 0.0, i / 10)), {"size": (0.001,), "group": 4}) for i in range(3))
-    path = [tuple(TendonPoint("site", f"s{i}") for i in pair) for pair in ((0, 1), (1, 2))]
-    tendons = tuple(Tendon(f"t{i}", f"/r/t{i}", p, extra={"stiffness": 5.0}) for i, p in enumerate(path))
+    extra = {"size": (0.001,), "group": 4}
+    sites = tuple(rd.Site(f"s{i}", f"/r/s{i}", rd.Pose((0.0, 0.0, i / 10)), extra) for i in range(3))
+    path = [tuple(rd.TendonPoint("site", f"s{i}") for i in pair) for pair in ((0, 1), (1, 2))]
+    tendons = tuple(rd.Tendon(f"t{i}", f"/r/t{i}", p, extra={"stiffness": 5.0}) for i, p in enumerate(path))
     one, other = hinge("one"), hinge("other")
     stiff = {"solref": (0.005, 1.0)}
-    couplings = tuple(Coupling(f"c{i}", f"/r/c{i}", "one", "other", (0, 1, 0, 0, 0), stiff) for i in range(2))
+    couplings = tuple(rd.Coupling(f"c{i}", f"/r/c{i}", "one", "other", (0, 1, 0, 0, 0), stiff) for i in range(2))
     description = robot(body("a", sites=sites), body("b", "a", dofs=(one, other)), tendons=tendons, couplings=couplings)
     assert classes_of(description) == {"r": {"site", "tendon", "equality"}}
     model = model_of(description)
@@ -151,9 +128,9 @@ def test_tendons_equalities_and_sites_share_too():
 
 
 def test_a_class_never_takes_the_name_of_another():
+    names = (("visual_1", 1.0), ("visual_2", 1.0), ("visual_3", 2.0), ("visual_4", 2.0))
     parts = [body("a")]
-    for name, damping in (("visual_1", 1.0), ("visual_2", 1.0), ("visual_3", 2.0), ("visual_4", 2.0)):
-        parts.append(body(f"b_{name}", "a", dofs=(hinge(name, damping=damping),)))
+    parts += [body(f"b_{name}", "a", dofs=(hinge(name, damping=damping),)) for name, damping in names]
     parts.append(body("c", "a", geoms=(ball("skin", collides=False),)))
     description = replace(robot(*parts), name="visual")
     np.testing.assert_allclose(model_of(description).dof_damping[6:], [1, 1, 2, 2])
@@ -178,8 +155,8 @@ def test_defaults_of_mujoco_are_not_written():
     assert "condim" not in text
 
 
-def test_a_drawn_collider_keeps_the_colour_of_its_material():
-    material = Material("red", (1.0, 0.0, 0.0, 1.0))
+def test_a_drawn_collider_has_the_colour_of_its_material():
+    material = rd.Material("red", (1.0, 0.0, 0.0, 1.0))
     shown = replace(ball("g", material="red"), drawn=True)
     model = model_of(robot(body("a", geoms=(shown, ball("hidden"))), materials=(material,)))
     np.testing.assert_allclose(model.geom("g").rgba, [0.5, 0.5, 0.5, 1])  # MuJoCo's default
@@ -187,16 +164,11 @@ def test_a_drawn_collider_keeps_the_colour_of_its_material():
 
 
 # ------------------------------------------------------------------ notes
-def test_each_note_stands_beside_the_element_that_it_is_about():
+def test_each_note_is_above_its_element():
     description = robot(body("a", geoms=(ball("g"),)), body("b", "a", dofs=(hinge("j"),)))
-    notes = [
-        Assumption("/r/a", "no mass", "1 kg"),
-        Assumption("/r/a", "no inertia", "a sphere"),
-        Assumption("/r/g", "flat", "a box"),
-        Assumption("/r/j", "no axis", "X"),
-        Assumption("/r/j/drive", "below the joint", ""),
-        Assumption("bot.usda", "no upAxis", "Y"),
-    ]
+    notes = [Assumption("/r/a", "no mass", "1 kg"), Assumption("/r/a", "no inertia", "a sphere")]
+    notes += [Assumption("/r/g", "flat", "a box"), Assumption("/r/j", "no axis", "X")]
+    notes += [Assumption("/r/j/drive", "below the joint", ""), Assumption("bot.usda", "no upAxis", "Y")]
     lines = [line.strip() for line in text_of(description, notes).splitlines()]
 
     def before(start: str) -> str:
@@ -217,7 +189,7 @@ def test_a_note_may_hold_anything_and_the_file_stays_xml(rule):
 
 
 # ------------------------------------------------------------------ size
-def chain(count: int) -> RobotDescription:
+def chain(count: int) -> rd.RobotDescription:
     parts = [body("b0")]
     parts += [body(f"b{i}", f"b{i - 1}", dofs=(hinge(f"j{i}"),)) for i in range(1, count)]
     return robot(*parts)
@@ -244,7 +216,7 @@ def test_time_grows_with_the_number_of_bodies_and_not_with_its_square():
 
 # ------------------------------------------------------------------ saved states
 def test_home_is_the_saved_state_with_its_velocities():
-    moving = replace(body("a"), pose=Pose((0.0, 0.0, 2.0)), velocity=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    moving = replace(body("a"), pose=rd.Pose((0.0, 0.0, 2.0)), velocity=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     part = body("b", "a", dofs=(hinge("j", position=0.5, velocity=-1.0, drive=replace(SERVO, target_position=0.25)),))
     key = model_of(robot(moving, part)).key("home")
     np.testing.assert_allclose(key.qpos, [0, 0, 2, 1, 0, 0, 0, 0.5])
@@ -253,26 +225,25 @@ def test_home_is_the_saved_state_with_its_velocities():
 
 
 def test_a_home_of_the_files_own_takes_the_place_of_ours():
-    own = Keyframe("home", "/r/home", {"qpos": (0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0)})
+    own = rd.Keyframe("home", "/r/home", {"qpos": (0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0)})
     model = model_of(robot(body("a"), keyframes=(own,)))
-    assert model.nkey == 1
-    assert model.key("home").qpos[2] == 3
+    assert (model.nkey, model.key("home").qpos[2]) == (1, 3)
 
 
 # ------------------------------------------------------------------ names and numbers
 def test_free_joints_and_anchors_take_names_that_are_free():
-    loop = Closure("loop", "/r/loop", "connect", ("a", "b"), ((Pose(), Pose()),))
-    parts = (body("a", sites=(Site("loop_0_a", "/r/x", Pose()),)), body("b", "a", dofs=(hinge("a_free"),)))
-    coupling = Coupling("loop", "/r/c", "a_free", "a_free_2", (0.0, 1.0, 0.0, 0.0, 0.0))
+    loop = rd.Closure("loop", "/r/loop", "connect", ("a", "b"), ((rd.Pose(), rd.Pose()),))
+    parts = (body("a", sites=(rd.Site("loop_0_a", "/r/x", rd.Pose()),)), body("b", "a", dofs=(hinge("a_free"),)))
+    coupling = rd.Coupling("loop", "/r/c", "a_free", "a_free_2", (0.0, 1.0, 0.0, 0.0, 0.0))
     parts += (body("c", "b", dofs=(hinge("a_free_2"),)),)
     model = model_of(robot(*parts, closures=(loop,), couplings=(coupling,)))
     assert (model.nsite, model.neq, model.njnt) == (3, 2, 3)
 
 
 def test_a_hinges_loop_is_two_points_and_shares_nothing_with_a_coupling_of_its_name():
-    pose = Pose((0.0, 0.0, 0.1))
-    loop = Closure("k", "/r/k", "connect", (None, "b"), ((Pose(), Pose()), (pose, pose)), {"solref": (0.01, 1.0)})
-    coupling = Coupling("k", "/r/c", "one", "other", (0.0, 1.0, 0.0, 0.0, 0.0))
+    points = tuple((pose, pose) for pose in (rd.Pose(), rd.Pose((0.0, 0.0, 0.1))))
+    loop = rd.Closure("k", "/r/k", "connect", (None, "b"), points, {"solref": (0.01, 1.0)})
+    coupling = rd.Coupling("k", "/r/c", "one", "other", (0.0, 1.0, 0.0, 0.0, 0.0))
     dofs = (hinge("one"), hinge("other"))
     model = model_of(robot(body("a"), body("b", "a", dofs=dofs), closures=(loop,), couplings=(coupling,)))
     np.testing.assert_allclose(sorted(model.eq_solref[:, 0]), [0.01, 0.01, 0.02])
@@ -285,17 +256,15 @@ def test_numbers_read_back_as_they_were(value):
 
 def test_meshes_and_their_own_attributes():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], dtype=float)
-    mesh = Mesh("m", points, np.zeros((0, 3), dtype=np.int64), True, {"maxhullvert": 4})
-    geom = Geom("g", "/r/g", "mesh", (), Pose(), collides=True, drawn=False, mesh="m")
+    mesh = rd.Mesh("m", points, np.zeros((0, 3), dtype=np.int64), True, {"maxhullvert": 4})
+    geom = rd.Geom("g", "/r/g", "mesh", (), rd.Pose(), collides=True, drawn=False, mesh="m")
     model = model_of(robot(body("a", geoms=(geom,)), meshes=(mesh,)))
     assert model.mesh_graphadr[0] >= 0
-    hull = model.mesh_graph[model.mesh_graphadr[0]]
-    assert hull == 4
+    assert model.mesh_graph[model.mesh_graphadr[0]] == 4
 
 
 def test_an_element_may_be_nested_deeper_than_python_recurses():
     root = at = Element("a")
     for _ in range(2000):
         at = at.add("a")
-    assert root.depth() == 2001
-    assert root.text().count("<a") == 2001
+    assert (root.depth(), root.text().count("<a")) == (2001, 2001)

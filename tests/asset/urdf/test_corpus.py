@@ -115,8 +115,7 @@ def test_bodies_and_joints_are_the_same(both):
     usd, urdf = models(both)
     assert names(urdf, "body", urdf.nbody) == names(usd, "body", usd.nbody)
     hinges = [name for name in names(usd, "joint", usd.njnt)]
-    assert names(urdf, "joint", urdf.njnt) == hinges
-    assert list(urdf.body_parentid) == list(usd.body_parentid)
+    assert (names(urdf, "joint", urdf.njnt), list(urdf.body_parentid)) == (hinges, list(usd.body_parentid))
     for field in ("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_axis", "dof_damping", "dof_frictionloss"):
         np.testing.assert_allclose(getattr(urdf, field), getattr(usd, field), atol=1e-6, err_msg=field)
     assert both[2].report.velocity_limits == pytest.approx(both[1].report.velocity_limits)
@@ -149,8 +148,7 @@ def test_poses_and_mass_matrices_are_the_same_at_any_coordinates(both):
 def test_colliders_and_visuals_are_the_same(both):
     usd, urdf = models(both)
     data = [at_zero(model) for model in (usd, urdf)]
-    assert list(urdf.geom_type) == list(usd.geom_type)
-    assert list(urdf.geom_bodyid) == list(usd.geom_bodyid)
+    assert (list(urdf.geom_type), list(urdf.geom_bodyid)) == (list(usd.geom_type), list(usd.geom_bodyid))
     assert list(urdf.geom_contype) == list(usd.geom_contype)
     np.testing.assert_allclose(urdf.geom_size, usd.geom_size, atol=1e-6)
     np.testing.assert_allclose(data[1].geom_xpos, data[0].geom_xpos, atol=1e-6)

@@ -7,9 +7,10 @@ import pytest
 from wheelleg_exp.asset import convert, convert_cached, source_digest
 from wheelleg_exp.errors import AssetError
 
-from ..small_urdf import inertial, joint, link, pair, write
+from ..small_urdf import TETRAHEDRON, inertial, joint, link, pair, write
 
 HEAD = '<robot name="bot">'
+TEXTURE = '<material name="m"><texture filename="$(find pkg)/$(arg a).png"/></material>'
 
 
 def refused(folder, text: str, name: str = "bot.urdf") -> str:
@@ -52,13 +53,10 @@ def refused(folder, text: str, name: str = "bot.urdf") -> str:
         ('<xacro:include filename="x"/>' + link("a"), "the file contains unexpanded xacro"),
         (link("${prefix}a"), "the file contains unexpanded xacro"),
         (link("$(find pkg)/a"), "the file contains unexpanded xacro"),
-        (
-            '<material name="m"><texture filename="$(find pkg)/$(arg a).png"/></material>' + link("a"),
-            "unexpanded xacro",
-        ),
+        (TEXTURE + link("a"), "unexpanded xacro"),
     ],
 )
-def test_a_mistake_is_told_with_its_element(tmp_path, inside, message):
+def test_a_mistake_is_reported_with_its_element(tmp_path, inside, message):
     told = refused(tmp_path, f"{HEAD}{inside}</robot>")
     assert message in told
     assert f"{tmp_path / 'bot.urdf'}:" in told
@@ -88,19 +86,18 @@ BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&
         ("<robot>" + "<link>" * 5000 + "</link>" * 5000 + "</robot>", "more than 60 levels deep"),
     ],
 )
-def test_what_is_no_urdf_is_refused(tmp_path, text, message):
+def test_a_file_that_is_not_a_urdf_is_refused(tmp_path, text, message):
     assert message in refused(tmp_path, text)
 
 
 def test_endings_tell_the_formats_apart(tmp_path):
     assert "contains xacro macros" in refused(tmp_path, HEAD, "bot.urdf.xacro")
     assert ".usda, .usdc, .usdz, .urdf" in refused(tmp_path, HEAD, "bot.sdf")
-    source = tmp_path / "BOT.URDF"
-    write(tmp_path, link("a")).rename(source)
-    assert convert(source, tmp_path / "out.xml").report.model == "bot"
+    write(tmp_path, link("a")).rename(tmp_path / "BOT.URDF")
+    assert convert(tmp_path / "BOT.URDF", tmp_path / "out.xml").report.model == "bot"
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path):
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(AssetError, match=r"there is no file '.*gone.urdf'"):
         convert(tmp_path / "gone.urdf", tmp_path / "out.xml")
     (tmp_path / "folder.urdf").mkdir()
@@ -109,18 +106,15 @@ def test_a_file_that_is_not_there_is_told(tmp_path):
 
 
 def test_a_urdf_has_no_variants(tmp_path):
-    source = write(tmp_path, link("a"))
-    for call in (
-        lambda: convert(source, tmp_path / "out.xml", variants={"Physics": "PhysX"}),
-        lambda: convert_cached(source, cache_dir=tmp_path, variants={"Physics": "PhysX"}),
-    ):
-        with pytest.raises(AssetError, match="--variant Physics=PhysX: a URDF has no variants"):
-            call()
+    source, variants = write(tmp_path, link("a")), {"Physics": "PhysX"}
+    refusal = "--variant Physics=PhysX: a URDF has no variants"
+    with pytest.raises(AssetError, match=refusal):
+        convert(source, tmp_path / "out.xml", variants=variants)
+    with pytest.raises(AssetError, match=refusal):
+        convert_cached(source, cache_dir=tmp_path, variants=variants)
 
 
 # ---------------------------------------------------------------- where the model goes
-
-
 def test_an_output_among_the_meshes_of_another_is_refused(tmp_path):
     source = write(tmp_path, link("a"))
     (tmp_path / "robot.xml").write_text("<mujoco/>")
@@ -130,7 +124,7 @@ def test_an_output_among_the_meshes_of_another_is_refused(tmp_path):
 
 def test_an_interrupted_swap_leaves_the_older_model_with_its_meshes(tmp_path, monkeypatch):
     part = tmp_path / "part.obj"
-    part.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
+    part.write_text(TETRAHEDRON)
     visual = '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'
     output = convert(write(tmp_path, link("a", visual)), tmp_path / "out.xml").output
     meshes = tmp_path / "out_meshes" / "part_visual.obj"

@@ -11,13 +11,26 @@ import pytest
 from wheelleg_exp.asset import convert, convert_cached, source_digest
 from wheelleg_exp.cli.main import main
 
-from ..small_urdf import BOX, assumed, at_zero, inertial, joint, left, link, made, mass_matrix, pair, tensor, write
+from ..small_urdf import (
+    BOX,
+    TETRAHEDRON,
+    assumed,
+    at_zero,
+    inertial,
+    joint,
+    left,
+    link,
+    made,
+    mass_matrix,
+    pair,
+    tensor,
+    write,
+)
 from ..warned import warned
 
+
 # ---------------------------------------------------------------- frames
-
-
-def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
+def test_bodies_have_the_frames_of_their_links(tmp_path):
     origin = f'<origin xyz="1 2 3" rpy="{math.pi / 2} 0 {math.pi / 2}"/>'
     model, _ = made(tmp_path, pair(inside=origin), "fixed")
     data = at_zero(model)
@@ -26,11 +39,10 @@ def test_bodies_stand_in_the_frames_of_their_links(tmp_path):
     np.testing.assert_allclose(data.body("b").xmat.reshape(3, 3), [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
 
 
-def test_fixed_joints_keep_their_bodies_by_name(tmp_path):
+def test_bodies_at_fixed_joints_are_bodies_of_the_model(tmp_path):
     model, conversion = made(tmp_path, link("a") + link("imu") + joint("mount", "a", "imu", "fixed"))
     assert [model.body(i).name for i in range(model.nbody)] == ["world", "a", "imu"]
-    assert conversion.report.bodies == {"/robot/link[a]": "a", "/robot/link[imu]": "imu"}
-    assert model.nv == 6
+    assert (conversion.report.bodies, model.nv) == ({"/robot/link[a]": "a", "/robot/link[imu]": "imu"}, 6)
 
 
 def test_linked_bodies_do_not_touch(tmp_path):
@@ -40,25 +52,19 @@ def test_linked_bodies_do_not_touch(tmp_path):
         assert at_zero(model).ncon == 0
 
 
-def test_names_that_mujoco_keeps_for_itself_are_changed(tmp_path):
+def test_names_that_mujoco_reserves_are_changed(tmp_path):
     model, conversion = made(tmp_path, link("world") + link("b") + joint("j", "world", "b", "continuous"))
     assert [model.body(i).name for i in (1, 2)] == ["world_link", "b"]
     assert assumed(conversion, "MuJoCo keeps the name") == [("/robot/link[world]", "world_link")]
 
 
 # ---------------------------------------------------------------- base
-
-
-def test_a_base_floats_unless_told_otherwise_and_the_report_says_so(tmp_path):
+def test_a_base_floats_by_default_and_the_report_notes_it(tmp_path):
     model, conversion = made(tmp_path, pair("continuous"))
-    assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)
-    assert conversion.report.base == "floating"
+    assert (model.jnt_type[0], conversion.report.base) == (int(mujoco.mjtJoint.mjJNT_FREE), "floating")
     assert assumed(conversion, "does not define its base") == [("/robot/link[a]", "floating")]
     model, conversion = made(tmp_path, pair("continuous"), "fixed")
     assert (model.nv, conversion.report.base) == (1, "fixed")
-
-
-WORLD = '  <link name="world"/>\n'
 
 
 @pytest.mark.parametrize(
@@ -73,23 +79,19 @@ WORLD = '  <link name="world"/>\n'
     ],
 )
 def test_a_root_link_named_world_is_the_world(tmp_path, kind, base, expected, freedoms):
-    robot = WORLD + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
+    robot = '<link name="world"/>\n' + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
     model, conversion = made(tmp_path, robot, base)
     assert (conversion.report.base, model.nv, model.nbody) == (expected, freedoms, 2)
     np.testing.assert_allclose(at_zero(model).body("a").xpos, [0, 0, 2])
 
 
 def test_shapes_of_the_world_are_ground_and_not_robot(tmp_path):
-    model, conversion = made(
-        tmp_path, f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
-    )
-    assert len(conversion.description.static_geoms) == 1
-    assert [int(body) for body in model.geom_bodyid] == [0]
+    robot = f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
+    model, conversion = made(tmp_path, robot)
+    assert (len(conversion.description.static_geoms), [int(body) for body in model.geom_bodyid]) == (1, [0])
 
 
 # ---------------------------------------------------------------- joints
-
-
 def test_hinges_and_slides_take_axis_limits_and_passive_forces(tmp_path):
     inside = """<axis xyz="0 0 -1"/><limit lower="-0.5" upper="1.25" effort="30" velocity="12"/>
       <dynamics damping="0.7" friction="0.2"/>"""
@@ -137,12 +139,11 @@ def test_limits_mean_what_urdf_means_by_them(tmp_path, kind, limit, expected, wa
     assert any("limits" in text for text in conversion.report.warnings) is warned
 
 
-def test_a_hinge_without_limit_is_unlimited_and_people_are_told(tmp_path):
+def test_a_hinge_without_limit_is_unlimited_and_warned_about(tmp_path):
     model, conversion = made(tmp_path, pair())
     assert not model.jnt_limited[1]
-    assert warned(conversion) == (
-        "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint"
 
 
 def test_efforts_and_speeds_of_zero_mean_not_given(tmp_path):
@@ -171,12 +172,8 @@ def test_a_floating_joint_starts_a_tree_of_its_own(tmp_path):
 
 def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
     wide = '<limit lower="-2" upper="2"/>'
-    robot = (
-        pair(inside=wide)
-        + link("c")
-        + joint("k", "a", "c", "revolute", f'{wide}<mimic joint="j" multiplier="-2" offset="0.25"/>')
-    )
-    model, conversion = made(tmp_path, robot)
+    follower = joint("k", "a", "c", "revolute", f'{wide}<mimic joint="j" multiplier="-2" offset="0.25"/>')
+    model, conversion = made(tmp_path, pair(inside=wide) + link("c") + follower)
     assert conversion.description.couplings[0].coefficients == (0.25, -2, 0, 0, 0)
     assert (model.joint(model.eq_obj1id[0]).name, model.joint(model.eq_obj2id[0]).name) == ("k", "j")
     np.testing.assert_array_equal(model.eq_data[0, :5], [0.25, -2, 0, 0, 0])
@@ -184,15 +181,13 @@ def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
 
 def test_a_mimic_joint_without_leader_is_left_out_with_a_hint(tmp_path):
     _, conversion = made(tmp_path, pair("continuous", '<mimic joint="jj"/>'))
-    assert warned(conversion) == (
-        "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?"
 
 
 def test_orders_of_joints_are_breadth_first_and_depth_first(tmp_path):
-    robot = "".join(link(name) for name in "abcde")
-    for name, parent, child in (("ab", "a", "b"), ("bc", "b", "c"), ("ad", "a", "d"), ("de", "d", "e")):
-        robot += joint(name, parent, child, "continuous")
+    pairs = ("ab", "bc", "ad", "de")
+    robot = "".join(map(link, "abcde")) + "".join(joint(pair, *pair, "continuous") for pair in pairs)
     model, conversion = made(tmp_path, robot)
     assert conversion.report.dof_order.physx == ("ab", "ad", "bc", "de")
     assert conversion.report.dof_order.mujoco == ("ab", "bc", "ad", "de")
@@ -200,23 +195,18 @@ def test_orders_of_joints_are_breadth_first_and_depth_first(tmp_path):
 
 
 # ---------------------------------------------------------------- mass
-
-
 def test_inertia_is_turned_from_its_own_frame_into_the_links(tmp_path):
     own = inertial(2, at="1 2 3", rpy=f"0 0 {math.pi / 2}", tensor="0.3 0.4 0.5 0.01 0.02 0.03")
     model, _ = made(tmp_path, link("a", inertial=own))
     assert model.body("a").mass[0] == 2
     np.testing.assert_array_equal(model.body("a").ipos, [1, 2, 3])
-    # The inertial frame is rotated by 90° about z.
-    np.testing.assert_allclose(
-        tensor(model, "a"), [[0.4, -0.01, -0.03], [-0.01, 0.3, 0.02], [-0.03, 0.02, 0.5]], atol=1e-12
-    )
+    expected = [[0.4, -0.01, -0.03], [-0.01, 0.3, 0.02], [-0.03, 0.02, 0.5]]  # rotated by 90° about z
+    np.testing.assert_allclose(tensor(model, "a"), expected, atol=1e-12)
 
 
-def test_tiny_inertias_keep_their_axes(tmp_path):
+def test_tiny_inertias_have_the_axes_of_the_file(tmp_path):
     own = inertial(1e-6, tensor="2e-15 3e-15 4e-15 5e-16 0 0")
-    robot = link("a") + link("b", inertial=own) + joint("j", "a", "b", "fixed")
-    model, _ = made(tmp_path, robot)
+    model, _ = made(tmp_path, link("a") + link("b", inertial=own) + joint("j", "a", "b", "fixed"))
     expected = [[2e-15, 5e-16, 0], [5e-16, 3e-15, 0], [0, 0, 4e-15]]
     np.testing.assert_allclose(tensor(model, "b"), expected, rtol=1e-9, atol=1e-27)
 
@@ -230,7 +220,7 @@ def test_links_without_mass_are_frames_on_what_they_are_welded_to(tmp_path):
     assert [path for path, _ in assumed(conversion, "no mass: a frame")] == ["/robot/link[frame]", "/robot/link[foot]"]
 
 
-def test_a_link_without_inertial_weighs_nothing_beside_what_has_one(tmp_path):
+def test_a_link_without_inertial_welded_to_one_with_inertial_weighs_nothing(tmp_path):
     robot = link("base", BOX, inertial="") + link("spacer", inertial="") + link("weight")
     robot += joint("m", "base", "spacer", "fixed") + joint("n", "spacer", "weight", "fixed")
     robot += link("leg") + link("sole", BOX, inertial="") + joint("j", "base", "leg", "continuous")
@@ -242,7 +232,7 @@ def test_a_link_without_inertial_weighs_nothing_beside_what_has_one(tmp_path):
     assert found == {name: {"mass": 0} for name in ("base", "spacer", "sole")}
 
 
-def test_a_frame_that_weighs_a_rounding_error_carries_nobody(tmp_path):
+def test_a_frame_with_a_negligible_mass_does_not_count_as_mass(tmp_path):
     speck = inertial(4e-15, tensor="2e-27 2e-27 2e-27 0 0 0")
     welded = link("base", BOX, inertial="") + link("imu", inertial=speck) + joint("m", "base", "imu", "fixed")
     model, conversion = made(tmp_path, welded)
@@ -279,16 +269,14 @@ def test_the_first_link_with_mass_is_the_root(tmp_path, links):
     assert assumed(conversion, "has no mass: the first link with mass") == [("/robot/link[footprint]", "body")]
 
 
-def test_what_moves_and_weighs_nothing_gets_physx_s_kilogram(tmp_path):
+def test_a_moving_link_without_mass_weighs_one_kilogram_as_in_physx(tmp_path):
     robot = link("a") + '<link name="b"/>' + link("c")
     robot += joint("j", "a", "b", "continuous") + joint("k", "b", "c", "continuous")
     model, conversion = made(tmp_path, robot)
     assert model.body("b").mass[0] == 1
     np.testing.assert_allclose(model.body("b").inertia, 0.4 * 0.1**2)
-    assert warned(conversion) == (
-        "/robot/link[b]: the link moves, and neither it nor links welded to it have a mass; "
-        "the model's mass is 1 kg, as in PhysX",
-    )
+    reason = "the link moves, and neither it nor links welded to it have a mass"
+    assert warned(conversion) == (f"/robot/link[b]: {reason}; the model's mass is 1 kg, as in PhysX",)
 
 
 def test_a_link_without_inertial_weighs_what_its_colliders_displace(tmp_path):
@@ -314,37 +302,24 @@ def test_inertia_that_is_zero_but_for_rounding_is_not_given(tmp_path, written):
     np.testing.assert_allclose(model.body("a").inertia, 0.4 * 2 * 0.01)
 
 
-def test_moments_that_no_body_can_have_are_mended_and_told(tmp_path):
+def test_impossible_moments_of_inertia_are_reduced_and_reported(tmp_path):
     model, conversion = made(tmp_path, link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")))
     np.testing.assert_allclose(model.body("a").inertia, [1, 1, 2])
-    assert warned(conversion) == (
-        "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)"
 
 
 # ---------------------------------------------------------------- the whole
-
-
+HINGED = '<origin xyz="1 0 0" rpy="0.1 -0.2 0.3"/><axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1"/>'
+SLIDING = '<origin xyz="0 0.5 0" rpy="3 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/>'
 CHAIN = (
     link("a", BOX, inertial(3, at="0.1 0 0", rpy="0.3 0.2 0.1", tensor="0.2 0.3 0.4 0.01 0.02 -0.03"))
     + link("b", BOX, inertial(2, at="0 0.2 0.1", tensor="0.02 0.03 0.04 0 0 0"))
     + link("tool", "", inertial(0.5, tensor="0.01 0.01 0.01 0 0 0"))
     + link("c", '<visual><geometry><sphere radius="0.1"/></geometry></visual>', inertial(1, tensor="1 1 1 0 0 0"))
-    + joint(
-        "ab",
-        "a",
-        "b",
-        "revolute",
-        '<origin xyz="1 0 0" rpy="0.1 -0.2 0.3"/><axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1"/>',
-    )
+    + joint("ab", "a", "b", "revolute", HINGED)
     + joint("bt", "b", "tool", "fixed", '<origin xyz="0 0 0.5" rpy="0 1.5 0"/>')
-    + joint(
-        "tc",
-        "tool",
-        "c",
-        "prismatic",
-        '<origin xyz="0 0.5 0" rpy="3 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/>',
-    )
+    + joint("tc", "tool", "c", "prismatic", SLIDING)
 )
 
 
@@ -369,21 +344,15 @@ EXTRAS = """<gazebo reference="a"><mu1>0.9</mu1></gazebo>
 """
 
 
-def test_what_has_no_place_in_the_model_is_named(tmp_path):
+def test_parts_without_a_place_in_the_model_are_named(tmp_path):
     inside = """<safety_controller k_velocity="3" soft_upper_limit="1"/><calibration rising="0.1"/>
       <limit lower="-1" upper="1" velocity="2"/>"""
     _, conversion = made(tmp_path, pair("continuous", inside) + EXTRAS)
     reasons = left(conversion)
-    assert set(reasons) == {
-        "/robot/joint[j]/limit lower",
-        "/robot/joint[j]/limit upper",
-        "/robot/joint[j]/limit velocity",
-        "/robot/joint[j]/safety_controller safety_controller",
-        "/robot/joint[j]/calibration calibration",
-        "/robot/gazebo gazebo",
-        "/robot/transmission[t] transmission",
-        "/robot/sensor[s] sensor",
-    }
+    joint_parts = ("limit lower", "limit upper", "limit velocity", "safety_controller safety_controller")
+    parts = [f"joint[j]/{part}" for part in (*joint_parts, "calibration calibration")]
+    parts += ["gazebo gazebo", "transmission[t] transmission", "sensor[s] sensor"]
+    assert set(reasons) == {f"/robot/{part}" for part in parts}
     values = {item.name: next(iter(item.values.values())) for item in conversion.report.left_out}
     assert values["gazebo"] == "gazebo reference=a, mu1 0.9"
 
@@ -408,8 +377,6 @@ def test_every_attribute_is_read_or_named(tmp_path):
 
 
 # ---------------------------------------------------------------- commands and cache
-
-
 def test_the_command_takes_a_urdf(tmp_path, capsys):
     source = write(tmp_path, pair("continuous"))
     assert main(["convert", str(source), "-o", str(tmp_path / "out.xml"), "--base", "fixed"]) == 0
@@ -417,11 +384,9 @@ def test_the_command_takes_a_urdf(tmp_path, capsys):
 
 
 def test_the_cache_sees_a_change_of_a_mesh(tmp_path):
-    shape = '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'
-    source = write(tmp_path, link("a", shape))
-    part = tmp_path / "part.obj"
-    part.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
-    cache = tmp_path / "cache"
+    source = write(tmp_path, link("a", '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'))
+    part, cache = tmp_path / "part.obj", tmp_path / "cache"
+    part.write_text(TETRAHEDRON)
     first = convert_cached(source, cache_dir=cache)
     assert (first.fresh, set(first.sources)) == (True, {"bot.urdf", "part.obj"})
     assert first.sources == source_digest(source) == first.report.layers

@@ -71,9 +71,7 @@ def hull_volume(description_mesh) -> float:
 
 
 # ---------------------------------------------------------------- primitives
-
-
-def test_primitives_are_exact_and_stand_where_they_are_put(tmp_path):
+def test_primitives_have_the_size_and_pose_of_the_file(tmp_path):
     at = '<origin xyz="1 2 3" rpy="0 0 0.5"/>'
     shapes = {
         "box": ('<box size="0.2 0.4 0.6"/>', (0.1, 0.2, 0.3), mujoco.mjtGeom.mjGEOM_BOX),
@@ -94,21 +92,18 @@ def test_primitives_are_exact_and_stand_where_they_are_put(tmp_path):
 
 def test_visuals_are_drawn_and_colliders_touch(tmp_path):
     box = '<geometry><box size="1 1 1"/></geometry>'
-    model, _ = made(
-        tmp_path, link("a", f"<visual>{box}</visual><collision>{box}</collision><collision>{box}</collision>")
-    )
+    collider = f"<collision>{box}</collision>"
+    model, _ = made(tmp_path, link("a", f"<visual>{box}</visual>{collider}{collider}"))
     names = ("a_visual", "a_collision", "a_collision_2")
     assert [(int(model.geom(n).group[0]), int(model.geom(n).contype[0])) for n in names] == [(2, 0), (3, 1), (3, 1)]
 
 
-def test_shapes_without_size_are_left_out_and_a_lost_collider_is_told(tmp_path):
-    flat = '<geometry><box size="0 0 0"/></geometry>'
-    odd = "<geometry><heightmap/></geometry>"
+def test_shapes_without_size_are_left_out_and_a_lost_collider_is_a_warning(tmp_path):
+    flat, odd = '<geometry><box size="0 0 0"/></geometry>', "<geometry><heightmap/></geometry>"
     _, conversion = made(tmp_path, link("a", f"<visual>{flat}</visual><collision>{odd}</collision>"))
     assert left(conversion)["/robot/link[a]/visual visual"] == "its size is zero"
-    assert warned(conversion) == (
-        "/robot/link[a]/collision: a collider was left out: a shape of kind 'heightmap' is not supported",
-    )
+    (warning,) = warned(conversion)
+    assert warning == "/robot/link[a]/collision: a collider was left out: a shape of kind 'heightmap' is not supported"
 
 
 def test_colours_come_from_the_shape_else_from_the_material_of_that_name(tmp_path):
@@ -121,21 +116,14 @@ def test_colours_come_from_the_shape_else_from_the_material_of_that_name(tmp_pat
     )
     shapes = "".join(f"<visual>{box}{look}</visual>" for look in looks)
     _, conversion = made(tmp_path, '<material name="red"><color rgba="1 0 0 1"/></material>' + link("a", shapes))
-    assert {item.name: item.rgba for item in conversion.description.materials} == {
-        "red": (1, 0, 0, 1),
-        "red_2": (0.5, 0, 0, 1),
-    }
-    geoms = conversion.description.bodies[0].geoms
-    assert [(g.material, g.rgba) for g in geoms] == [
-        ("red", None),
-        ("red_2", None),
-        (None, (0, 0, 1, 0.5)),
-        (None, None),
-    ]
+    colours = {item.name: item.rgba for item in conversion.description.materials}
+    assert colours == {"red": (1, 0, 0, 1), "red_2": (0.5, 0, 0, 1)}
+    found = [(geom.material, geom.rgba) for geom in conversion.description.bodies[0].geoms]
+    assert found == [("red", None), ("red_2", None), (None, (0, 0, 1, 0.5)), (None, None)]
     assert left(conversion)["/robot/link[a]/visual[4]/material[unknown] name"] == "a material without colour"
 
 
-def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
+def test_an_invalid_colour_is_left_out_and_the_robot_is_converted(tmp_path):
     look = '<material name="odd"><color rgba="1 0 red"/></material>'
     _, conversion = made(tmp_path, link("a", f'<visual><geometry><sphere radius="1"/></geometry>{look}</visual>'))
     assert conversion.report.totals["visuals"] == 1
@@ -143,8 +131,6 @@ def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
 
 
 # ---------------------------------------------------------------- formats
-
-
 @pytest.mark.parametrize(
     ("file", "data"),
     [
@@ -155,21 +141,19 @@ def test_a_colour_that_is_none_does_not_cost_the_robot(tmp_path):
         ("polygons.dae", dae("polylist").encode()),
     ],
 )
-def test_meshes_of_each_format_come_back_whole(tmp_path, file, data):
+def test_meshes_of_each_format_are_read_completely(tmp_path, file, data):
     (tmp_path / file).write_bytes(data)
     at = '<origin xyz="0 0 5" rpy="0 0 1.5707963267948966"/>'
     model, conversion = made(tmp_path, link("a", mesh(file, origin=at) + mesh(file, "collision", origin=at)))
     for item in conversion.description.meshes:
-        assert len(item.vertices) == 4
-        assert hull_volume(item) == pytest.approx(1 / 6)
+        assert (len(item.vertices), hull_volume(item)) == (4, pytest.approx(1 / 6))
     data = at_zero(model)
     for index in range(model.ngeom):  # MuJoCo moves a mesh into its inertial frame
         start, count = model.mesh_vertadr[model.geom_dataid[index]], model.mesh_vertnum[model.geom_dataid[index]]
         turn = data.geom_xmat[index].reshape(3, 3)
         corners = model.mesh_vert[start : start + count] @ turn.T + data.geom_xpos[index]
-        expected = [(-y, x, z + 5) for x, y, z in CORNERS]
-        for point in expected:
-            assert np.abs(corners - point).max(axis=1).min() < 1e-6
+        for x, y, z in CORNERS:
+            assert np.abs(corners - (-y, x, z + 5)).max(axis=1).min() < 1e-6
 
 
 def test_a_mirrored_mesh_is_not_turned_inside_out(tmp_path):
@@ -177,8 +161,7 @@ def test_a_mirrored_mesh_is_not_turned_inside_out(tmp_path):
     _, conversion = made(tmp_path, link("a", mesh("part.stl", scale="2 3 -1")))
     (item,) = conversion.description.meshes
     np.testing.assert_allclose(np.ptp(item.vertices, axis=0), [2, 3, 1])
-    assert item.vertices[:, 2].min() == -1
-    assert hull_volume(item) == pytest.approx(1)
+    assert (item.vertices[:, 2].min(), hull_volume(item)) == (-1, pytest.approx(1))
 
 
 def test_collada_is_placed_by_its_nodes_in_its_unit_and_up_axis_is_ignored_as_in_rviz(tmp_path):
@@ -195,11 +178,8 @@ def test_equal_meshes_are_written_once_and_scaled_ones_apart(tmp_path):
     inside = mesh("part.obj") + mesh("part.obj") + mesh("part.obj", scale="2 2 2") + mesh("part.obj", "collision")
     _, conversion = made(tmp_path, link("a", inside))
     assert [item.name for item in conversion.description.meshes] == ["part_visual", "part_visual_2", "part"]
-    assert sorted(path.name for path in (tmp_path / "out_meshes").iterdir()) == [
-        "part.obj",
-        "part_visual.obj",
-        "part_visual_2.obj",
-    ]
+    files = sorted(path.name for path in (tmp_path / "out_meshes").iterdir())
+    assert files == ["part.obj", "part_visual.obj", "part_visual_2.obj"]
 
 
 def test_a_flat_visual_stays_and_a_flat_collider_becomes_a_thin_box(tmp_path):
@@ -225,19 +205,17 @@ def test_a_flat_visual_stays_and_a_flat_collider_becomes_a_thin_box(tmp_path):
         ("part.dae", b"<!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA/>", "entities"),
     ],
 )
-def test_a_mesh_that_cannot_be_read_is_passed_over_when_drawn_and_told_when_solid(tmp_path, file, data, reason):
+def test_an_unreadable_mesh_is_left_out_and_a_lost_collider_is_a_warning(tmp_path, file, data, reason):
     (tmp_path / file).write_bytes(data)
     _, conversion = made(tmp_path, link("a", mesh(file)))
     assert reason in left(conversion)["/robot/link[a]/visual visual"]
     assert warned(conversion) == ()
     _, conversion = made(tmp_path, link("a", mesh(file, "collision")))
-    assert len(warned(conversion)) == 1
-    assert reason in warned(conversion)[0]
+    (warning,) = warned(conversion)
+    assert reason in warning
 
 
 # ---------------------------------------------------------------- where files are
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -267,8 +245,7 @@ def test_meshes_are_found_without_a_ros_installation(tmp_path, name):
     (package / "meshes" / "part.obj").write_text(obj())
     source = write(package / "urdf", link("a", mesh(name.format(folder=tmp_path))))
     report = convert(source, tmp_path / "out.xml").report
-    assert report.totals["visuals"] == 1
-    assert set(report.layers) == {"bot.urdf", "../meshes/part.obj"}
+    assert (report.totals["visuals"], set(report.layers)) == (1, {"bot.urdf", "../meshes/part.obj"})
 
 
 def test_a_path_of_another_machine_does_not_match_by_its_last_parts_alone(tmp_path):
@@ -298,10 +275,11 @@ def test_mujocos_own_folder_of_meshes_counts(tmp_path):
     assert "/robot/mujoco/compiler balanceinertia" in left(conversion)
 
 
-@pytest.mark.parametrize(
-    "name", ["gone.stl", "package://x/gone.stl", "http://example.org/part.stl", "a\x7fb.stl", "x" * 300 + ".stl"]
-)
-def test_a_missing_mesh_is_named_and_the_robot_still_comes(tmp_path, name):
+NAMES = ["gone.stl", "package://x/gone.stl", "http://example.org/part.stl", "a\x7fb.stl", "x" * 300 + ".stl"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_mesh_is_named_and_the_robot_is_converted(tmp_path, name):
     _, conversion = made(tmp_path, link("a", mesh(name) + mesh(name, "collision")))
     assert conversion.report.unresolved == (name,)
     assert warned(conversion) == (
@@ -310,7 +288,7 @@ def test_a_missing_mesh_is_named_and_the_robot_still_comes(tmp_path, name):
     )
 
 
-def test_a_mesh_that_git_lfs_has_not_fetched_is_told(tmp_path):
+def test_a_mesh_that_git_lfs_has_not_fetched_is_reported(tmp_path):
     (tmp_path / "part.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     _, conversion = made(tmp_path, link("a", mesh("part.stl", "collision")))
     assert "git lfs pull" in warned(conversion)[0]

@@ -5,6 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from ..small_urdf import mass_matrix
+from ..small_usd import tensor
+
 Obj = mujoco.mjtObj
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 WIDTHS = {FREE: (7, 6), BALL: (4, 3)}
@@ -96,22 +99,12 @@ class Pair:
         mujoco.mj_forward(self.ours, second)
 
     def masses(self) -> tuple[np.ndarray, np.ndarray]:
-        matrices = []
-        for model, data in zip((self.original, self.ours), self.data, strict=True):
-            full = np.zeros((model.nv, model.nv))
-            mujoco.mj_fullM(model, data, full)
-            matrices.append(full)
-        return matrices[0], matrices[1][np.ix_(self.velocities, self.velocities)]
+        theirs, ours = (mass_matrix(*pair) for pair in zip((self.original, self.ours), self.data, strict=True))
+        return theirs, ours[np.ix_(self.velocities, self.velocities)]
 
     def tensors(self) -> tuple[np.ndarray, np.ndarray]:
         return _tensors(self.original, self.bodies[0]), _tensors(self.ours, self.bodies[1])
 
 
 def _tensors(model: mujoco.MjModel, bodies: np.ndarray) -> np.ndarray:
-    out = []
-    for body in bodies:
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-        turn = turn.reshape(3, 3)
-        out.append((turn @ np.diag(model.body_inertia[body]) @ turn.T)[np.triu_indices(3)])
-    return np.array(out)
+    return np.array([tensor(model, body)[np.triu_indices(3)] for body in bodies])

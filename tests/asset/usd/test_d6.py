@@ -9,21 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from ..small_usd import DEGREES, converted, hinge, link, two_links, write
+from ..small_usd import AXES, DEGREES, converted, hinge, limits, link, locked, two_links, write
 from ..warned import warned
-
-AXES = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
-
-
-def limits(**ranges: tuple[float | str, float]) -> str:
-    return "\n".join(
-        f"float limit:{axis}:physics:low = {low}\n float limit:{axis}:physics:high = {high}"
-        for axis, (low, high) in ranges.items()
-    )
-
-
-def locked(*axes: str) -> str:
-    return limits(**dict.fromkeys(axes, (1, -1)))
 
 
 def generic(folder, text: str, **options: object):
@@ -76,11 +63,9 @@ def test_three_rotations_are_hinges_when_one_has_limits_or_a_drive(tmp_path):
 
 
 def test_drives_of_each_axis(tmp_path):
-    text = locked("transY", "transZ", "rotX") + (
-        "\nfloat drive:transX:physics:stiffness = 100\n float drive:rotY:physics:stiffness = 2"
-        "\nfloat drive:rotZ:physics:damping = 3\n float drive:rotY:physics:targetPosition = 90"
-    )
-    model, _ = generic(tmp_path, text)
+    text = "float drive:transX:physics:stiffness = 100\n float drive:rotY:physics:stiffness = 2\n"
+    text += "float drive:rotZ:physics:damping = 3\n float drive:rotY:physics:targetPosition = 90\n"
+    model, _ = generic(tmp_path, text + locked("transY", "transZ", "rotX"))
     assert model.actuator("j_transX").gainprm[0] == pytest.approx(100)
     assert model.actuator("j_rotY").gainprm[0] == pytest.approx(2 * DEGREES, rel=1e-6)
     assert model.actuator("j_rotZ").gainprm[0] == pytest.approx(3 * DEGREES, rel=1e-6)
@@ -88,13 +73,13 @@ def test_drives_of_each_axis(tmp_path):
 
 
 def test_armature_and_friction_of_each_axis(tmp_path):
-    text = locked("transX", "transY", "transZ", "rotX") + (
-        "\nfloat physxJoint:armature = 9\n float physxJointAxis:rotY:armature = 0.25"
-        "\nfloat physxJointAxis:rotY:dynamicFrictionEffort = 0.5\n float physxJointAxis:rotY:staticFrictionEffort = 0.6"
-        "\nfloat physxJointAxis:rotZ:viscousFrictionCoefficient = 0.01"
-        "\nfloat physxJointAxis:rotY:maxJointVelocity = 180"
+    text = "float physxJoint:armature = 9\n float physxJointAxis:rotY:armature = 0.25\n"
+    text += (
+        "float physxJointAxis:rotY:dynamicFrictionEffort = 0.5\n float physxJointAxis:rotY:staticFrictionEffort = 0.6\n"
     )
-    model, done = generic(tmp_path, text)
+    text += "float physxJointAxis:rotZ:viscousFrictionCoefficient = 0.01\n"
+    text += "float physxJointAxis:rotY:maxJointVelocity = 180\n"
+    model, done = generic(tmp_path, text + locked("transX", "transY", "transZ", "rotX"))
     np.testing.assert_allclose(model.dof_armature[6:], [0.25, 9])
     np.testing.assert_allclose(model.dof_frictionloss[6:], [0.5, 0])
     np.testing.assert_allclose(model.dof_damping[6:], [0, 0.01 * DEGREES], rtol=1e-6)
@@ -116,25 +101,17 @@ def test_limits_without_their_schema_are_honoured_and_reported(tmp_path):
     assert any("without PhysicsLimitAPI" in item.rule for item in done.report.assumptions)
 
 
-def articulation(folder, joint: str):
-    body = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)") + joint
-    return converted(write(folder, body))
-
-
 def test_inside_an_articulation_a_generic_joint_does_not_slide(tmp_path):
     text = f"point3f physics:localPos0 = (1, 0, 0)\n{locked('transY', 'rotX', 'rotY')}"
-    model, done = articulation(tmp_path, hinge("j", "a", "b", kind="", text=text))
-    assert names(model) == ["j"]
-    assert model.jnt_type[1] == mujoco.mjtJoint.mjJNT_HINGE
+    body = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)")
+    model, done = converted(write(tmp_path, body + hinge("j", "a", "b", kind="", text=text)))
+    assert (names(model), model.jnt_type[1]) == (["j"], mujoco.mjtJoint.mjJNT_HINGE)
     assert any("/bot/j" in warning and "slide" in warning for warning in done.report.warnings)
 
 
 def test_a_reversed_generic_joint_turns_the_other_way_and_shows_its_drawing(tmp_path):
-    bent = link("b", "(1, 0, 0)").replace(
-        'xformOpOrder = ["xformOp:translate"]',
-        'xformOpOrder = ["xformOp:translate", "xformOp:rotateY", "xformOp:rotateX"]\n'
-        "        double xformOp:rotateX = -20\n        double xformOp:rotateY = -30",
-    )
+    posed = '["xformOp:translate", "xformOp:rotateY", "xformOp:rotateX"]\n double xformOp:rotateX = -20\n'
+    bent = link("b", "(1, 0, 0)").replace('["xformOp:translate"]', f"{posed} double xformOp:rotateY = -30")
     text = "point3f physics:localPos1 = (1, 0, 0)\n" + locked("transX", "transY", "transZ", "rotZ")
     body = link("a", apis="PhysicsArticulationRootAPI") + bent + hinge("j", "b", "a", kind="", text=text)
     model, _ = converted(write(tmp_path, body))
@@ -150,11 +127,8 @@ def test_a_reversed_generic_joint_turns_the_other_way_and_shows_its_drawing(tmp_
 
 
 def test_a_bent_drawing_of_several_axes_is_the_keyframe(tmp_path):
-    moved = link("b", "(1.2, 0, 0)").replace(
-        'xformOpOrder = ["xformOp:translate"]',
-        'xformOpOrder = ["xformOp:translate", "xformOp:rotateY", "xformOp:rotateZ"]\n'
-        "        double xformOp:rotateY = 40\n        double xformOp:rotateZ = 10",
-    )
+    posed = '["xformOp:translate", "xformOp:rotateY", "xformOp:rotateZ"]\n double xformOp:rotateY = 40\n'
+    moved = link("b", "(1.2, 0, 0)").replace('["xformOp:translate"]', f"{posed} double xformOp:rotateZ = 10")
     text = "point3f physics:localPos0 = (1, 0, 0)\n" + locked("transY", "transZ", "rotX")
     model, done = converted(write(tmp_path, link("a") + moved + hinge("j", "a", "b", kind="", text=text)))
     np.testing.assert_allclose(model.key("home").qpos[7:], [0.2, math.radians(40), math.radians(10)], atol=1e-6)
@@ -162,11 +136,7 @@ def test_a_bent_drawing_of_several_axes_is_the_keyframe(tmp_path):
 
 
 def test_a_generic_joint_that_locks_everything_is_mapped_and_not_warned_about(tmp_path):
-    axes = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
-    locks = "\n".join(f"float limit:{a}:physics:low = 1\n float limit:{a}:physics:high = -1" for a in axes)
-    apis = " ".join(f"PhysicsLimitAPI:{a}" for a in axes)
-    _, done = two_links(tmp_path, locks, apis=apis, kind="")
-    assert {(m.name, m.became) for m in done.report.mapped if m.path == "/bot/j"} >= {
-        ("PhysicsJoint", "a weld to the parent body")
-    }
+    _, done = generic(tmp_path, locked(*AXES))
+    mapped = {(item.name, item.became) for item in done.report.mapped if item.path == "/bot/j"}
+    assert ("PhysicsJoint", "a weld to the parent body") in mapped
     assert warned(done) == ()

@@ -13,6 +13,18 @@ from ..small_usd import DEGREES, MASS, converted, hinge, link, two_links, write
 CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    kilogramsPerUnit = 0.001\n    upAxis = "Z"'
 
 
+def drive(kind: str = "angular", **values: float | str) -> str:
+    return "\n".join(f"float drive:{kind}:physics:{name} = {value}" for name, value in values.items()) + "\n"
+
+
+def limits(low: float | str, high: float | str) -> str:
+    return f"float physics:lowerLimit = {low}\n float physics:upperLimit = {high}\n"
+
+
+def driven(folder, text: str, **options: object):
+    return two_links(folder, text, apis="PhysicsDriveAPI:angular", **options)
+
+
 # ------------------------------------------------------------------ drives
 @pytest.mark.parametrize(
     ("kp", "kd", "gain", "bias"),
@@ -24,53 +36,41 @@ CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    kilogramsPerUnit = 0.00
     ids=["position", "velocity", "motor"],
 )
 def test_angular_gains_are_per_degree(tmp_path, kp, kd, gain, bias):
-    text = (
-        f"float drive:angular:physics:stiffness = {kp}\n float drive:angular:physics:damping = {kd}\n"
-        "float drive:angular:physics:maxForce = 7"
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
-    drive = model.actuator("j")
-    assert drive.gainprm[0] == pytest.approx(gain, rel=1e-6)
-    np.testing.assert_allclose(drive.biasprm[:3], bias, rtol=1e-6)
-    np.testing.assert_allclose(drive.forcerange, [-7, 7])
+    model, _ = driven(tmp_path, drive(stiffness=kp, damping=kd, maxForce=7))
+    motor = model.actuator("j")
+    assert motor.gainprm[0] == pytest.approx(gain, rel=1e-6)
+    np.testing.assert_allclose(motor.biasprm[:3], bias, rtol=1e-6)
+    np.testing.assert_allclose(motor.forcerange, [-7, 7])
 
 
 def test_linear_gains_are_per_length(tmp_path):
-    text = "float drive:linear:physics:stiffness = 2\n float drive:linear:physics:damping = 0.5"
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:linear", kind="Prismatic")
+    gains = drive("linear", stiffness=2, damping=0.5)
+    model, _ = two_links(tmp_path, gains, apis="PhysicsDriveAPI:linear", kind="Prismatic")
     np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2, -0.5])
 
 
 @pytest.mark.parametrize("force", ["0", "inf", "3.4028235e38"])
-def test_no_effort_limit_where_none_is_given(tmp_path, force):
-    text = f"float drive:angular:physics:stiffness = 1\n float drive:angular:physics:maxForce = {force}"
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
+def test_an_infinite_or_zero_effort_limit_is_no_limit(tmp_path, force):
+    model, _ = driven(tmp_path, drive(stiffness=1, maxForce=force))
     assert not model.actuator_forcelimited[0]
 
 
 def test_acceleration_gains_are_times_the_inertia_that_the_drive_meets(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n"
-        'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular", base="fixed")
+    text = 'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
+    model, _ = driven(tmp_path, drive(stiffness=1) + text, base="fixed")
     assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # kg m²
 
 
 def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n float drive:angular:physics:targetPosition = 90\n"
-        "float state:angular:physics:position = 30\n float state:angular:physics:velocity = 60"
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular PhysicsJointStateAPI:angular")
+    state = "float state:angular:physics:position = 30\n float state:angular:physics:velocity = 60"
+    apis = "PhysicsDriveAPI:angular PhysicsJointStateAPI:angular"
+    model, _ = two_links(tmp_path, drive(stiffness=1, targetPosition=90) + state, apis=apis)
     key = model.key("home")
-    assert key.qpos[-1] == pytest.approx(math.radians(30))
-    assert key.qvel[-1] == pytest.approx(math.radians(60))
-    assert key.ctrl[0] == pytest.approx(math.radians(90))
+    assert np.degrees([key.qpos[-1], key.qvel[-1], key.ctrl[0]]) == pytest.approx([30, 60, 90])
 
 
 def test_a_saved_state_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    text = "float physics:lowerLimit = -10\n float physics:upperLimit = 10\nfloat state:angular:physics:position = 30"
+    text = limits(-10, 10) + "float state:angular:physics:position = 30"
     model, done = two_links(tmp_path, text, apis="PhysicsJointStateAPI:angular")
     assert model.key("home").qpos[-1] == pytest.approx(math.radians(10))
     assert any("outside the limits" in item.rule for item in done.report.assumptions)
@@ -84,34 +84,22 @@ def test_attributes_of_schemas_that_usd_does_not_know_are_read(tmp_path):
 
 
 def test_newton_damping_is_per_degree_and_mujocos_is_per_radian(tmp_path):
-    model, _ = two_links(tmp_path, "float newton:damping = 0.01")
-    assert model.dof_damping[6] == pytest.approx(0.01 * DEGREES, rel=1e-6)
-    model, _ = two_links(tmp_path, "float newton:damping = 0.01\n float mjc:damping = 0.5")
-    assert model.dof_damping[6] == pytest.approx(0.5)
+    for text, damping in (("", 0.01 * DEGREES), ("\n float mjc:damping = 0.5", 0.5)):
+        model, _ = two_links(tmp_path, f"float newton:damping = 0.01{text}")
+        assert model.dof_damping[6] == pytest.approx(damping, rel=1e-6)
 
 
 # ------------------------------------------------------------------ limits
-@pytest.mark.parametrize(
-    "limits",
-    [
-        ("-inf", "inf"),
-        ("-57295776", "57295776"),
-        ("-99999990", "99999990"),
-        ("-1e38", "1e38"),
-        ("0", "0"),
-        ("-10", "inf"),
-        None,
-    ],
-)
-def test_a_hinge_without_real_limits_has_none(tmp_path, limits):
-    text = f"float physics:lowerLimit = {limits[0]}\n float physics:upperLimit = {limits[1]}" if limits else ""
-    model, _ = two_links(tmp_path, text)
+UNLIMITED = [("-inf", "inf"), ("-57295776", "57295776"), ("-99999990", "99999990"), ("-1e38", "1e38")]
+UNLIMITED += [("-3.4e38", "3.4e38"), ("0", "0"), ("-10", "inf"), None]
+
+
+@pytest.mark.parametrize("ends", UNLIMITED)
+def test_a_hinge_without_real_limits_is_unlimited(tmp_path, ends):
+    model, done = two_links(tmp_path, limits(*ends) if ends else "")
     assert not model.jnt_limited[1]
-
-
-def test_equal_limits_are_warned_about(tmp_path):
-    _, done = two_links(tmp_path, "float physics:lowerLimit = 0\n float physics:upperLimit = 0")
-    assert any("/bot/j" in warning and "PhysX locks" in warning for warning in done.report.warnings)
+    locks = any("/bot/j" in warning and "PhysX locks" in warning for warning in done.report.warnings)
+    assert locks is (ends == ("0", "0"))
 
 
 def test_a_slide_may_be_limited_on_one_side(tmp_path):
@@ -123,16 +111,15 @@ def test_a_slide_may_be_limited_on_one_side(tmp_path):
 
 @pytest.mark.parametrize("kind", ["Revolute", "Prismatic"])
 def test_limits_the_wrong_way_round_lock_the_joint_as_in_physx(tmp_path, kind):
-    model, done = two_links(tmp_path, "float physics:lowerLimit = 30\n float physics:upperLimit = -30", kind=kind)
+    model, done = two_links(tmp_path, limits(30, -30), kind=kind)
     assert model.nv == 7
     np.testing.assert_allclose(model.jnt_range[1], [-1e-4, 1e-4])
     assert any("/bot/j" in warning and "locked" in warning for warning in done.report.warnings)
 
 
 @pytest.mark.parametrize(("low", "high"), [("-inf", "inf"), ("-1e30", "1e30"), ("0", "0"), ("0.3", "0.3")])
-def test_a_slide_without_real_limits_has_none(tmp_path, low, high):
-    text = f"float physics:lowerLimit = {low}\n float physics:upperLimit = {high}"
-    model, done = two_links(tmp_path, text, kind="Prismatic")
+def test_a_slide_without_real_limits_is_unlimited(tmp_path, low, high):
+    model, done = two_links(tmp_path, limits(low, high), kind="Prismatic")
     assert not model.jnt_limited[1]
     assert any("PhysX locks" in warning for warning in done.report.warnings) is (low == high)
 
@@ -144,13 +131,15 @@ def test_a_cone_that_is_closed_leaves_a_hinge_about_its_axis(tmp_path):
     np.testing.assert_allclose(model.jnt_axis[1], [0, 1, 0])
 
 
-CONES = [(("-1", "-1"), None), (("30", "-1"), 30), (("0", "30"), 30), (("40", "30"), 30)]
+CONES = [(("-1", "-1"), None), (("30", "-1"), 30), (("0", "30"), 30), (("40", "30"), 30), (("30", "40"), 30)]
 
 
 @pytest.mark.parametrize(("angles", "limit"), CONES)
-def test_cones(tmp_path, angles, limit):
+def test_the_smaller_angle_of_a_cone_limits_a_ball(tmp_path, angles, limit):
     text = f"float physics:coneAngle0Limit = {angles[0]}\n float physics:coneAngle1Limit = {angles[1]}"
-    model, _ = two_links(tmp_path, text, kind="Spherical")
+    model, done = two_links(tmp_path, text, kind="Spherical")
+    assert model.jnt_type[1] == mujoco.mjtJoint.mjJNT_BALL
+    assert any("cone angles" in warning for warning in done.report.warnings) is ("-1" not in angles)
     assert bool(model.jnt_limited[1]) is (limit is not None)
     if limit:
         assert model.jnt_range[1][1] == pytest.approx(math.radians(limit), rel=1e-6)
@@ -158,37 +147,28 @@ def test_cones(tmp_path, angles, limit):
 
 # ------------------------------------------------------------------ targets and efforts
 @pytest.mark.parametrize("force", ["0", "-5"])
-def test_an_effort_limit_that_is_none_is_reported(tmp_path, force):
-    text = f"float drive:angular:physics:stiffness = 1\n float drive:angular:physics:maxForce = {force}"
-    _, done = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
+def test_an_effort_limit_that_is_not_positive_is_reported(tmp_path, force):
+    _, done = driven(tmp_path, drive(stiffness=1, maxForce=force))
     assert any("maxForce" in item.rule for item in done.report.assumptions)
 
 
 def test_a_target_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    text = (
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 10\n float drive:angular:physics:stiffness = 1"
-        "\nfloat drive:angular:physics:targetPosition = 45"
-    )
-    model, done = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
+    model, done = driven(tmp_path, limits(-10, 10) + drive(stiffness=1, targetPosition=45))
     assert model.key("home").ctrl[0] == pytest.approx(math.radians(10), rel=1e-6)
     assert any("target" in item.rule and "clamped" in item.rule for item in done.report.assumptions)
 
 
 def test_a_target_velocity_is_the_control_of_a_velocity_drive(tmp_path):
-    text = "float drive:angular:physics:damping = 1\n float drive:angular:physics:targetVelocity = 90"
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
+    model, _ = driven(tmp_path, drive(damping=1, targetVelocity=90))
     assert model.key("home").ctrl[0] == pytest.approx(math.pi / 2, rel=1e-6)
 
 
 def test_an_acceleration_drive_meets_the_inertia_of_a_pendulum(tmp_path):
     """The pendulum's inertia is 0.1 + 2·0.5² + 0.05 (armature) kg m²."""
     mass = MASS.replace("mass = 1", "mass = 2").replace("centerOfMass = (0, 0, 0)", "centerOfMass = (0, 0.5, 0)")
-    text = (
-        "float drive:angular:physics:stiffness = 3\n float drive:angular:physics:damping = 0.2"
-        '\nuniform token drive:angular:physics:type = "acceleration"\n float physxJoint:armature = 0.05'
-    )
-    joint = hinge("j", "x", "b", apis="PhysicsDriveAPI:angular PhysxJointAPI", text=text)
-    joint = joint.replace("rel physics:body0 = </bot/x>", "")
+    text = 'uniform token drive:angular:physics:type = "acceleration"\n float physxJoint:armature = 0.05\n'
+    text += drive(stiffness=3, damping=0.2)
+    joint = hinge("j", "x", "b", apis=HINGED, text=text).replace("rel physics:body0 = </bot/x>", "")
     model, _ = converted(write(tmp_path, link("b", mass=mass) + joint))
     gain = DEGREES * (0.1 + 2 * 0.5**2 + 0.05)
     np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -3 * gain, -0.2 * gain], rtol=1e-6)
@@ -201,27 +181,20 @@ HINGED = "PhysicsDriveAPI:angular PhysxJointAPI"
 
 def test_a_hinge_in_centimetres_and_grams(tmp_path):
     """Torques and angular gains of the USD file are multiplied by kpu·mpu² = 1e-7."""
-    text = (
-        "float drive:angular:physics:stiffness = 2e7\n float drive:angular:physics:damping = 1e7"
-        "\nfloat drive:angular:physics:maxForce = 3e7\n float physxJoint:armature = 5e6\n float newton:friction = 4e6"
-    )
+    text = drive(stiffness=2e7, damping=1e7, maxForce=3e7)
+    text += "float physxJoint:armature = 5e6\n float newton:friction = 4e6"
     body = link("a", mass=GRAMS) + link("b", mass=GRAMS) + hinge("j", "a", "b", apis=HINGED, text=text)
     model, _ = converted(write(tmp_path, body, header=CM))
     np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2 * DEGREES, -1 * DEGREES], rtol=1e-6)
     np.testing.assert_allclose(model.actuator("j").forcerange, [-3, 3], rtol=1e-6)
-    assert model.dof_armature[6] == pytest.approx(0.5)
-    assert model.dof_frictionloss[6] == pytest.approx(0.4)
+    assert (model.dof_armature[6], model.dof_frictionloss[6]) == (pytest.approx(0.5), pytest.approx(0.4))
 
 
 def test_a_slide_in_centimetres_and_grams(tmp_path):
     """Forces of the USD file are multiplied by kpu·mpu = 1e-5, linear gains and masses by kpu = 1e-3."""
-    text = (
-        "float drive:linear:physics:stiffness = 2000\n float drive:linear:physics:maxForce = 3e5\n"
-        "float drive:linear:physics:targetPosition = 5\n float physics:lowerLimit = -20\n"
-        "float physics:upperLimit = 30\nfloat physxJoint:armature = 500\n float newton:damping = 700\n"
-        "float physxJoint:maxJointVelocity = 250\nfloat state:linear:physics:position = 10\n"
-        "float state:linear:physics:velocity = 40"
-    )
+    text = drive("linear", stiffness=2000, maxForce=3e5, targetPosition=5) + limits(-20, 30)
+    text += "float physxJoint:armature = 500\n float newton:damping = 700\n float physxJoint:maxJointVelocity = 250\n"
+    text += "float state:linear:physics:position = 10\n float state:linear:physics:velocity = 40"
     joint = hinge("j", "a", "b", kind="Prismatic", apis="PhysicsDriveAPI:linear PhysxJointAPI", text=text)
     model, done = converted(write(tmp_path, link("a") + link("b") + joint, header=CM))
     np.testing.assert_allclose(model.actuator("j").biasprm[:2], [0, -2], rtol=1e-6)
@@ -238,17 +211,12 @@ ARMATURES = ("mjc:armature", "newton:armature", "physxJointAxis:angular:armature
 
 
 @pytest.mark.parametrize("first", range(4))
-def test_the_first_schema_that_speaks_wins_and_the_others_are_named(tmp_path, first):
+def test_the_first_schema_with_an_armature_wins_and_the_others_are_named(tmp_path, first):
     names = ARMATURES[first:]
     model, done = two_links(tmp_path, "\n".join(f"float {name} = {index + 1}" for index, name in enumerate(names)))
     assert model.dof_armature[6] == 1
     left = {item.name: item.reason for item in done.report.left_out}
     assert all(names[0] in left[name] for name in names[1:])
-
-
-def test_an_axis_schema_without_armature_silences_the_joints(tmp_path):
-    model, _ = two_links(tmp_path, "float physxJoint:armature = 9", apis="PhysxJointAPI PhysxJointAxisAPI:angular")
-    assert model.dof_armature[6] == 0
 
 
 VELOCITIES = ("newton:velocityLimit", "physxJointAxis:angular:maxJointVelocity", "physxJoint:maxJointVelocity")
@@ -264,9 +232,10 @@ def test_the_velocity_limit_follows_the_same_precedence_as_the_armature(tmp_path
     assert all(names[0] in left[name] for name in names[1:])
 
 
-def test_a_joint_wide_velocity_limit_does_not_count_where_the_axis_schema_is_applied(tmp_path):
-    text = "float physxJoint:maxJointVelocity = 180"
-    _, done = two_links(tmp_path, text, apis="PhysxJointAPI PhysxJointAxisAPI:angular")
+def test_an_axis_schema_replaces_the_armature_and_velocity_limit_of_the_joint(tmp_path):
+    text = "float physxJoint:armature = 9\n float physxJoint:maxJointVelocity = 180"
+    model, done = two_links(tmp_path, text, apis="PhysxJointAPI PhysxJointAxisAPI:angular")
+    assert model.dof_armature[6] == 0
     assert "j" not in done.report.velocity_limits
 
 
@@ -288,7 +257,7 @@ def test_equal_values_of_two_schemas_are_both_read(tmp_path):
     assert {"physxJoint:armature", "physxJointAxis:angular:armature"} <= {item.name for item in done.report.mapped}
 
 
-def test_static_friction_stands_in_where_no_dynamic_one_is_given(tmp_path):
+def test_static_friction_is_used_if_no_dynamic_friction_is_given(tmp_path):
     model, _ = two_links(tmp_path, "float physxJointAxis:angular:staticFrictionEffort = 0.6")
     assert model.dof_frictionloss[6] == pytest.approx(0.6)
 
@@ -297,17 +266,14 @@ NO_PLACE = ["physxJoint:jointFriction", "physxLimit:angular:stiffness", "newton:
 
 
 @pytest.mark.parametrize("name", NO_PLACE)
-def test_what_mujoco_has_no_place_for_is_named(tmp_path, name):
+def test_attributes_without_a_place_in_mujoco_are_named(tmp_path, name):
     model, done = two_links(tmp_path, f"float {name} = 0.25")
     assert name in {item.name for item in done.report.left_out}
     assert model.dof_frictionloss[6] == 0
 
 
 def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path):
-    text = (
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 40\n float drive:angular:physics:stiffness = 2"
-        "\nfloat drive:angular:physics:targetPosition = 25\n float state:angular:physics:position = 15"
-    )
+    text = limits(-10, 40) + drive(stiffness=2, targetPosition=25) + "float state:angular:physics:position = 15"
     body = link("a", apis="PhysicsArticulationRootAPI") + link("b")
     model, _ = converted(write(tmp_path, body + hinge("j", "b", "a", apis="PhysicsDriveAPI:angular", text=text)))
     np.testing.assert_allclose(model.jnt_axis[1], [-1, 0, 0])
@@ -319,22 +285,15 @@ def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path)
 
 def test_a_speed_target_beside_a_stiffness_is_named_with_where_physx_would_rest(tmp_path):
     """k (q* - q) + d v* = 0 at q = q* + d v*/k: 2·(π/2)/4 rad."""
-    drive = "float drive:angular:physics:stiffness = 4\n float drive:angular:physics:damping = 2\n"
-    drive += " float drive:angular:physics:targetVelocity = 90"
-    _, done = two_links(tmp_path, drive, apis="PhysicsDriveAPI:angular")
+    _, done = driven(tmp_path, drive(stiffness=4, damping=2, targetVelocity=90))
     (entry,) = [item for item in done.report.left_out if item.name == "drive:angular:physics:targetVelocity"]
     assert float(entry.values["/bot/j"].split()[0]) == pytest.approx(math.pi / 4, rel=1e-5)
     assert any("targetVelocity" in warning for warning in done.report.warnings)
     assert "drive:angular:physics:targetVelocity" not in {item.name for item in done.report.mapped}
 
 
-@pytest.mark.parametrize(
-    ("drive", "integrator"),
-    [
-        ("float drive:angular:physics:stiffness = 1000", mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
-        ("float drive:angular:physics:maxForce = 3", mujoco.mjtIntegrator.mjINT_EULER),
-    ],
-)
-def test_drives_with_gains_are_integrated_implicitly_as_in_physx(tmp_path, drive, integrator):
-    model, _ = two_links(tmp_path, drive, apis="PhysicsDriveAPI:angular")
-    assert model.opt.integrator == int(integrator)
+def test_drives_with_gains_are_integrated_implicitly_as_in_physx(tmp_path):
+    integrators = mujoco.mjtIntegrator
+    for text, integrator in ((drive(stiffness=1000), "IMPLICITFAST"), (drive(maxForce=3), "EULER")):
+        model, _ = driven(tmp_path, text)
+        assert model.opt.integrator == int(getattr(integrators, f"mjINT_{integrator}"))

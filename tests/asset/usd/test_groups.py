@@ -7,7 +7,7 @@ import itertools
 import mujoco
 import pytest
 
-from ..small_usd import MASS, converted, hinge, link, write
+from ..small_usd import MASS, applied, converted, hinge, link, write
 
 GROUND = 'def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n token axis = "Z"\n}\n'
 
@@ -20,14 +20,8 @@ def cube(name: str = "cube", more: str = "", apis: str = "") -> str:
 
 def group(name: str, includes: str, filtered: str = "", more: str = "") -> str:
     rel = f"prepend rel physics:filteredGroups = {filtered}" if filtered else ""
-    return f"""
-def PhysicsCollisionGroup "{name}" (prepend apiSchemas = ["CollectionAPI:colliders"])
-{{
-    prepend rel collection:colliders:includes = {includes}
-    {rel}
-    {more}
-}}
-"""
+    members = f"prepend rel collection:colliders:includes = {includes}"
+    return f'def PhysicsCollisionGroup "{name}" {applied("CollectionAPI:colliders")} {{\n{members}\n{rel}\n{more}\n}}\n'
 
 
 def touching(model: mujoco.MjModel) -> set[frozenset[str]]:
@@ -42,57 +36,44 @@ def pairs(*names: str) -> set[frozenset[str]]:
 
 ALL = {frozenset(pair) for pair in itertools.combinations(("a_cube", "b_cube", "c_cube", "world_ground"), 2)}
 THREE = link("a", inside=cube()) + link("b", inside=cube()) + link("c", inside=cube()) + GROUND
+EXCLUDES = "prepend rel collection:colliders:excludes = [</bot/c>, </bot/ground>]"
+MERGE = 'string physics:mergeGroup = "left"'
+MERGED = group("one", "</bot/a>", more=MERGE) + group("two", "</bot/b>", "</three>", MERGE) + group("three", "</bot/c>")
 
 
-def test_without_groups_everything_touches(tmp_path):
-    assert touching(converted(write(tmp_path, THREE))[0]) == ALL
-
-
-def test_groups_that_filter_each_other_do_not_touch(tmp_path):
-    groups = group("one", "</bot/a>", "</two>") + group("two", "</bot/b>")
+@pytest.mark.parametrize(
+    ("groups", "gone"),
+    [
+        ("", []),
+        (group("one", "[</bot/a>, </bot/b>]", "</one>"), ["a_cube+b_cube"]),
+        (group("one", "</bot/a>", "</two>") + group("two", "</bot/b>"), ["a_cube+b_cube"]),
+        (group("one", "</bot/a>", "</two>") + group("two", "</bot/ground>"), ["a_cube+world_ground"]),
+        (group("one", "</bot>", "</one>", EXCLUDES), ["a_cube+b_cube"]),
+        (MERGED, ["a_cube+c_cube", "b_cube+c_cube"]),
+    ],
+    ids=["no groups", "of itself", "two bodies", "a body and the ground", "excluded paths", "merged groups"],
+)
+def test_shapes_of_groups_that_filter_each_other_do_not_touch(tmp_path, groups, gone):
     model, done = converted(write(tmp_path, THREE, outside=groups))
-    assert touching(model) == ALL - pairs("a_cube+b_cube")
-    assert model.nexclude == 1
+    assert touching(model) == ALL - pairs(*gone)
+    assert model.nexclude == len(gone)
     assert not done.report.warnings
-
-
-def test_a_group_may_filter_itself(tmp_path):
-    groups = group("one", "[</bot/a>, </bot/b>]", "</one>")
-    assert touching(converted(write(tmp_path, THREE, outside=groups))[0]) == ALL - pairs("a_cube+b_cube")
-
-
-def test_excluded_paths_are_not_in_a_group(tmp_path):
-    groups = group("one", "</bot>", "</one>", "prepend rel collection:colliders:excludes = [</bot/c>, </bot/ground>]")
-    assert touching(converted(write(tmp_path, THREE, outside=groups))[0]) == ALL - pairs("a_cube+b_cube")
-
-
-def test_merged_groups_filter_together(tmp_path):
-    merge = 'string physics:mergeGroup = "left"'
-    groups = (
-        group("one", "</bot/a>", more=merge) + group("two", "</bot/b>", "</three>", merge) + group("three", "</bot/c>")
-    )
-    model, _ = converted(write(tmp_path, THREE, outside=groups))
-    assert touching(model) == ALL - pairs("a_cube+c_cube", "b_cube+c_cube")
 
 
 def test_inverted_groups_touch_only_what_they_name(tmp_path):
     invert = "bool physics:invertFilteredGroups = 1"
     groups = group("one", "</bot/a>", "</two>", invert) + group("two", "</bot/b>") + group("three", "</bot/c>")
-    assert pairs("a_cube+c_cube").isdisjoint(touching(converted(write(tmp_path, THREE, outside=groups))[0]))
-    assert pairs("a_cube+b_cube") <= touching(converted(write(tmp_path, THREE, outside=groups))[0])
+    found = touching(converted(write(tmp_path, THREE, outside=groups))[0])
+    assert pairs("a_cube+c_cube").isdisjoint(found)
+    assert pairs("a_cube+b_cube") <= found
 
 
 def test_a_body_of_two_groups_gets_bits_instead_of_an_exclude(tmp_path):
-    two = link("a", inside=cube("low") + cube("high"))
+    bodies = link("a", inside=cube("low") + cube("high")) + link("b", inside=cube()) + GROUND
     groups = group("one", "</bot/a/low>", "</two>") + group("two", "</bot/b>")
-    model, _ = converted(write(tmp_path, two + link("b", inside=cube()) + GROUND, outside=groups))
-    found = touching(model)
-    assert pairs("a_high+b_cube", "a_low+world_ground", "a_high+world_ground", "b_cube+world_ground") == found
-
-
-def test_groups_keep_a_body_off_the_ground(tmp_path):
-    groups = group("one", "</bot/a>", "</two>") + group("two", "</bot/ground>")
-    assert touching(converted(write(tmp_path, THREE, outside=groups))[0]) == ALL - pairs("a_cube+world_ground")
+    model, _ = converted(write(tmp_path, bodies, outside=groups))
+    expected = pairs("a_high+b_cube", "a_low+world_ground", "a_high+world_ground", "b_cube+world_ground")
+    assert touching(model) == expected
 
 
 def test_many_bodies_in_groups_get_bits_instead_of_hundreds_of_excludes(tmp_path):
@@ -104,14 +85,19 @@ def test_many_bodies_in_groups_get_bits_instead_of_hundreds_of_excludes(tmp_path
     assert touching(model) == {frozenset((f"{name}_cube", "world_ground")) for name in names}
 
 
+QUIET = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
+ROOT = "PhysicsArticulationRootAPI PhysxArticulationAPI"
+
+
 def test_bits_leave_a_robot_without_self_collision_on_the_ground(tmp_path):
-    switch = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
-    root = "PhysicsArticulationRootAPI PhysxArticulationAPI"
-    body = link("a", mass=switch, apis=root, inside=cube("low") + cube("high")) + link("b", inside=cube())
+    body = link("a", mass=QUIET, apis=ROOT, inside=cube("low") + cube("high")) + link("b", inside=cube())
     body += link("c", inside=cube()) + hinge("ab", "a", "b") + hinge("bc", "b", "c") + GROUND
     groups = group("one", "</bot/a/low>", "</two>") + group("two", "</bot/ground>")
     model, _ = converted(write(tmp_path, body, outside=groups))
     assert touching(model) == pairs("a_high+world_ground", "b_cube+world_ground", "c_cube+world_ground")
+
+
+TOUCHING = pairs("a_low+b_cube", "a_high+b_cube", "a_low+world_ground", "a_high+world_ground", "b_cube+world_ground")
 
 
 @pytest.mark.parametrize(
@@ -126,32 +112,23 @@ def test_bits_leave_a_robot_without_self_collision_on_the_ground(tmp_path):
 )
 def test_filtered_pairs_of_bodies_and_of_colliders(tmp_path, where, target, gone):
     rel = f"rel physics:filteredPairs = {target}"
-    on_body = rel if where == "body" else ""
     low = cube("low", rel if where == "collider" else "", "PhysicsFilteredPairsAPI")
-    body = link("a", mass=f"{MASS}\n{on_body}", apis="PhysicsFilteredPairsAPI", inside=low + cube("high"))
+    mass = MASS + (f"\n{rel}" if where == "body" else "")
+    body = link("a", mass=mass, apis="PhysicsFilteredPairsAPI", inside=low + cube("high"))
     model, _ = converted(write(tmp_path, body + link("b", inside=cube()) + GROUND))
-    everything = pairs(
-        "a_low+b_cube", "a_high+b_cube", "a_low+world_ground", "a_high+world_ground", "b_cube+world_ground"
-    )
-    assert touching(model) == everything - pairs(*gone)
+    assert touching(model) == TOUCHING - pairs(*gone)
 
 
-def test_filtered_pairs_on_what_stands_above_bodies_go_for_all_of_them(tmp_path):
-    left = 'def Xform "left" (prepend apiSchemas = ["PhysicsFilteredPairsAPI"])\n{\n'
-    left += " rel physics:filteredPairs = </bot/c>\n"
+def test_filtered_pairs_of_a_prim_above_bodies_apply_to_all_of_these_bodies(tmp_path):
+    left = f'def Xform "left" {applied("PhysicsFilteredPairsAPI")}\n{{\n rel physics:filteredPairs = </bot/c>\n'
     left += link("a", inside=cube()) + link("b", inside=cube()) + "}\n"
     model, _ = converted(write(tmp_path, left + link("c", inside=cube()) + GROUND))
     assert touching(model) == ALL - pairs("a_cube+c_cube", "b_cube+c_cube")
 
 
 def test_filtered_pairs_of_a_body_do_not_go_for_bodies_nested_below_it(tmp_path):
-    inner = link("b", inside=cube())
-    outer = link(
-        "a",
-        mass=MASS + "\n rel physics:filteredPairs = </bot/c>",
-        apis="PhysicsFilteredPairsAPI",
-        inside=cube() + inner,
-    )
+    filtered = MASS + "\n rel physics:filteredPairs = </bot/c>"
+    outer = link("a", mass=filtered, apis="PhysicsFilteredPairsAPI", inside=cube() + link("b", inside=cube()))
     model, _ = converted(write(tmp_path, outer + link("c", inside=cube()) + GROUND))
     assert touching(model) == ALL - pairs("a_cube+c_cube")
 
@@ -163,10 +140,6 @@ def test_inside_an_articulation_joined_bodies_never_touch(tmp_path, allowed):
     model, done = converted(write(tmp_path, root + link("b", inside=cube()) + joint), base="fixed")
     assert touching(model) == set()
     assert any("ignores collisionEnabled" in item.rule for item in done.report.assumptions) is (allowed == "1")
-
-
-QUIET = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
-ROOT = "PhysicsArticulationRootAPI PhysxArticulationAPI"
 
 
 def articulation(*names: str, quiet: bool) -> str:
@@ -186,5 +159,4 @@ def test_self_collision_that_is_off_goes_for_its_own_articulation_alone(tmp_path
 def test_two_quiet_articulations_touch_each_other(tmp_path):
     body = articulation("a", "b", "c", quiet=True) + articulation("x", "y", "z", quiet=True)
     model, _ = converted(write(tmp_path, body))
-    expected = pairs("a_cube+x_cube", "a_cube+z_cube", "c_cube+x_cube", "c_cube+z_cube")
-    assert touching(model) == expected
+    assert touching(model) == pairs("a_cube+x_cube", "a_cube+z_cube", "c_cube+x_cube", "c_cube+z_cube")

@@ -5,21 +5,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..small_usd import converted, hinge, link, write
+from ..small_usd import converted, hinge, link, locked, write
 
-SQUARE = (
-    link("a", apis="PhysicsArticulationRootAPI")
-    + link("b", "(1, 0, 0)")
-    + link("c", "(0, 1, 0)")
-    + link("d", "(1, 1, 0)")
-)
+SQUARE = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)")
+SQUARE += link("c", "(0, 1, 0)") + link("d", "(1, 1, 0)")
 
 
 def at(name: str, first: str, second: str, pos0: str, pos1: str = "(0, 0, 0)", text: str = "", **options: str) -> str:
-    place = (
-        f'uniform token physics:axis = "Z"\n point3f physics:localPos0 = {pos0}\n point3f physics:localPos1 = {pos1}'
-    )
-    return hinge(name, first, second, text=f"{place}\n{text}", **options)
+    place = f"point3f physics:localPos0 = {pos0}\n point3f physics:localPos1 = {pos1}\n"
+    return hinge(name, first, second, text=f'uniform token physics:axis = "Z"\n {place}{text}', **options)
 
 
 def square(closing: str) -> str:
@@ -57,10 +51,9 @@ def test_in_a_long_loop_the_far_side_opens_whatever_the_order_of_joints(tmp_path
 
 
 def test_a_marked_joint_is_the_one_that_closes(tmp_path):
-    closing = at("cd", "c", "d", "(1, 0, 0)")
     marked = at("ab", "a", "b", "(1, 0, 0)", text="bool physics:excludeFromArticulation = 1")
-    joints = marked + at("ac", "a", "c", "(0, 1, 0)") + at("bd", "b", "d", "(0, 1, 0)") + closing
-    model, done = converted(write(tmp_path, SQUARE + joints))
+    joints = at("ac", "a", "c", "(0, 1, 0)") + at("bd", "b", "d", "(0, 1, 0)") + at("cd", "c", "d", "(1, 0, 0)")
+    model, done = converted(write(tmp_path, SQUARE + marked + joints))
     assert {model.joint(i).name for i in range(1, model.njnt)} == {"ac", "bd", "cd"}
     assert not any("closes a loop" in warning for warning in done.report.warnings)
 
@@ -69,16 +62,13 @@ def test_ball_and_fixed_joints_close_loops_as_a_point_and_a_weld(tmp_path):
     for kind, equality, count in (("Spherical", "mjEQ_CONNECT", 3), ("Fixed", "mjEQ_WELD", 6)):
         text = "bool physics:excludeFromArticulation = 1"
         model, _ = converted(write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", kind=kind, text=text))))
-        assert kinds(model) == [equality]
-        assert len(violation(model)) == count
+        assert (kinds(model), len(violation(model))) == ([equality], count)
         np.testing.assert_allclose(violation(model), 0, atol=1e-9)
 
 
 def test_a_loop_to_the_world_is_held_there(tmp_path):
-    pin = at("pin", "a", "b", "(0, 0, 0)").replace("rel physics:body0 = </bot/a>", "rel physics:body0")
-    pin = pin.replace("(0, 0, 0)\n", "(1, 0, 0)\n", 1).replace(
-        'physics:axis = "Z"', 'physics:axis = "Z"\n bool physics:excludeFromArticulation = 1'
-    )
+    pin = at("pin", "a", "b", "(1, 0, 0)", text="bool physics:excludeFromArticulation = 1")
+    pin = pin.replace("rel physics:body0 = </bot/a>", "rel physics:body0")
     body = link("a") + link("b", "(1, 0, 0)") + at("ab", "a", "b", "(1, 0, 0)") + pin
     model, _ = converted(write(tmp_path, body))
     assert kinds(model) == ["mjEQ_CONNECT"] * 2
@@ -86,19 +76,15 @@ def test_a_loop_to_the_world_is_held_there(tmp_path):
 
 
 def test_a_slide_that_closes_a_loop_stays_a_joint_and_a_hinge_of_the_loop_opens(tmp_path):
-    closing = at("cd", "c", "d", "(1, 0, 0)", kind="Prismatic")
-    model, done = converted(write(tmp_path, square(closing)))
+    model, done = converted(write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", kind="Prismatic"))))
     joints = {model.joint(i).name: int(model.jnt_type[i]) for i in range(1, model.njnt)}
-    assert joints["cd"] == mujoco.mjtJoint.mjJNT_SLIDE
-    assert len(joints) == 3
-    assert kinds(model) == ["mjEQ_CONNECT"] * 2
+    assert (joints["cd"], len(joints), kinds(model)) == (mujoco.mjtJoint.mjJNT_SLIDE, 3, ["mjEQ_CONNECT"] * 2)
     np.testing.assert_allclose(violation(model), 0, atol=1e-9)
     assert any("/bot/cd" in warning and "/bot/bd" in warning for warning in done.report.warnings)
 
 
 def test_a_slide_is_lost_with_a_warning_when_every_other_joint_is_driven(tmp_path):
-    drive = "float drive:angular:physics:stiffness = 1"
-    options = {"apis": "PhysicsDriveAPI:angular", "text": drive}
+    options = {"apis": "PhysicsDriveAPI:angular", "text": "float drive:angular:physics:stiffness = 1"}
     joints = at("ab", "a", "b", "(1, 0, 0)", **options) + at("ac", "a", "c", "(0, 1, 0)", **options)
     joints += at("bd", "b", "d", "(0, 1, 0)", **options) + at("cd", "c", "d", "(1, 0, 0)", kind="Prismatic")
     model, done = converted(write(tmp_path, SQUARE + joints))
@@ -108,23 +94,17 @@ def test_a_slide_is_lost_with_a_warning_when_every_other_joint_is_driven(tmp_pat
 
 
 def test_a_generic_joint_of_two_hinges_is_traded_too(tmp_path):
-    lock = "\n".join(
-        f"float limit:{a}:physics:low = 1\n float limit:{a}:physics:high = -1"
-        for a in ("transX", "transY", "transZ", "rotX")
-    )
-    model, _ = converted(write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", kind="", text=lock))))
+    generic = at("cd", "c", "d", "(1, 0, 0)", kind="", text=locked("transX", "transY", "transZ", "rotX"))
+    model, _ = converted(write(tmp_path, square(generic)))
     assert {"cd_rotY", "cd_rotZ"} <= {model.joint(i).name for i in range(model.njnt)}
     np.testing.assert_allclose(violation(model), 0, atol=1e-9)
 
 
-def test_what_a_closing_joint_says_of_its_coordinate_is_named(tmp_path):
-    text = (
-        "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
-        "float drive:angular:physics:stiffness = 3"
-    )
-    _, done = converted(
-        write(tmp_path, square(at("cd", "c", "d", "(1, 0, 0)", apis="PhysicsDriveAPI:angular", text=text)))
-    )
+def test_limits_and_drives_of_a_closing_joint_are_named(tmp_path):
+    text = "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
+    text += "float drive:angular:physics:stiffness = 3"
+    closing = at("cd", "c", "d", "(1, 0, 0)", apis="PhysicsDriveAPI:angular", text=text)
+    _, done = converted(write(tmp_path, square(closing)))
     left = {item.name for item in done.report.left_out if "/bot/cd" in item.values}
     assert {"physics:lowerLimit", "physics:upperLimit", "drive:angular:physics:stiffness"} <= left
     assert any("/bot/cd" in warning and "drive" in warning for warning in done.report.warnings)
@@ -133,14 +113,12 @@ def test_what_a_closing_joint_says_of_its_coordinate_is_named(tmp_path):
 def test_two_joints_between_the_same_bodies_close_a_loop(tmp_path):
     body = link("a") + link("b", "(1, 0, 0)") + at("one", "a", "b", "(1, 0, 0)") + at("two", "a", "b", "(1, 0, 0)")
     model, done = converted(write(tmp_path, body))
-    assert model.nv == 7
-    assert model.neq == 2
+    assert (model.nv, model.neq) == (7, 2)
     assert any("/bot/two" in warning for warning in done.report.warnings)
 
 
 def test_a_robot_with_loops_is_not_torn_apart_to_get_zero_into_its_limits(tmp_path):
-    limits = "float physics:lowerLimit = 30\n float physics:upperLimit = 60"
-    bounded = at("ab", "a", "b", "(1, 0, 0)", text=limits)
+    bounded = at("ab", "a", "b", "(1, 0, 0)", text="float physics:lowerLimit = 30\n float physics:upperLimit = 60")
     open_chain, done = converted(write(tmp_path, SQUARE[: SQUARE.index('def Xform "c"')] + bounded))
     np.testing.assert_allclose(open_chain.key("home").qpos[-1], np.pi / 6)
     assert any(item.rule == "zero is outside the limits: clamped" for item in done.report.assumptions)

@@ -11,11 +11,13 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.errors import AssetError
 
-from ..small_usd import MASS, converted, hinge, link, tensor, write
+from ..small_usd import MASS, SI, converted, hinge, link, tensor, write
 from ..warned import warned
 
 SEEDS = range(40)
 TILT = "(0.98480775, 0, 0, 0.17364818)"  # 20° about z
+COS, SIN = math.cos(math.radians(20)), math.sin(math.radians(20))
+TURN = np.array([[COS, -SIN, 0], [SIN, COS, 0], [0, 0, 1]])
 
 
 # ------------------------------------------------------------------ the oracle
@@ -43,10 +45,8 @@ def _forms(prim: Usd.Prim, scale: np.ndarray) -> tuple[float, list[float]]:
         r = UsdGeom.Sphere(prim).GetRadiusAttr().Get() * scale[0]
         v = 4 / 3 * math.pi * r**3
         return v, [0.4 * v * r * r] * 3
-    r, h = (
-        UsdGeom.Cylinder(prim).GetRadiusAttr().Get() * scale[0],
-        UsdGeom.Cylinder(prim).GetHeightAttr().Get() * scale[2],
-    )
+    r = UsdGeom.Cylinder(prim).GetRadiusAttr().Get() * scale[0]
+    h = UsdGeom.Cylinder(prim).GetHeightAttr().Get() * scale[2]
     v = math.pi * r * r * h
     return v, [v * (3 * r * r + h * h) / 12] * 2 + [v * r * r / 2]
 
@@ -89,13 +89,9 @@ class Dice:
 
 def mass_text(dice: Dice, body: bool) -> str:
     center, nowhere = f"point3f physics:centerOfMass = {dice.vector(-0.3, 0.3)}", "(-inf, -inf, -inf)"
-    moments = dice.chosen(
-        "", "float3 physics:diagonalInertia = (0, 0, 0)", f"float3 physics:diagonalInertia = {dice.moments()}"
-    )
-    turned, straight = (
-        f"quatf physics:principalAxes = {dice.quaternion()}",
-        "quatf physics:principalAxes = (0, 0, 0, 0)",
-    )
+    inertia, axes = "float3 physics:diagonalInertia =", "quatf physics:principalAxes ="
+    moments = dice.chosen("", f"{inertia} (0, 0, 0)", f"{inertia} {dice.moments()}")
+    turned, straight = f"{axes} {dice.quaternion()}", f"{axes} (0, 0, 0, 0)"
     lines = [
         dice.chosen("", "float physics:mass = 0", f"float physics:mass = {dice.one(0.1, 3)}"),
         dice.chosen("", "float physics:density = 0", f"float physics:density = {dice.one(50, 3000)}"),
@@ -108,23 +104,17 @@ def mass_text(dice: Dice, body: bool) -> str:
 
 def collider(dice: Dice, name: str) -> str:
     kind = dice.chosen("Cube", "Sphere", "Cylinder")
-    size = {
-        "Cube": "double size = 0.3",
-        "Sphere": "double radius = 0.2",
-        "Cylinder": "double radius = 0.1\n double height = 0.5",
-    }[kind]
-    across = dice.one(0.5, 2)
-    scale = {
-        "Cube": dice.vector(0.5, 2),
-        "Sphere": f"({across}, {across}, {across})",
-        "Cylinder": f"({across}, {across}, {dice.one(0.5, 2)})",
-    }[kind]
+    size = {"Cube": "size = 0.3", "Sphere": "radius = 0.2", "Cylinder": "radius = 0.1\n double height = 0.5"}[kind]
+    across, cubic, high = dice.one(0.5, 2), dice.vector(0.5, 2), dice.one(0.5, 2)
+    scale = {"Cube": cubic, "Sphere": f"({across}, {across}, {across})", "Cylinder": f"({across}, {across}, {high})"}[
+        kind
+    ]
     turn = "(1, 0, 0, 0)" if kind == "Sphere" else dice.quaternion()  # a sphere's axes are arbitrary
     material = dice.chosen("", "rel material:binding:physics = </bot/heavy>")
     return f"""
         def {kind} "{name}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
         {{
-            {size}
+            double {size}
             {material}
             {mass_text(dice, body=False)}
             double3 xformOp:translate = {dice.vector(-0.5, 0.5)}
@@ -140,15 +130,11 @@ def random_body(folder: Path, seed: int) -> tuple[Path, float, float]:
     inside = "".join(collider(dice, f"c{i}") for i in range(int(dice.random.integers(1, 4))))
     mpu, kpu = (1.0, 1.0) if seed % 3 else (0.01, 0.001)
     header = f'defaultPrim = "bot"\n metersPerUnit = {mpu}\n kilogramsPerUnit = {kpu}\n upAxis = "Z"'
-    material = (
-        'def Material "heavy" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\n float physics:density = 4000\n}\n'
-    )
+    material = 'def Material "heavy" (prepend apiSchemas = ["PhysicsMaterialAPI"]) { float physics:density = 4000; }\n'
     body = link("a", dice.vector(-1, 1), mass=mass_text(dice, body=True), inside=inside)
     if dice.random.random() < 0.4:
-        body = body.replace(
-            'xformOpOrder = ["xformOp:translate"]',
-            f'xformOpOrder = ["xformOp:translate", "xformOp:scale"]\n double3 xformOp:scale = {"(2, 2, 2)"}',
-        )
+        scaled = '["xformOp:translate", "xformOp:scale"]\n double3 xformOp:scale = (2, 2, 2)'
+        body = body.replace('["xformOp:translate"]', scaled)
     return write(folder, body + material, header=header), mpu, kpu
 
 
@@ -179,67 +165,59 @@ def cube(name: str, mass: str = "", *, at: str = "(0, 0, 0)", more: str = "") ->
 """
 
 
+PAIR = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube("right", "float physics:mass = 1", at="(1, 0, 0)")
+
+
 def test_a_colliders_own_mass_moves_the_centre(tmp_path):
-    inside = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube(
-        "right", "float physics:mass = 1", at="(1, 0, 0)"
-    )
-    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=PAIR)))
     body, own = model.body("a"), 4 * 0.2**2 / 6
     assert body.mass[0] == pytest.approx(4)
     np.testing.assert_allclose(body.ipos, [-0.5, 0, 0], atol=1e-9)
     np.testing.assert_allclose(tensor(model, "a"), np.diag([own, own + 3, own + 3]), rtol=1e-6)  # 3·0.5² + 1·1.5²
 
 
-def test_the_bodys_mass_shares_out_over_the_colliders(tmp_path):
-    inside = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube(
-        "right", "float physics:mass = 1", at="(1, 0, 0)"
-    )
-    model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 8", inside=inside)))
+def test_the_bodys_mass_is_distributed_over_the_colliders(tmp_path):
+    model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 8", inside=PAIR)))
     assert model.body("a").mass[0] == pytest.approx(8)
     np.testing.assert_allclose(model.body("a").ipos, [-0.5, 0, 0], atol=1e-9)
 
 
 def test_a_mass_on_a_collider_that_is_an_xform_goes_for_all_shapes_below_together(tmp_path):
-    def part(name: str, x: float) -> str:
-        return f"""def Cube "{name}"
-            {{
-                double size = 0.2
-                double3 xformOp:translate = ({x}, 0, 0)
-                uniform token[] xformOpOrder = ["xformOp:translate"]
-            }}
-"""
-
-    inside = f"""def Xform "collisions" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"])
-        {{
-            float physics:mass = 5
-            {part("one", 1)}
-            {part("two", 3)}
-        }}"""
+    moved = 'double size = 0.2; double3 xformOp:translate = ({}, 0, 0); token[] xformOpOrder = ["xformOp:translate"];'
+    parts = "\n".join(f'def Cube "c{x}" {{ {moved.format(x)} }}' for x in (1, 3))
+    head = 'def Xform "collisions" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"])'
+    inside = f"{head} {{ float physics:mass = 5\n{parts}\n}}"
     model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
     assert model.body("a").mass[0] == pytest.approx(5)
     np.testing.assert_allclose(model.body("a").ipos, [2, 0, 0], atol=1e-9)
 
 
-def test_density_of_a_bound_material_is_the_last_that_is_asked(tmp_path):
-    material = (
-        'def Material "lead" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\n float physics:density = 11340\n}\n'
-    )
-    bound = "rel material:binding:physics = </bot/lead>"
-    for body, expected_density in (("", 11340), ("float physics:density = 500", 500)):
-        model, _ = converted(write(tmp_path, link("a", mass=body, inside=cube("c", more=bound)) + material))
-        assert model.body("a").mass[0] == pytest.approx(expected_density * 0.2**3, rel=1e-6)
+LEAD = 'def Material "lead" (prepend apiSchemas = ["PhysicsMaterialAPI"]) { float physics:density = 11340; }\n'
+BOUND = "rel material:binding:physics = </bot/lead>"
+
+
+@pytest.mark.parametrize(
+    ("body", "collider", "density"),
+    [
+        ("", "", 1000),
+        ("float physics:density = 500", "", 500),
+        ("float physics:density = 500", "float physics:density = 250", 250),
+        ("float physics:density = 500", BOUND, 500),
+        ("", BOUND, 11340),
+    ],
+)
+def test_the_density_is_that_of_the_collider_else_of_the_body_else_of_the_material(tmp_path, body, collider, density):
+    model, _ = converted(write(tmp_path, link("a", mass=body, inside=cube("cube", collider)) + LEAD))
+    assert model.body("a").mass[0] == pytest.approx(density * 0.2**3, rel=1e-6)
 
 
 def test_moments_without_axes_go_along_the_colliders_axes_as_in_physx(tmp_path):
     mass = "float physics:mass = 1\n float3 physics:diagonalInertia = (0.1, 0.2, 0.25)"
-    box = cube("c").replace(
-        "double3 xformOp:translate = (0, 0, 0)", f"quatd xformOp:orient = {TILT}\n float3 xformOp:scale = (1, 2, 3)"
-    )
+    scaled = f"quatd xformOp:orient = {TILT}\n float3 xformOp:scale = (1, 2, 3)"
+    box = cube("c").replace("double3 xformOp:translate = (0, 0, 0)", scaled)
     box = box.replace('["xformOp:translate"]', '["xformOp:orient", "xformOp:scale"]')
     model, done = converted(write(tmp_path, link("a", mass=mass, inside=box)))
-    cos, sin = math.cos(math.radians(20)), math.sin(math.radians(20))
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    np.testing.assert_allclose(tensor(model, "a"), turn @ np.diag([0.1, 0.2, 0.25]) @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(tensor(model, "a"), TURN @ np.diag([0.1, 0.2, 0.25]) @ TURN.T, atol=1e-6)
     assert any("no principal axes" in item.rule for item in done.report.assumptions)
 
 
@@ -249,17 +227,16 @@ def test_axes_without_moments_turn_the_colliders_moments_as_in_physx(tmp_path):
     box = box.replace('["xformOp:translate"]', '["xformOp:scale"]')
     model, _ = converted(write(tmp_path, link("a", mass=mass, inside=box)))
     a, b, c = 0.2, 0.4, 0.6
-    cos, sin = math.cos(math.radians(20)), math.sin(math.radians(20))
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     moments = np.diag([b * b + c * c, a * a + c * c, a * a + b * b])  # m/12 = 1
-    np.testing.assert_allclose(tensor(model, "a"), turn @ moments @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(tensor(model, "a"), TURN @ moments @ TURN.T, atol=1e-6)
 
 
-def test_a_body_of_nothing_weighs_one_unit_of_the_stage(tmp_path):
-    grams = 'defaultPrim = "bot"\n metersPerUnit = 0.01\n kilogramsPerUnit = 0.001\n upAxis = "Z"'
-    model, _ = converted(write(tmp_path, link("a", mass=""), header=grams))
-    assert model.body("a").mass[0] == pytest.approx(0.001)
-    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.001 * 0.1**2, rtol=1e-6)
+@pytest.mark.parametrize(("units", "mass"), [("metersPerUnit = 0.01\n kilogramsPerUnit = 0.001", 0.001), ("", 1.0)])
+def test_a_body_without_mass_and_shapes_is_physx_ball_of_one_unit_of_mass(tmp_path, units, mass):
+    header = SI.replace("metersPerUnit = 1", units or "metersPerUnit = 1")
+    model, _ = converted(write(tmp_path, link("a", mass=""), header=header))
+    assert model.body("a").mass[0] == pytest.approx(mass)
+    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * mass * 0.1**2)
 
 
 @pytest.mark.parametrize("moments", ["(0.1, 0.1, 0.2000001)", "(0.1, 0.1, 0.9)", "(0.1, 0.2, 0)", "(-0.1, 0.1, 0.1)"])
@@ -273,10 +250,10 @@ def test_moments_that_mujoco_refuses_are_cut_and_reported(tmp_path, moments):
     assert any("/bot/a" in warning for warning in done.report.warnings) is (moments != "(0.1, 0.1, 0.2000001)")
 
 
-def test_a_mass_too_small_for_mujoco_is_told_with_its_prim(tmp_path):
-    with pytest.raises(AssetError, match="too small") as told:
+def test_a_mass_too_small_for_mujoco_is_refused_with_its_prim(tmp_path):
+    with pytest.raises(AssetError, match="too small") as caught:
         converted(write(tmp_path, link("a", mass=MASS.replace("mass = 1", "mass = 1e-30"))))
-    assert told.value.key == "/bot/a"
+    assert caught.value.key == "/bot/a"
 
 
 SPECK = MASS.replace("mass = 1", "mass = 4e-15").replace("(0.1, 0.1, 0.1)", "(1.7e-27, 1.7e-27, 1.7e-27)")
@@ -308,20 +285,6 @@ def test_a_mass_of_zero_means_not_given(tmp_path):
     assert any(item.name == "physics:mass" for item in done.report.left_out)
 
 
-@pytest.mark.parametrize(
-    ("body", "collider", "density"),
-    [
-        ("", "", 1000),
-        ("float physics:density = 500", "", 500),
-        ("float physics:density = 500", "float physics:density = 250", 250),
-    ],
-)
-def test_the_colliders_density_wins_over_the_bodys(tmp_path, body, collider, density):
-    inside = cube("cube", collider)
-    model, _ = converted(write(tmp_path, link("a", mass=body, inside=inside)))
-    assert model.body("a").mass[0] == pytest.approx(density * 0.2**3, rel=1e-6)
-
-
 def test_a_switched_off_collider_still_weighs(tmp_path):
     inside = cube("cube", more="bool physics:collisionEnabled = 0")
     model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
@@ -338,9 +301,8 @@ def test_inertia_of_colliders_is_moved_to_an_authored_centre(tmp_path):
 
 
 def test_principal_axes_turn_the_moments(tmp_path):
-    mass = """float physics:mass = 1
-        float3 physics:diagonalInertia = (0.1, 0.2, 0.25)
-        quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)"""
+    mass = "float physics:mass = 1\n        float3 physics:diagonalInertia = (0.1, 0.2, 0.25)\n"
+    mass += "        quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)"
     model, _ = converted(write(tmp_path, link("a", mass=mass)))
     np.testing.assert_allclose(tensor(model, "a"), np.diag([0.2, 0.1, 0.25]), atol=1e-7)
 
@@ -351,42 +313,33 @@ def test_newtons_full_tensor_wins_over_the_diagonal(tmp_path):
     np.testing.assert_allclose(tensor(model, "a")[:2, :2], [[0.3, 0.01], [0.01, 0.2]], rtol=1e-6)
 
 
-def test_a_body_of_nothing_is_physx_ball_of_one_kilogram(tmp_path):
-    model, _ = converted(write(tmp_path, link("a", mass="")))
-    assert model.body("a").mass[0] == pytest.approx(1.0)
-    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.1**2)
-
-
 def shape(kind: str, text: str, scale: str = "(1, 1, 1)") -> str:
-    return f"""def {kind} "shape" (prepend apiSchemas = ["PhysicsCollisionAPI"])
-        {{
-            {text}
-            double3 xformOp:scale = {scale}
-            uniform token[] xformOpOrder = ["xformOp:scale"]
-        }}"""
+    scaled = f'double3 xformOp:scale = {scale}\n uniform token[] xformOpOrder = ["xformOp:scale"]'
+    return f'def {kind} "shape" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{{\n{text}\n{scaled}\n}}'
+
+
+LYING = 'double radius = 0.1\n double height = 0.5\n token axis = "X"'
 
 
 @pytest.mark.parametrize(
     ("inside", "volume"),
     [  # PhysX's volumes
         (shape("Sphere", "double radius = 0.2", "(1.5, 1, 0.7)"), 4 / 3 * math.pi * 0.3**3),
-        (
-            shape("Cylinder", 'double radius = 0.1\n double height = 0.5\n token axis = "X"', "(2, 1, 0.7)"),
-            math.pi * 0.01,
-        ),
+        (shape("Cylinder", LYING, "(2, 1, 0.7)"), math.pi * 0.01),
         (shape("Cone", "double radius = 0.1\n double height = 0.5"), math.pi * 0.01 * 0.5 / 3),
         (shape("Cone", "double radius = 0.1\n double height = 0.5", "(1.5, 1, 1)"), math.pi * 0.0225 * 0.5 / 3),
     ],
     ids=["sphere", "cylinder", "cone", "oval cone"],
 )
-def test_what_is_scaled_unevenly_weighs_as_its_largest_scale_across(tmp_path, inside, volume):
+def test_an_unevenly_scaled_shape_weighs_as_with_its_largest_scale_across(tmp_path, inside, volume):
     model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
     np.testing.assert_allclose(model.body("a").mass[0], 1000 * volume, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("axis", "flip", "center"), [("Z", 1, [0, 0, -0.15]), ("Y", 1, [0, -0.15, 0]), ("Z", -1, [0, 0, 0.15])]
-)
+CONES = [("Z", 1, [0, 0, -0.15]), ("Y", 1, [0, -0.15, 0]), ("Z", -1, [0, 0, 0.15])]
+
+
+@pytest.mark.parametrize(("axis", "flip", "center"), CONES)
 def test_a_cone_weighs_as_a_cone_and_not_as_its_hull(tmp_path, axis, flip, center):
     """A cone's centre is h/4 above its base, and its moments are 3/10 m r² and m(3/20 r² + 3/80 h²)."""
     inside = shape("Cone", f'double radius = 0.2\n double height = 0.6\n token axis = "{axis}"', f"(1, 1, {flip})")
@@ -396,10 +349,11 @@ def test_a_cone_weighs_as_a_cone_and_not_as_its_hull(tmp_path, axis, flip, cente
     np.testing.assert_allclose(moments, [2 * 0.3 * 0.04] + [2 * (0.15 * 0.04 + 3 / 80 * 0.36)] * 2, rtol=1e-6)
 
 
-def test_a_negative_mass_means_not_given_and_is_warned_about(tmp_path):
+def test_a_negative_mass_means_not_given_and_is_reported(tmp_path):
     model, done = converted(write(tmp_path, link("a", mass="float physics:mass = -3", inside=cube("c"))))
     np.testing.assert_allclose(model.body("a").mass[0], 1000 * 0.2**3)
     assert any("/bot/a" in warning and "-3" in warning for warning in done.report.warnings)
+    assert any(item.name == "physics:mass" and "/bot/a" in item.values for item in done.report.left_out)
 
 
 def test_a_shape_below_a_shape_collides_where_a_prim_above_both_says_so(tmp_path):

@@ -8,24 +8,22 @@ import mujoco
 import numpy as np
 import pytest
 
-from ..small_usd import converted, hinge, link, write
+from ..small_usd import SI, converted, hinge, link, locked, write
 
 CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    upAxis = "Z"'
 
 
 def mimic(axis: str = "rotX", gearing: float = 2, offset: float = 0, reference: str = "ab", of: str = "rotX") -> str:
-    prefix = f"physxMimicJoint:{axis}"
-    return (
-        f'rel {prefix}:referenceJoint = </bot/{reference}>\n uniform token {prefix}:referenceJointAxis = "{of}"\n'
-        f"float {prefix}:gearing = {gearing}\n float {prefix}:offset = {offset}\n"
-        f"float {prefix}:naturalFrequency = 25\n float {prefix}:dampingRatio = 0.005"
-    )
+    leader = f'rel :referenceJoint = </bot/{reference}>\n uniform token :referenceJointAxis = "{of}"\n'
+    spring = "float :naturalFrequency = 25\n float :dampingRatio = 0.005"
+    text = f"{leader} float :gearing = {gearing}\n float :offset = {offset}\n {spring}"
+    return text.replace(" :", f" physxMimicJoint:{axis}:")
 
 
-def three(folder, text: str, *, lead: str = "Revolute", follow: str = "Revolute", axis: str = "rotX", header: str = ""):
+def three(folder, text: str, *, lead: str = "Revolute", follow: str = "Revolute", axis: str = "rotX", header: str = SI):
     body = link("a") + link("b") + link("c") + hinge("ab", "a", "b", kind=lead)
     body += hinge("bc", "b", "c", kind=follow, apis=f"PhysxMimicJointAPI:{axis}", text=text)
-    return converted(write(folder, body, **({"header": header} if header else {})))
+    return converted(write(folder, body, header=header))
 
 
 def settled(model: mujoco.MjModel, value: float) -> float:
@@ -44,34 +42,29 @@ def test_angles_follow_with_an_offset_in_degrees(tmp_path, axis):
     assert {f"physxMimicJoint:{axis}:naturalFrequency", f"physxMimicJoint:{axis}:dampingRatio"} <= left
 
 
-def test_slides_follow_with_an_offset_in_stage_lengths(tmp_path):
-    model, _ = three(tmp_path, mimic(gearing=-1, offset=5), lead="Prismatic", follow="Prismatic", header=CM)
-    assert settled(model, 0.02) == pytest.approx(0.02 - 0.05, rel=1e-6)
+SLIDES = {"lead": "Prismatic", "follow": "Prismatic", "header": CM}
+DEGREE = math.radians(1)
 
 
-def test_a_hinge_follows_a_slide_in_degrees_per_stage_length(tmp_path):
-    model, _ = three(tmp_path, mimic(gearing=-3), lead="Prismatic", header=CM)
-    assert settled(model, 0.02) == pytest.approx(math.radians(3 * 2), rel=1e-6)  # 2 cm, 3° each
-
-
-def test_a_slide_follows_a_hinge_in_stage_lengths_per_degree(tmp_path):
-    model, _ = three(tmp_path, mimic(gearing=-0.5, offset=1), follow="Prismatic", header=CM)
-    assert settled(model, math.radians(10)) == pytest.approx((0.5 * 10 - 1) * 0.01, rel=1e-6)
-
-
-def test_gearing_is_one_unless_given(tmp_path):
-    text = "rel physxMimicJoint:rotX:referenceJoint = </bot/ab>"
-    model, _ = three(tmp_path, text)
-    assert settled(model, 0.3) == pytest.approx(-0.3)
+@pytest.mark.parametrize(
+    ("text", "options", "leader", "follower"),
+    [
+        (mimic(gearing=-1, offset=5), SLIDES, 0.02, 0.02 - 0.05),
+        (mimic(gearing=-3), {"lead": "Prismatic", "header": CM}, 0.02, 3 * 2 * DEGREE),  # 2 cm, 3° each
+        (mimic(gearing=-0.5, offset=1), {"follow": "Prismatic", "header": CM}, 10 * DEGREE, (0.5 * 10 - 1) * 0.01),
+        ("rel physxMimicJoint:rotX:referenceJoint = </bot/ab>", {}, 0.3, -0.3),
+    ],
+    ids=["a slide follows a slide", "a hinge follows a slide", "a slide follows a hinge", "the default gearing is 1"],
+)
+def test_coordinates_follow_in_degrees_and_stage_lengths(tmp_path, text, options, leader, follower):
+    model, _ = three(tmp_path, text, **options)
+    assert settled(model, leader) == pytest.approx(follower, rel=1e-6)
 
 
 def test_an_axis_of_a_generic_joint_follows_and_is_followed(tmp_path):
-    lock = "\n".join(
-        f"float limit:{a}:physics:low = 1\n float limit:{a}:physics:high = -1"
-        for a in ("transX", "transY", "transZ", "rotX")
-    )
-    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b", kind="", text=lock)
+    lock = locked("transX", "transY", "transZ", "rotX")
     follow = f"{lock}\n{mimic('rotZ', gearing=2, of='rotY')}"
+    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b", kind="", text=lock)
     body += hinge("bc", "b", "c", kind="", apis="PhysxMimicJointAPI:rotZ", text=follow)
     model, _ = converted(write(tmp_path, body))
     follower, leader = model.eq_obj1id[0], model.eq_obj2id[0]

@@ -20,30 +20,31 @@ def leftovers(folder):
     return sorted(p.name for p in folder.rglob("*"))
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     error = told(tmp_path / "absent.usda", tmp_path / "out.xml")
     assert "there is no file" in str(error)
     assert "absent.usda" in str(error)
 
 
-def test_a_file_that_is_no_usd(tmp_path):
-    path = tmp_path / "robot.stl"
-    path.write_text("solid robot")
-    assert ".usda" in told(path, tmp_path / "out.xml").expected
+BODILESS = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" {{\ndef Xform "thing"{}\n{{\n}}\n}}\n'
 
 
-@pytest.mark.parametrize("suffix", ["usd", "usda", "usdc"])
-def test_nonsense_in_a_usd_file_leaves_no_output(tmp_path, suffix):
-    path = tmp_path / f"robot.{suffix}"
-    path.write_text("not a stage")
-    assert "cannot be read" in str(told(path, tmp_path / "out" / "robot.xml"))
-    assert leftovers(tmp_path) == [path.name]
-
-
-def test_a_file_that_git_lfs_has_not_fetched_is_told(tmp_path):
-    path = tmp_path / "robot.usd"
-    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
-    assert "git lfs pull" in str(told(path, tmp_path / "out.xml"))
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("robot.stl", "solid robot", "; expected .usd, .usda"),
+        ("robot.usd", "not a stage", "cannot be read"),
+        ("robot.usda", "not a stage", "cannot be read"),
+        ("robot.usdc", "not a stage", "cannot be read"),
+        ("robot.usd", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "git lfs pull"),
+        ("bot.usda", BODILESS.format(""), "'bot.usda' has no articulation"),
+        ("bot.usda", BODILESS.format(" (references = @parts/arm.usda@)"), "parts/arm.usda"),
+    ],
+)
+def test_a_file_without_a_robot_is_refused_and_leaves_no_output(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    assert words in str(told(tmp_path / name, tmp_path / "out" / "robot.xml"))
+    assert leftovers(tmp_path) == [name]
 
 
 def test_a_syntax_error_is_named_with_its_line(tmp_path):
@@ -53,26 +54,9 @@ def test_a_syntax_error_is_named_with_its_line(tmp_path):
     assert told(path, tmp_path / "out.xml").where.endswith(f"bot.usda:{lines}")
 
 
-def test_a_stage_without_bodies_has_no_articulation(tmp_path):
-    path = write(tmp_path, 'def Xform "thing"\n{\n}\n')
-    error = told(path, tmp_path / "out.xml")
-    assert "'bot.usda' has no articulation" in str(error)
-    assert leftovers(tmp_path) == ["bot.usda"]
-
-
-def test_a_missing_layer_is_named_when_the_bodies_are_missing(tmp_path):
-    path = write(tmp_path, 'def Xform "thing" (references = @parts/arm.usda@)\n{\n}\n')
-    assert "parts/arm.usda" in str(told(path, tmp_path / "out.xml"))
-
-
 def test_an_unknown_variant_set_and_name(tmp_path):
-    variants = """def Xform "bot" (
-    variants = { string Physics = "PhysX" }
-    prepend variantSets = "Physics"
-)
-{
-    variantSet "Physics" = { "PhysX" {} "None" {} }
-"""
+    variants = 'def Xform "bot" (\n variants = { string Physics = "PhysX" }\n prepend variantSets = "Physics"\n)\n{\n'
+    variants += 'variantSet "Physics" = { "PhysX" {} "None" {} }\n'
     path = write(tmp_path, link("a"))
     path.write_text(path.read_text().replace('def Xform "bot" \n{\n', variants))
     assert told(path, tmp_path / "out.xml", variants={"Phisics": "None"}).nearest == "Physics"
@@ -81,12 +65,7 @@ def test_an_unknown_variant_set_and_name(tmp_path):
 
 @pytest.mark.parametrize("place", ["bot", "bot/hand"])
 def test_a_variant_set_without_a_selection_lists_its_choices(tmp_path, place):
-    holder = """def Xform "{}" (
-    prepend variantSets = "Grip"
-)
-{{
-    variantSet "Grip" = {{ "soft" {{}} "hard" {{}} }}
-"""
+    holder = 'def Xform "{}" (prepend variantSets = "Grip")\n{{\nvariantSet "Grip" = {{ "soft" {{}} "hard" {{}} }}\n'
     path = write(tmp_path, link("a"))
     if place == "bot":
         path.write_text(path.read_text().replace('def Xform "bot" \n{\n', holder.format("bot")))
@@ -98,17 +77,16 @@ def test_a_variant_set_without_a_selection_lists_its_choices(tmp_path, place):
     assert not any("Grip" in warning for warning in chosen.warnings)
 
 
-def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path, monkeypatch):
+def test_a_model_that_mujoco_refuses_is_an_error_and_leaves_no_output(tmp_path, monkeypatch):
     def refuse(path: str) -> None:
         raise ValueError("Error: no such thing")
 
     monkeypatch.setattr("mujoco.MjModel.from_xml_path", refuse)
-    path = write(tmp_path, link("a"))
-    assert "MuJoCo cannot build a model" in str(told(path, tmp_path / "out.xml"))
+    assert "MuJoCo cannot build a model" in str(told(write(tmp_path, link("a")), tmp_path / "out.xml"))
     assert leftovers(tmp_path) == ["bot.usda"]
 
 
-def test_a_failed_conversion_keeps_the_older_output(tmp_path):
+def test_a_failed_conversion_does_not_change_the_older_output(tmp_path):
     output = tmp_path / "bot.xml"
     convert(write(tmp_path, link("a")), output)
     before = output.read_bytes()
@@ -117,12 +95,8 @@ def test_a_failed_conversion_keeps_the_older_output(tmp_path):
 
 
 def mesh(points: str, counts: str, indices: str) -> str:
-    return f"""def Mesh "m" (prepend apiSchemas = ["PhysicsCollisionAPI"])
-        {{
-            point3f[] points = {points}
-            int[] faceVertexCounts = {counts}
-            int[] faceVertexIndices = {indices}
-        }}"""
+    text = f"point3f[] points = {points}\nint[] faceVertexCounts = {counts}\nint[] faceVertexIndices = {indices}"
+    return f'def Mesh "m" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{{\n{text}\n}}'
 
 
 @pytest.mark.parametrize(

@@ -13,20 +13,13 @@ from ..small_usd import converted, hinge, link, two_links, write
 SITE = """
         def Sphere "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
         {{
-            double radius = 0.02
-            double3 xformOp:translate = {at}
+            double radius = 0.02; double3 xformOp:translate = {at}
             uniform token[] xformOpOrder = ["xformOp:translate"]
         }}"""
 
 
 def actuator(target: str, text: str = "", name: str = "motor") -> str:
-    return f"""
-    def MjcActuator "{name}"
-    {{
-        rel mjc:target = </bot/{target}>
-        {text}
-    }}
-"""
+    return f'def MjcActuator "{name}" {{ rel mjc:target = </bot/{target}>\n{text}\n}}\n'
 
 
 def pair(folder, text: str = "", *, target: str = "j", inside: str = "", joint: str = "", kind: str = "Revolute"):
@@ -41,31 +34,17 @@ def test_an_attribute_that_mujoco_refuses_is_an_error_that_names_the_actuator(tm
         pair(tmp_path, "uniform int mjc:actDim = 3")
 
 
-BOTH = "float physics:lowerLimit = -30\n        float physics:upperLimit = 40"
-
-
-def test_parameters_and_ranges_are_kept_as_they_were_written(tmp_path):
-    model, done = pair(
-        tmp_path,
-        """uniform double[] mjc:gainPrm = [100, 0, 0]
-        uniform double[] mjc:biasPrm = [0, -100, -2, 0]
-        uniform token mjc:biasType = "affine"
-        uniform double[] mjc:gear = [3, 0, 0, 0, 0, 0]
-        uniform double mjc:ctrlRange:min = -0.8
-        uniform double mjc:ctrlRange:max = 0.9
-        uniform double mjc:forceRange:min = -23
-        uniform double mjc:forceRange:max = 24
-        uniform int mjc:group = 2""",
-    )
+def test_parameters_and_ranges_are_those_of_the_file(tmp_path):
+    text = """uniform double[] mjc:gainPrm = [100, 0, 0]; uniform double[] mjc:biasPrm = [0, -100, -2, 0]
+        uniform token mjc:biasType = "affine"; uniform double[] mjc:gear = [3, 0, 0, 0, 0, 0]; uniform int mjc:group = 2
+        uniform double mjc:ctrlRange:min = -0.8; uniform double mjc:ctrlRange:max = 0.9
+        uniform double mjc:forceRange:min = -23; uniform double mjc:forceRange:max = 24"""
+    model, done = pair(tmp_path, text)
     motor = model.actuator("motor")
-    assert motor.trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    assert motor.trnid[0] == model.joint("j").id
-    assert motor.gainprm[0] == 100
+    assert (motor.trntype, motor.trnid[0]) == (int(mujoco.mjtTrn.mjTRN_JOINT), model.joint("j").id)
+    assert (motor.gainprm[0], motor.gear[0], motor.group, done.report.totals["actuators"]) == (100, 3, 2, 1)
     np.testing.assert_allclose(motor.biasprm[:4], [0, -100, -2, 0])
-    np.testing.assert_allclose(motor.ctrlrange, [-0.8, 0.9])
-    np.testing.assert_allclose(motor.forcerange, [-23, 24])
-    assert (motor.gear[0], motor.group) == (3, 2)
-    assert done.report.totals["actuators"] == 1
+    np.testing.assert_allclose([motor.ctrlrange, motor.forcerange], [[-0.8, 0.9], [-23, 24]])
 
 
 def test_an_end_of_a_range_that_is_not_authored_is_zero(tmp_path):
@@ -94,31 +73,23 @@ def test_a_gain_of_zero_is_zero(tmp_path):
 )
 def test_dynamics_have_their_states(tmp_path, text, dynamics, states):
     model, _ = pair(tmp_path, text)
-    assert model.actuator_dyntype[0] == int(getattr(mujoco.mjtDyn, f"mjDYN_{dynamics}"))
-    assert model.na == states
+    assert (model.actuator_dyntype[0], model.na) == (int(getattr(mujoco.mjtDyn, f"mjDYN_{dynamics}")), states)
 
 
 def test_activation_range_early_flag_and_length_range(tmp_path):
-    text = """uniform token mjc:dynType = "filter"
-        uniform bool mjc:actEarly = 1
-        uniform double mjc:actRange:min = -2
-        uniform double mjc:actRange:max = 3
-        uniform double mjc:lengthRange:min = 0.1
-        uniform double mjc:lengthRange:max = 0.4"""
+    text = """uniform token mjc:dynType = "filter"; uniform bool mjc:actEarly = 1
+        uniform double mjc:actRange:min = -2; uniform double mjc:actRange:max = 3
+        uniform double mjc:lengthRange:min = 0.1; uniform double mjc:lengthRange:max = 0.4"""
     model, _ = pair(tmp_path, text)
     np.testing.assert_allclose(model.actuator_actrange[0], [-2, 3])
     np.testing.assert_allclose(model.actuator_lengthrange[0], [0.1, 0.4])
-    assert model.actuator_actearly[0]
-    assert model.actuator_actlimited[0]
+    assert (model.actuator_actearly[0], model.actuator_actlimited[0]) == (1, 1)
 
 
 def test_the_range_of_controls_may_follow_the_joints(tmp_path):
-    limits = "float physics:lowerLimit = -90\n float physics:upperLimit = 90"
-    text = """uniform double mjc:inheritRange = 0.5
-        uniform token mjc:biasType = "affine"
-        uniform double[] mjc:gainPrm = [10]
-        uniform double[] mjc:biasPrm = [0, -10, 0]"""
-    model, _ = pair(tmp_path, text, joint=limits)
+    text = """uniform double mjc:inheritRange = 0.5; uniform token mjc:biasType = "affine"
+        uniform double[] mjc:gainPrm = [10]; uniform double[] mjc:biasPrm = [0, -10, 0]"""
+    model, _ = pair(tmp_path, text, joint="float physics:lowerLimit = -90\n float physics:upperLimit = 90")
     np.testing.assert_allclose(model.actuator("motor").ctrlrange, [-np.pi / 4, np.pi / 4], rtol=1e-6)
 
 
@@ -127,25 +98,22 @@ def test_a_ball_may_be_driven_in_its_parents_frame(tmp_path):
     assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
-def test_a_site_is_driven_seen_from_another_one(tmp_path):
-    text = "rel mjc:refSite = </bot/a/here>\n uniform double[] mjc:gear = [0, 0, 1, 0, 0, 0]"
-    model, _ = pair(tmp_path, text, target="b/tip")
-    assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_SITE)
-    assert list(model.actuator_trnid[0]) == [model.site("tip").id, model.site("here").id]
+REFERENCE = "rel mjc:refSite = </bot/a/here>\n uniform double[] mjc:gear = [0, 0, 1, 0, 0, 0]"
+CRANK = "rel mjc:sliderSite = </bot/a/here>\n uniform double mjc:crankLength = 1.3"
 
 
-def test_a_slider_and_crank(tmp_path):
-    text = "rel mjc:sliderSite = </bot/a/here>\n uniform double mjc:crankLength = 1.3"
+@pytest.mark.parametrize(("text", "kind", "crank"), [(REFERENCE, "SITE", 0), (CRANK, "SLIDERCRANK", 1.3)])
+def test_a_site_is_driven_relative_to_another_site_or_by_a_crank(tmp_path, text, kind, crank):
     model, _ = pair(tmp_path, text, target="b/tip")
-    assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_SLIDERCRANK)
+    assert model.actuator_trntype[0] == int(getattr(mujoco.mjtTrn, f"mjTRN_{kind}"))
     assert list(model.actuator_trnid[0]) == [model.site("tip").id, model.site("here").id]
-    assert model.actuator_cranklength[0] == 1.3
+    assert model.actuator_cranklength[0] == crank
 
 
 def test_adhesion_acts_on_a_body(tmp_path):
     model, _ = pair(tmp_path, "uniform double mjc:ctrlRange:max = 1", target="b")
-    assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_BODY)
-    assert model.actuator_trnid[0][0] == model.body("b").id
+    kind = int(mujoco.mjtTrn.mjTRN_BODY)
+    assert (model.actuator_trntype[0], model.actuator_trnid[0][0]) == (kind, model.body("b").id)
 
 
 def test_an_actuator_on_nothing_is_named_and_warned_about(tmp_path):
@@ -161,19 +129,19 @@ def test_a_type_that_mujoco_does_not_know_is_named_and_warned_about(tmp_path):
     assert any("magic" in warning for warning in done.report.warnings)
 
 
+DRIVEN = hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 5")
+
+
 def test_an_actuator_takes_the_place_of_the_joints_drive(tmp_path):
-    drive = "float drive:angular:physics:stiffness = 5"
-    body = link("a") + link("b", "(1, 0, 0)") + hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text=drive)
+    body = link("a") + link("b", "(1, 0, 0)") + DRIVEN
     model, done = converted(write(tmp_path, body + actuator("j", "uniform double[] mjc:gainPrm = [7]")))
     assert [model.actuator(i).name for i in range(model.nu)] == ["motor"]
     assert "drive:angular:physics:stiffness" in {item.name for item in done.report.left_out}
 
 
 def test_an_actuator_called_like_a_driven_joint_gets_another_name(tmp_path):
-    drive = "float drive:angular:physics:stiffness = 5"
-    other = link("c", "(2, 0, 0)") + hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text=drive)
     own = f'def Scope "own" {{\n{actuator("c", name="j")}\n}}\n'
-    model, _ = converted(write(tmp_path, link("a") + link("b", "(1, 0, 0)") + other + own))
+    model, _ = converted(write(tmp_path, link("a") + link("b", "(1, 0, 0)") + link("c", "(2, 0, 0)") + DRIVEN + own))
     assert [model.actuator(i).name for i in range(model.nu)] == ["j", "j_2"]
 
 
@@ -182,13 +150,15 @@ def test_a_drive_without_an_actuator_stays(tmp_path):
     assert model.nu == 1
 
 
+LOWER = "float physics:lowerLimit = -30\n"
+
+
 @pytest.mark.parametrize(
-    ("limits", "inherited"), [("", False), ("float physics:lowerLimit = -30", False), (BOTH, True)]
+    ("limits", "inherited"), [("", False), (LOWER, False), (LOWER + "float physics:upperLimit = 40", True)]
 )
 def test_controls_inherit_a_range_only_where_there_is_one(tmp_path, limits, inherited):
-    motor = 'def MjcActuator "motor"\n{\n double mjc:inheritRange = 1\n rel mjc:target = </bot/j>\n'
-    motor += " uniform double[] mjc:gainPrm = [5]\n uniform double[] mjc:biasPrm = [0, -5, 0]\n"
-    motor += ' uniform token mjc:biasType = "affine"\n}\n'
+    gains = "uniform double[] mjc:gainPrm = [5]\n uniform double[] mjc:biasPrm = [0, -5, 0]\n"
+    motor = actuator("j", gains + 'double mjc:inheritRange = 1\n uniform token mjc:biasType = "affine"')
     model, done = converted(write(tmp_path, link("a") + link("b") + hinge("j", "a", "b", text=limits) + motor))
     assert bool(model.actuator("motor").ctrllimited[0]) is inherited
     assert any("inheritRange" in warning for warning in done.report.warnings) is not inherited

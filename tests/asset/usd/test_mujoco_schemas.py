@@ -10,6 +10,8 @@ import pytest
 
 from ..small_usd import MASS, applied, converted, hinge, link, two_links, write
 
+FOLLOWED = link("a") + link("b") + link("c") + hinge("ab", "a", "b")
+
 
 def test_ref_is_the_coordinate_of_the_authored_pose(tmp_path):
     model, _ = two_links(tmp_path, "double mjc:ref = 30")
@@ -22,63 +24,39 @@ def test_ref_is_the_coordinate_of_the_authored_pose(tmp_path):
 
 def test_a_joint_that_follows_another_is_an_equality(tmp_path):
     follow = "rel newton:mimicJoint = </bot/ab>\n float newton:mimicCoef0 = 90\n float newton:mimicCoef1 = -2"
-    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b")
-    body += hinge("bc", "b", "c", apis="NewtonMimicAPI", text=follow)
-    model, _ = converted(write(tmp_path, body))
-    (kind,) = model.eq_type
-    assert kind == mujoco.mjtEq.mjEQ_JOINT
+    model, _ = converted(write(tmp_path, FOLLOWED + hinge("bc", "b", "c", apis="NewtonMimicAPI", text=follow)))
+    assert list(model.eq_type) == [mujoco.mjtEq.mjEQ_JOINT]
     assert (model.eq_obj1id[0], model.eq_obj2id[0]) == (model.joint("bc").id, model.joint("ab").id)
     np.testing.assert_allclose(model.eq_data[0][:5], [math.pi / 2, -2, 0, 0, 0], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("adds", "dofs", "equalities"), [(True, 2, 0), (False, 1, 0)])
-def test_two_joints_between_two_bodies_add_up_only_where_the_file_says_so(tmp_path, adds, dofs, equalities):
+@pytest.mark.parametrize(("adds", "dofs"), [(True, 2), (False, 1)])
+def test_two_joints_between_two_bodies_add_up_only_if_the_file_allows_it(tmp_path, adds, dofs):
     switch = "bool newton:jointsAddMobility = 1" if adds else ""
     first = link("a", apis="PhysicsArticulationRootAPI").replace("float physics:mass", f"{switch}\n float physics:mass")
-    slides = "".join(
-        hinge(name, "a", "b", kind="Prismatic", text=f'uniform token physics:axis = "{axis}"')
-        for name, axis in (("x", "X"), ("y", "Y"))
-    )
+    axis = 'uniform token physics:axis = "{}"'
+    slides = "".join(hinge(name, "a", "b", kind="Prismatic", text=axis.format(name)) for name in "XY")
     model, done = converted(write(tmp_path, first + link("b") + slides))
-    assert model.nv - 6 == dofs
-    assert model.neq == equalities
+    assert (model.nv - 6, model.neq) == (dofs, 0)
     assert any("closes a loop" in warning for warning in done.report.warnings) is not adds
 
 
-def test_the_sum_of_motors_is_limited(tmp_path):
-    limits = "double mjc:actuatorfrcrange:min = -3\n double mjc:actuatorfrcrange:max = 4"
-    model, _ = two_links(tmp_path, limits)
-    np.testing.assert_allclose(model.jnt_actfrcrange[1], [-3, 4])
+MOTORS = "double mjc:actuatorfrcrange:min = -3\n double mjc:actuatorfrcrange:max = 4"
 
 
-def test_a_urdfs_effort_limits_the_sum_of_motors(tmp_path):
-    model, _ = two_links(tmp_path, "float urdf:limit:effort = 16")
-    np.testing.assert_allclose(model.jnt_actfrcrange[1], [-16, 16])
-
-
-def test_a_site_is_a_frame_and_no_shape(tmp_path):
-    site = """def Sphere "tip" (prepend apiSchemas = ["MjcSiteAPI"])
-        {
-            double3 xformOp:translate = (0.1, 0.2, 0.3)
-            uniform token[] xformOpOrder = ["xformOp:translate"]
-        }"""
-    model, _ = converted(write(tmp_path, link("a", inside=site)))
-    np.testing.assert_allclose(model.site("tip").pos, [0.1, 0.2, 0.3])
-    assert model.ngeom == 0
+@pytest.mark.parametrize(("text", "limits"), [(MOTORS, [-3, 4]), ("float urdf:limit:effort = 16", [-16, 16])])
+def test_the_sum_of_motors_is_limited(tmp_path, text, limits):
+    model, _ = two_links(tmp_path, text)
+    np.testing.assert_allclose(model.jnt_actfrcrange[1], limits)
 
 
 # ------------------------------------------------------------------ joints and bodies
 def test_constraint_parameters_of_a_joint(tmp_path):
-    text = """uniform double[] mjc:solreflimit = [0.03, 0.8]
-        uniform double[] mjc:solimplimit = [0.8, 0.9, 0.01, 0.5, 2]
-        uniform double[] mjc:solreffriction = [0.04, 0.7]
-        uniform double[] mjc:solimpfriction = [0.7, 0.8, 0.02, 0.5, 2]
-        uniform double mjc:margin = 0.01
-        uniform int mjc:group = 3
-        uniform bool mjc:actuatorgravcomp = 1
-        double mjc:frictionloss = 0.1
-        float physics:lowerLimit = -10
-        float physics:upperLimit = 10"""
+    text = """uniform double[] mjc:solreflimit = [0.03, 0.8]; double mjc:frictionloss = 0.1
+        uniform double[] mjc:solimplimit = [0.8, 0.9, 0.01, 0.5, 2]; uniform double[] mjc:solreffriction = [0.04, 0.7]
+        uniform double[] mjc:solimpfriction = [0.7, 0.8, 0.02, 0.5, 2]; uniform bool mjc:actuatorgravcomp = 1
+        uniform double mjc:margin = 0.01; uniform int mjc:group = 3
+        float physics:lowerLimit = -10; float physics:upperLimit = 10"""
     model, _ = two_links(tmp_path, text)
     np.testing.assert_allclose(model.jnt_solref[1], [0.03, 0.8])
     np.testing.assert_allclose(model.jnt_solimp[1], [0.8, 0.9, 0.01, 0.5, 2])
@@ -95,7 +73,7 @@ def test_angles_of_mujocos_schemas_are_in_the_unit_of_its_compiler(tmp_path, uni
     np.testing.assert_allclose([model.qpos0[-1], model.qpos_spring[-1]], [expected, expected], rtol=1e-6)
 
 
-def test_a_slides_spring_rests_where_it_says_in_metres(tmp_path):
+def test_the_rest_position_of_a_slides_spring_is_in_metres(tmp_path):
     model, _ = two_links(tmp_path, "double mjc:springref = 0.5\n double mjc:stiffness = 2", kind="Prismatic")
     assert model.qpos_spring[-1] == 0.5
 
@@ -109,21 +87,16 @@ def test_springdamper_is_made_of_the_inertia_that_the_joint_meets(tmp_path):
 
 
 def test_gravity_may_be_lifted_in_part(tmp_path):
-    body = link("a", mass=MASS + "\n        custom float mjc:body:gravcomp = 0.25")
-    model, _ = converted(write(tmp_path, body))
+    model, _ = converted(write(tmp_path, link("a", mass=MASS + "\n        custom float mjc:body:gravcomp = 0.25")))
     assert model.body_gravcomp[1] == 0.25
 
 
 # ------------------------------------------------------------------ couplings and closures
 def test_a_coupling_may_be_a_polynomial_and_switched_off(tmp_path):
-    follow = """rel newton:mimicJoint = </bot/ab>
-        bool newton:mimicEnabled = 0
-        uniform double mjc:coef2 = 3
-        uniform double mjc:coef4 = 5
-        uniform double[] mjc:solref = [0.01, 1]"""
-    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b")
-    body += hinge("bc", "b", "c", apis="NewtonMimicAPI MjcEqualityJointAPI", text=follow)
-    model, _ = converted(write(tmp_path, body))
+    follow = """rel newton:mimicJoint = </bot/ab>; bool newton:mimicEnabled = 0; uniform double mjc:coef2 = 3
+        uniform double mjc:coef4 = 5; uniform double[] mjc:solref = [0.01, 1]"""
+    follower = hinge("bc", "b", "c", apis="NewtonMimicAPI MjcEqualityJointAPI", text=follow)
+    model, _ = converted(write(tmp_path, FOLLOWED + follower))
     np.testing.assert_allclose(model.eq_data[0][:5], [0, 1, 3, 0, 5])
     np.testing.assert_allclose(model.eq_solref[0], [0.01, 1])
     assert not model.eq_active0[0]
@@ -131,14 +104,12 @@ def test_a_coupling_may_be_a_polynomial_and_switched_off(tmp_path):
 
 def test_mujocos_offset_is_in_radians_and_wins(tmp_path):
     follow = "rel mjc:target = </bot/ab>\n float newton:mimicCoef0 = 90\n uniform double mjc:coef0 = 0.25"
-    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b")
-    body += hinge("bc", "b", "c", apis="MjcEqualityJointAPI", text=follow)
-    model, _ = converted(write(tmp_path, body))
+    model, _ = converted(write(tmp_path, FOLLOWED + hinge("bc", "b", "c", apis="MjcEqualityJointAPI", text=follow)))
     assert model.eq_data[0][0] == 0.25
 
 
 @pytest.mark.parametrize(("kind", "api"), [("Spherical", "Connect"), ("Fixed", "Weld")])
-def test_a_loop_is_as_stiff_as_it_says(tmp_path, kind, api):
+def test_a_loop_has_the_stiffness_of_the_file(tmp_path, kind, api):
     text = "uniform bool physics:excludeFromArticulation = 1\n uniform double[] mjc:solref = [0.005, 1]\n"
     text += "uniform double[] mjc:solimp = [0.8, 0.9, 0.01, 0.5, 2]\n uniform float mjc:torqueScale = 3"
     body = link("a") + link("b", "(1, 0, 0)") + hinge("ab", "a", "b", text="point3f physics:localPos0 = (1, 0, 0)")
@@ -163,14 +134,10 @@ def contact_of(folder, text: str, material: str = "") -> tuple[mujoco.MjModel, i
 
 
 def test_contact_parameters_of_a_shape(tmp_path):
-    text = """uniform int mjc:condim = 6
-        uniform int mjc:priority = 2
-        uniform int mjc:group = 4
-        uniform double mjc:solmix = 0.5
-        uniform double[] mjc:solref = [0.01, 0.9]
+    text = """uniform int mjc:condim = 6; uniform int mjc:priority = 2; uniform int mjc:group = 4
+        uniform double mjc:solmix = 0.5; uniform double[] mjc:solref = [0.01, 0.9]
         uniform double[] mjc:solimp = [0.015, 1, 0.03, 0.5, 2]
-        float newton:contactMargin = 0.25
-        float newton:contactGap = 0.125"""
+        float newton:contactMargin = 0.25; float newton:contactGap = 0.125"""
     model, geom = contact_of(tmp_path, text)
     assert (model.geom_condim[geom], model.geom_priority[geom], model.geom_group[geom]) == (6, 2, 4)
     assert (model.geom_solmix[geom], model.geom_margin[geom], model.geom_gap[geom]) == (0.5, 0.25, 0.125)
@@ -178,7 +145,7 @@ def test_contact_parameters_of_a_shape(tmp_path):
     np.testing.assert_allclose(model.geom_solimp[geom], [0.015, 1, 0.03, 0.5, 2])
 
 
-def test_mujocos_margin_wins_over_newtons_and_infinity_is_none(tmp_path):
+def test_mujocos_margin_wins_over_newtons_and_infinity_is_unset(tmp_path):
     text = "float newton:contactMargin = 0.25\n float newton:contactGap = -inf\n uniform double mjc:margin = 0.5"
     model, geom = contact_of(tmp_path, text)
     assert (model.geom_margin[geom], model.geom_gap[geom]) == (0.5, 0)
@@ -205,25 +172,21 @@ def test_a_value_of_another_length_is_left_out_with_a_warning(tmp_path):
     assert any("solref" in warning for warning in done.report.warnings)
 
 
-def test_a_site_keeps_its_shape_and_its_place_in_the_world(tmp_path):
+def test_a_site_is_no_geom_and_has_the_shape_and_place_of_its_prim(tmp_path):
     site = """def Capsule "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
         {{
-            double radius = 0.1
-            double height = 0.6
-            uniform token axis = "Z"
-            color3f[] primvars:displayColor = [(1, 0, 0)]
-            uniform int mjc:group = 4
-            double3 xformOp:translate = (0, 0, 2)
+            double radius = 0.1; double height = 0.6; uniform token axis = "Z"; uniform int mjc:group = 4
+            color3f[] primvars:displayColor = [(1, 0, 0)]; double3 xformOp:translate = (0.1, 0.2, 2)
             uniform token[] xformOpOrder = ["xformOp:translate"]
         }}"""
     model, _ = converted(write(tmp_path, link("a", inside=site.format(name="tip")) + site.format(name="goal")))
+    assert model.ngeom == 0
     for name, body in (("tip", "a"), ("goal", "world")):
         found = model.site(name)
-        assert found.bodyid[0] == model.body(body).id
-        assert found.type[0] == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+        assert (found.bodyid[0], found.type[0]) == (model.body(body).id, int(mujoco.mjtGeom.mjGEOM_CAPSULE))
         np.testing.assert_allclose(found.size[:2], [0.1, 0.3])
         np.testing.assert_allclose(found.rgba, [1, 0, 0, 1])
-        np.testing.assert_allclose(found.pos, [0, 0, 2])
+        np.testing.assert_allclose(found.pos, [0.1, 0.2, 2])
         assert found.group[0] == 4
 
 
@@ -234,16 +197,11 @@ def with_scene(folder, text: str, more: str = "", **options: object) -> mujoco.M
     return converted(write(folder, body, outside=scene), **options)[0]
 
 
-def test_options_that_change_the_model_come_back(tmp_path):
-    text = """uniform token mjc:option:integrator = "implicitfast"
-        uniform token mjc:option:cone = "elliptic"
-        uniform double mjc:option:impratio = 10
-        uniform double mjc:option:density = 1.2
-        uniform double3 mjc:option:wind = (1, 0, 0)
-        uniform int[] mjc:option:actuatorgroupdisable = [1, 3]
-        uniform bool mjc:flag:eulerdamp = 0
-        uniform bool mjc:flag:contact = 0
-        uniform bool mjc:flag:energy = 1"""
+def test_options_that_change_the_model_are_read(tmp_path):
+    text = """uniform token mjc:option:integrator = "implicitfast"; uniform token mjc:option:cone = "elliptic"
+        uniform double mjc:option:impratio = 10; uniform double mjc:option:density = 1.2
+        uniform double3 mjc:option:wind = (1, 0, 0); uniform int[] mjc:option:actuatorgroupdisable = [1, 3]
+        uniform bool mjc:flag:eulerdamp = 0; uniform bool mjc:flag:contact = 0; uniform bool mjc:flag:energy = 1"""
     option = with_scene(tmp_path, text).opt
     assert option.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     assert option.cone == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
@@ -260,8 +218,7 @@ def test_steps_and_solvers_belong_to_the_task(tmp_path):
     model, done = converted(write(tmp_path, link("a"), outside=scene))
     assert (model.opt.timestep, model.opt.iterations) == (0.002, 100)
     left = {item.name: item.reason for item in done.report.left_out}
-    assert "task" in left["mjc:option:timestep"]
-    assert "task" in left["mjc:option:iterations"]
+    assert all("task" in left[f"mjc:option:{name}"] for name in ("timestep", "iterations"))
 
 
 @pytest.mark.parametrize(
@@ -278,13 +235,9 @@ def test_masses_are_what_the_scenes_compiler_makes_of_them(tmp_path, text, mass,
     np.testing.assert_allclose(model.body_inertia[1], [moment] * 3)
 
 
-def test_a_keyframe_comes_back_and_one_that_does_not_fit_is_named(tmp_path):
-    keys = """
-    def MjcKeyframe "crouch" { double[] mjc:qpos = [0, 0, 1, 1, 0, 0, 0]
- }
-    def MjcKeyframe "other" { double[] mjc:qpos = [1, 2]
- }
-"""
+def test_a_keyframe_is_read_and_one_of_another_size_is_named(tmp_path):
+    keys = 'def MjcKeyframe "crouch" { double[] mjc:qpos = [0, 0, 1, 1, 0, 0, 0]; }\n'
+    keys += 'def MjcKeyframe "other" { double[] mjc:qpos = [1, 2]; }\n'
     model, done = converted(write(tmp_path, link("a") + keys))
     np.testing.assert_allclose(model.key("crouch").qpos, [0, 0, 1, 1, 0, 0, 0])
     assert [model.key(i).name for i in range(model.nkey)] == ["home", "crouch"]

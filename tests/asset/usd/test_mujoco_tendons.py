@@ -13,30 +13,17 @@ from .test_mujoco_actuators import SITE, actuator
 
 
 def tendon(text: str, kind: str = "spatial") -> str:
-    return f"""
-    def MjcTendon "cord"
-    {{
-        uniform token mjc:type = "{kind}"
-        {text}
-    }}
-"""
+    return f'def MjcTendon "cord" {{ uniform token mjc:type = "{kind}"\n{text}\n}}\n'
 
 
-def round_shape(schemas: str = "") -> str:
-    return f"""
-        def Cylinder "drum" {schemas}
-        {{
-            uniform token purpose = "guide"
-            double radius = 0.1
-            double height = 0.4
-        }}"""
+DRUM = '\ndef Cylinder "drum" { uniform token purpose = "guide"; double radius = 0.1; double height = 0.4; }\n'
 
 
 def chain(folder, extra: str, inside: str = ""):
-    body = "".join(
-        link(name, f"({i}, 0, 0)", inside=SITE.format(name=f"s{i}", at="(0, 0.5, 0)") + (inside if i == 1 else ""))
-        for i, name in enumerate("abc")
-    )
+    body = ""
+    for i, name in enumerate("abc"):
+        site = SITE.format(name=f"s{i}", at="(0, 0.5, 0)")
+        body += link(name, f"({i}, 0, 0)", inside=site + (inside if i == 1 else ""))
     for i, (one, other) in enumerate(("ab", "bc")):
         body += hinge(f"j{i}", one, other, text="point3f physics:localPos0 = (1, 0, 0)")
     return converted(write(folder, body + extra))
@@ -52,13 +39,9 @@ SITES = "rel mjc:path = [</bot/a/s0>, </bot/b/s1>, </bot/c/s2>]\n"
 
 
 def test_a_fixed_tendon_is_a_sum_of_coordinates(tmp_path):
-    text = """rel mjc:path = [</bot/j0>, </bot/j1>]
-        uniform int[] mjc:path:indices = [0, 1]
-        uniform double[] mjc:path:coef = [0.5, -2]
-        uniform double mjc:range:min = -1
-        uniform double mjc:range:max = 1.5
-        uniform double mjc:stiffness = 3
-        uniform double mjc:width = 0.01"""
+    text = """rel mjc:path = [</bot/j0>, </bot/j1>]; uniform int[] mjc:path:indices = [0, 1]
+        uniform double[] mjc:path:coef = [0.5, -2]; uniform double mjc:stiffness = 3; uniform double mjc:width = 0.01
+        uniform double mjc:range:min = -1; uniform double mjc:range:max = 1.5"""
     model, _ = chain(tmp_path, tendon(text, "fixed"))
     assert model.ntendon == 1
     data = mujoco.MjData(model)
@@ -66,27 +49,25 @@ def test_a_fixed_tendon_is_a_sum_of_coordinates(tmp_path):
     mujoco.mj_forward(model, data)
     assert data.ten_length[0] == pytest.approx(0.5 * 0.3 - 2 * 0.1)
     np.testing.assert_allclose(model.tendon_range[0], [-1, 1.5])
-    assert model.tendon_limited[0]
-    assert model.tendon_stiffness[0] == 3
+    assert (model.tendon_limited[0], model.tendon_stiffness[0]) == (1, 3)
 
 
-def test_a_spatial_tendon_goes_through_its_sites_in_the_order_of_the_indices(tmp_path):
-    model, _ = chain(tmp_path, tendon(SITES + "uniform int[] mjc:path:indices = [0, 2, 1]"))
-    assert lengths(model)[0] == pytest.approx(2 + 1)
+PULLEYS = "uniform int[] mjc:path:indices = [0, 1, 1, 2]; uniform int[] mjc:path:segments = [0, 0, 1, 1]\n"
+FIRST = "uniform int[] mjc:path:indices = [0, 1]; uniform int[] mjc:path:segments = [0, 0]\n"
 
 
-def test_segments_are_divided_by_their_pulleys(tmp_path):
-    text = """uniform int[] mjc:path:indices = [0, 1, 1, 2]
-        uniform int[] mjc:path:segments = [0, 0, 1, 1]
-        uniform double[] mjc:path:divisors = [1, 4]"""
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("uniform int[] mjc:path:indices = [0, 2, 1]", 2 + 1),
+        (PULLEYS + "uniform double[] mjc:path:divisors = [1, 4]", 1 + 1 / 4),
+        (FIRST + "uniform double[] mjc:path:divisors = [2]", 1 / 2),
+    ],
+    ids=["order of the indices", "pulleys", "a first divisor is a pulley too"],
+)
+def test_a_spatial_tendon_goes_through_its_sites_and_is_divided_by_its_pulleys(tmp_path, text, expected):
     model, _ = chain(tmp_path, tendon(SITES + text))
-    assert lengths(model)[0] == pytest.approx(1 + 1 / 4)
-
-
-def test_a_first_divisor_is_a_pulley_too(tmp_path):
-    text = "uniform int[] mjc:path:indices = [0, 1]\nuniform int[] mjc:path:segments = [0, 0]\n"
-    model, _ = chain(tmp_path, tendon(SITES + text + "uniform double[] mjc:path:divisors = [2]"))
-    assert lengths(model)[0] == pytest.approx(1 / 2)
+    assert lengths(model)[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("side", [False, True])
@@ -95,7 +76,7 @@ def test_a_tendon_goes_around_a_shape_that_nothing_draws(tmp_path, side):
     text = "rel mjc:path = [</bot/a/s0>, </bot/b/drum>, </bot/c/s2>]\n"
     if side:
         text += "rel mjc:sideSites = </bot/b/below>\nuniform int[] mjc:sideSites:indices = [-1, 0, -1]"
-    model, _ = chain(tmp_path, tendon(text), inside=round_shape() + below)
+    model, _ = chain(tmp_path, tendon(text), inside=DRUM + below)
     assert model.ngeom == 1
     assert not (model.geom_contype | model.geom_conaffinity).any()
     # The path over the top is straight. The path below consists of two tangents and an arc.
@@ -106,18 +87,11 @@ def test_a_tendon_goes_around_a_shape_that_nothing_draws(tmp_path, side):
 
 
 def test_springs_limits_and_looks_of_a_tendon(tmp_path):
-    text = """uniform double mjc:damping = 2
-        uniform double mjc:armature = 0.1
-        uniform double mjc:frictionloss = 0.2
-        uniform double mjc:margin = 0.01
-        uniform double[] mjc:springlength = [0.5, 0.7]
-        uniform double[] mjc:solreflimit = [0.03, 0.9]
-        uniform double[] mjc:solimpfriction = [0.8, 0.9, 0.01, 0.5, 2]
-        uniform double mjc:actuatorfrcrange:min = -5
-        uniform double mjc:actuatorfrcrange:max = 6
-        uniform int mjc:group = 3
-        uniform double mjc:width = 0.01
-        uniform color4f mjc:rgba = (1, 0, 0, 0.5)"""
+    text = """uniform double mjc:damping = 2; uniform double mjc:armature = 0.1; uniform double mjc:frictionloss = 0.2
+        uniform double mjc:margin = 0.01; uniform double mjc:width = 0.01; uniform int mjc:group = 3
+        uniform double[] mjc:springlength = [0.5, 0.7]; uniform double[] mjc:solreflimit = [0.03, 0.9]
+        uniform double[] mjc:solimpfriction = [0.8, 0.9, 0.01, 0.5, 2]; uniform color4f mjc:rgba = (1, 0, 0, 0.5)
+        uniform double mjc:actuatorfrcrange:min = -5; uniform double mjc:actuatorfrcrange:max = 6"""
     model, _ = chain(tmp_path, tendon(SITES + text))
     plain = [getattr(model, f"tendon_{key}")[0] for key in ("armature", "frictionloss", "margin", "group", "width")]
     np.testing.assert_allclose(plain, [0.1, 0.2, 0.01, 3, 0.01])
@@ -131,8 +105,8 @@ def test_springs_limits_and_looks_of_a_tendon(tmp_path):
 
 def test_an_actuator_pulls_a_tendon(tmp_path):
     model, _ = chain(tmp_path, tendon(SITES) + actuator("cord"))
-    assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_TENDON)
-    assert model.actuator_trnid[0][0] == model.tendon("cord").id
+    kind = int(mujoco.mjtTrn.mjTRN_TENDON)
+    assert (model.actuator_trntype[0], model.actuator_trnid[0][0]) == (kind, model.tendon("cord").id)
 
 
 @pytest.mark.parametrize(

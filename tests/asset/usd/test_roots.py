@@ -13,7 +13,7 @@ from pxr import Usd, UsdPhysics
 
 from wheelleg_exp.asset.usd.usd_robot import read_usd
 
-from ..small_usd import MASS, converted, hinge, link, write
+from ..small_usd import MASS, applied, converted, hinge, link, write
 
 AHEAD = "point3f physics:localPos0 = (1, 0, 0)"
 MARK = "PhysicsArticulationRootAPI"
@@ -33,7 +33,7 @@ def openusd_root(path) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_root_of_what_floats_is_the_one_that_openusd_chooses(tmp_path, seed):
+def test_the_root_of_a_floating_articulation_is_that_of_openusd(tmp_path, seed):
     dice = random.Random(seed)
     names = [f"b{i}" for i in range(dice.randint(2, 9))]
     dice.shuffle(names)
@@ -50,13 +50,9 @@ JOINTS = "".join(hinge(p + q, p, q, text=AHEAD) for p, q in zip("abcd", "bcde", 
 
 
 def test_a_mark_on_a_body_wins_over_the_middle(tmp_path):
-    marked = CHAIN.replace(
-        'def Xform "b" (\n        prepend apiSchemas = [',
-        'def Xform "b" (\n        prepend apiSchemas = ["PhysicsArticulationRootAPI", ',
-    )
-    model, _ = converted(write(tmp_path, marked + JOINTS))
-    assert roots(model) == {"b"}
-    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    bodies = (link(name, f"({i}, 0, 0)", apis=MARK if name == "b" else "") for i, name in enumerate("abcde"))
+    model, _ = converted(write(tmp_path, "".join(bodies) + JOINTS))
+    assert (roots(model), model.jnt_type[0]) == ({"b"}, mujoco.mjtJoint.mjJNT_FREE)
 
 
 def pin(body0: str, body1: str, more: str = "", kind: str = "Fixed", apis: str = "") -> str:
@@ -76,17 +72,13 @@ def pin(body0: str, body1: str, more: str = "", kind: str = "Fixed", apis: str =
 )
 @pytest.mark.parametrize("mark", ["above", "joint", "none"])
 def test_a_fixed_joint_to_the_world_in_every_spelling(tmp_path, body0, body1, mark):
-    lifted = 'double3 xformOp:translate = (0, 0, 3)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
-    stand = f'def Xform "stand"\n{{\n {lifted}\n}}\n'
+    lifted = 'double3 xformOp:translate = (0, 0, 3); uniform token[] xformOpOrder = ["xformOp:translate"];'
     place = "(2, 0, -3)" if "stand" in body0 + body1 else "(2, 0, 0)"
-    index = 1 if body0.endswith("</bot/c>") else 0
-    more = f"point3f physics:localPos{index} = {place}"
+    more = f"point3f physics:localPos{1 if body0.endswith('</bot/c>') else 0} = {place}"
     joint = pin(body0, body1, more, apis=MARK if mark == "joint" else "")
-    root = MARK if mark == "above" else ""
-    model, done = converted(write(tmp_path, CHAIN + stand + JOINTS + joint, root_apis=root))
-    assert roots(model) == {"c"}
-    assert done.report.base == "fixed"
-    assert model.nv == 4
+    text = f'{CHAIN}def Xform "stand" {{ {lifted} }}\n{JOINTS}{joint}'
+    model, done = converted(write(tmp_path, text, root_apis=MARK if mark == "above" else ""))
+    assert (roots(model), done.report.base, model.nv) == ({"c"}, "fixed", 4)
     np.testing.assert_allclose(model.body("c").pos, [2, 0, 0], atol=1e-9)
 
 
@@ -105,29 +97,22 @@ def test_a_generic_joint_without_limits_holds_the_base_of_an_articulation(tmp_pa
 
 
 def test_several_articulations_have_a_root_each(tmp_path):
-    def robot(name: str) -> str:
-        inside = link("base") + link("arm") + hinge("j", "base", "arm")
-        return f'def Xform "{name}" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n{{\n{inside}}}\n'.replace(
-            "/bot/", f"/bot/{name}/"
-        )
-
-    model, _ = converted(write(tmp_path, robot("one") + robot("two")))
-    assert roots(model) == {"one_base", "two_base"}
-    assert model.nv == 2 * 7
+    parts = link("base") + link("arm") + hinge("j", "base", "arm")
+    head = f'def Xform "{{0}}" {applied(MARK)}\n{{{{\n'
+    robots = "".join(head.format(name) + parts.replace("/bot/", f"/bot/{name}/") + "}\n" for name in ("one", "two"))
+    model, _ = converted(write(tmp_path, robots))
+    assert (roots(model), model.nv) == ({"one_base", "two_base"}, 2 * 7)
 
 
 def test_an_instanced_articulation_is_read_through_its_proxies(tmp_path):
-    inside = (link("base") + link("arm", "(1, 0, 0)") + hinge("j", "base", "arm", text=AHEAD)).replace(
-        "/bot/", "/proto/"
-    )
+    inside = link("base") + link("arm", "(1, 0, 0)") + hinge("j", "base", "arm", text=AHEAD)
+    inside = inside.replace("/bot/", "/proto/")
     proto = f'class Xform "proto" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n{{\n{inside}}}\n'
     one = 'def Xform "{name}" (\n instanceable = true\n prepend references = </proto>\n)\n{{\n}}\n'
     model, _ = converted(write(tmp_path, one.format(name="left") + one.format(name="right"), outside=proto))
     assert roots(model) == {"left_base", "right_base"}
-    assert {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE} == {
-        "left_j",
-        "right_j",
-    }
+    turning = {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE}
+    assert turning == {"left_j", "right_j"}
 
 
 def test_a_chain_of_a_thousand_links_is_read(tmp_path):
@@ -143,9 +128,7 @@ def test_a_chain_of_a_thousand_links_is_read(tmp_path):
 def test_a_kinematic_body_moves_by_mocap_and_carries_what_hangs_on_it(tmp_path):
     base = link("base", "(0, 0, 1)", mass=MASS + "\n bool physics:kinematicEnabled = 1")
     model, _ = converted(write(tmp_path, link("arm", "(1, 0, 1)") + base + hinge("j", "base", "arm", text=AHEAD)))
-    assert model.nmocap == 1
-    assert roots(model) == {"base"}
-    assert model.nv == 1
+    assert (model.nmocap, roots(model), model.nv) == (1, {"base"}, 1)
 
 
 def test_a_kinematic_body_at_the_far_end_pulls_by_an_equality(tmp_path):
@@ -153,8 +136,7 @@ def test_a_kinematic_body_at_the_far_end_pulls_by_an_equality(tmp_path):
     body = link("base") + link("arm", "(1, 0, 0)") + hand + hinge("ba", "base", "arm", text=AHEAD)
     body += hinge("ah", "arm", "hand", kind="Fixed", text=AHEAD)
     model, _ = converted(write(tmp_path, body + pin("", "rel physics:body1 = </bot/base>")))
-    assert roots(model) == {"base", "hand"}
-    assert model.nmocap == 1
+    assert (roots(model), model.nmocap) == ({"base", "hand"}, 1)
     assert [mujoco.mjtEq(int(kind)).name for kind in model.eq_type] == ["mjEQ_WELD"]
 
 
@@ -164,21 +146,17 @@ def test_a_switched_off_body_is_part_of_what_is_above_it(tmp_path):
     assert {model.body(i).name for i in range(1, model.nbody)} == {"a"}
 
 
-def test_nested_bodies_stand_where_they_are_drawn(tmp_path):
-    inner = link("b", "(1, 0, 0)")
+def test_nested_bodies_have_the_poses_of_their_prims(tmp_path):
     joint = hinge("j", "a", "b", text=AHEAD).replace("</bot/b>", "</bot/a/b>")
-    model, _ = converted(write(tmp_path, link("a", "(0, 0, 5)", inside=inner) + joint))
+    model, _ = converted(write(tmp_path, link("a", "(0, 0, 5)", inside=link("b", "(1, 0, 0)")) + joint))
     assert model.body("b").parentid[0] == model.body("a").id
     np.testing.assert_allclose(model.body("b").pos, [1, 0, 0], atol=1e-9)
 
 
 # ------------------------------------------------------------------ joint targets
 def test_a_target_below_a_body_is_that_body_and_its_frame_is_composed(tmp_path):
-    frame = """def Xform "flange"
-        {
-            double3 xformOp:translate = (1, 0, 0)
-            double xformOp:rotateZ = 90
-            float3 xformOp:scale = (2, 3, 4)
+    frame = """def Xform "flange" {
+            double3 xformOp:translate = (1, 0, 0); double xformOp:rotateZ = 90; float3 xformOp:scale = (2, 3, 4)
             uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ", "xformOp:scale"]
         }"""
     joint = hinge("j", "a", "b", text="point3f physics:localPos0 = (1, 1, 1)").replace("</bot/a>", "</bot/a/flange>")
@@ -187,7 +165,7 @@ def test_a_target_below_a_body_is_that_body_and_its_frame_is_composed(tmp_path):
     np.testing.assert_allclose(model.body("b").quat, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
 
 
-def test_a_switched_off_joint_is_no_joint(tmp_path):
+def test_a_switched_off_joint_is_left_out(tmp_path):
     body = link("a") + link("b") + hinge("j", "a", "b", text="bool physics:jointEnabled = 0")
     model, done = converted(write(tmp_path, body))
     assert roots(model) == {"a", "b"}
@@ -197,10 +175,8 @@ def test_a_switched_off_joint_is_no_joint(tmp_path):
 # ------------------------------------------------------------------ saved velocity
 def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
     moving = MASS + "\n vector3f physics:velocity = (100, 200, 300)\n vector3f physics:angularVelocity = (0, 90, 0)"
-    body = link("a", mass=moving).replace(
-        'xformOpOrder = ["xformOp:translate"]',
-        'xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]\n double xformOp:rotateX = 90',
-    )
+    turned = '["xformOp:translate", "xformOp:rotateX"]\n double xformOp:rotateX = 90'
+    body = link("a", mass=moving).replace('["xformOp:translate"]', turned)
     model, _ = converted(write(tmp_path, body, header=CM))
     speed = model.key("home").qvel
     np.testing.assert_allclose(speed[:3], [1, -3, 2], atol=1e-6)  # y up
@@ -208,19 +184,16 @@ def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
 
 
 def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path):
-    kinematic = link("a").replace("float physics:mass", "bool physics:kinematicEnabled = 1\n float physics:mass", 1)
-    to_world = 'def PhysicsRevoluteJoint "hold"\n{\n rel physics:body1 = </bot/a>\n}\n'
+    kinematic = link("a", mass=MASS + "\n bool physics:kinematicEnabled = 1")
+    to_world = pin("", "rel physics:body1 = </bot/a>", kind="Revolute").replace('"pin"', '"hold"')
     model, done = converted(write(tmp_path, kinematic + link("b") + to_world + hinge("j", "a", "b")))
-    assert model.body("a").mocapid[0] == 0
-    assert model.nv == 1
+    assert (model.body("a").mocapid[0], model.nv) == (0, 1)
     assert any("/bot/hold" in item.values for item in done.report.left_out)
     assert any("/bot/hold" in warning for warning in done.report.warnings)
 
 
 def test_a_base_set_free_is_still_the_root(tmp_path):
-    pin = 'def PhysicsFixedJoint "pin" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n'
-    pin += "{\n rel physics:body1 = </bot/a>\n}\n"
     chain = link("a") + link("b") + link("c") + hinge("ab", "a", "b") + hinge("bc", "b", "c")
-    model, _ = converted(write(tmp_path, chain + pin, root_apis="PhysicsArticulationRootAPI"), base="floating")
-    assert model.body(1).name == "a"
-    assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)
+    pinned = chain + pin("", "rel physics:body1 = </bot/a>", apis=MARK)
+    model, _ = converted(write(tmp_path, pinned, root_apis=MARK), base="floating")
+    assert (model.body(1).name, model.jnt_type[0]) == ("a", int(mujoco.mjtJoint.mjJNT_FREE))

@@ -6,8 +6,6 @@ digits and the USD files have more, which causes differences of up to 5e-6.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -19,9 +17,8 @@ pytestmark = pytest.mark.corpus
 
 ROBOTS = ("go1", "cassie", "barkour_vb", "tidybot", "aero_hand")
 TOLERANCE = 1e-5
-# Cassie's loops are closed by stiff connects, so rounding its MJCF to six digits changes the accelerations by 5e-4
-# (test_digits_that_cassies_text_leaves_away_move_it). The USD file of aero_hand rotates some bodies, over which tendons
-# pass, by 8e-5 rad (test_the_usd_of_the_hand_holds_other_rotations).
+# Cassie's loops are closed by stiff connects, so rounding its MJCF to six digits changes the accelerations by 5e-4.
+# The USD file of aero_hand rotates some bodies, over which tendons pass, by 8e-5 rad.
 WIDER = {
     ("cassie", "acceleration"): 5e-4,
     ("aero_hand", "rotation"): 2e-4,
@@ -46,17 +43,10 @@ def pair(request, corpus, tmp_path_factory) -> Pair:
     name = request.param
     expected = next(item for item in expectations(corpus) if item["name"] == name)
     done = convert_asset(corpus, expected, tmp_path_factory.mktemp(name) / f"{name}.xml")
-    made = Pair(original(corpus, name), mujoco.MjModel.from_xml_path(str(done.output)))
+    path = corpus / "assets" / name / "mjcf" / f"{name}.xml"
+    made = Pair(mujoco.MjModel.from_xml_path(str(path)), mujoco.MjModel.from_xml_path(str(done.output)))
     made.name = name
     return made
-
-
-def original(corpus: Path, name: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(text_of(corpus, name)))
-
-
-def text_of(corpus: Path, name: str) -> Path:
-    return corpus / "assets" / name / "mjcf" / f"{name}.xml"
 
 
 def within(pair: Pair, what: str) -> float:
@@ -127,7 +117,7 @@ def test_equalities(pair):
         np.testing.assert_allclose(getattr(pair.ours, key), getattr(pair.original, key), rtol=TOLERANCE)
 
 
-def test_what_the_scene_says(pair):
+def test_scene_options_are_equal(pair):
     for key in ("gravity", "cone", "impratio", "integrator"):
         np.testing.assert_allclose(getattr(pair.ours.opt, key), getattr(pair.original.opt, key), rtol=1e-7)
     assert pair.ours.opt.disableflags == pair.original.opt.disableflags

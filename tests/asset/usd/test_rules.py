@@ -11,20 +11,10 @@ import pytest
 from ..small_usd import MASS, converted, hinge, link, tensor, two_links, write
 
 CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    kilogramsPerUnit = 0.001\n    upAxis = "Y"'
-CUBE = """
-        def Cube "cube" (
-            prepend apiSchemas = ["PhysicsCollisionAPI"{apis}]
-        )
-        {{
-            double size = {size}
-            {more}
-        }}
-"""
 
 
-def cube(size: float = 0.2, *, apis: str = "", more: str = "") -> str:
-    extra = "".join(f', "{api}"' for api in apis.split())
-    return CUBE.format(size=size, apis=extra, more=more)
+def cube(size: float) -> str:
+    return f'def Cube "cube" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{ double size = {size}; }}\n'
 
 
 def solid_geoms(model: mujoco.MjModel) -> list[int]:
@@ -58,9 +48,8 @@ def test_default_density_is_that_of_water_in_any_unit(tmp_path):
 def test_unset_units_are_usds_fallbacks_and_are_reported(tmp_path):
     model, done = converted(write(tmp_path, link("a", "(0, 30, 0)"), header='defaultPrim = "bot"'))
     assert model.body("a").pos[2] == pytest.approx(0.3)
-    assert {"no metersPerUnit: USD's fallback", "no upAxis: USD's fallback"} <= {
-        item.rule for item in done.report.assumptions
-    }
+    fallbacks = {"no metersPerUnit: USD's fallback", "no upAxis: USD's fallback"}
+    assert fallbacks <= {item.rule for item in done.report.assumptions}
 
 
 # ------------------------------------------------------------------ joints and the tree
@@ -77,10 +66,8 @@ def test_the_axis_is_turned_by_the_joint_frame_of_the_child(tmp_path):
 
 
 def test_a_joint_that_names_the_child_first_turns_the_other_way(tmp_path):
-    text = (
-        'uniform token physics:axis = "Z"\n point3f physics:localPos1 = (1, 0, 0)\n'
-        "float physics:lowerLimit = -10\n float physics:upperLimit = 40"
-    )
+    text = 'uniform token physics:axis = "Z"\n point3f physics:localPos1 = (1, 0, 0)\n'
+    text += "float physics:lowerLimit = -10\n float physics:upperLimit = 40"
     body = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)") + hinge("j", "b", "a", text=text)
     model, done = converted(write(tmp_path, body))
     assert model.body("b").parentid[0] == model.body("a").id
@@ -95,18 +82,15 @@ def test_a_joint_that_names_the_child_first_turns_the_other_way(tmp_path):
 
 def test_joint_frames_win_over_drawn_poses(tmp_path):
     text = "point3f physics:localPos0 = (0, 0, 1)\n point3f physics:localPos1 = (0, 0, -0.5)"
-    body = link("a") + link("b", "(7, 7, 7)") + hinge("j", "a", "b", text=text)
-    model, done = converted(write(tmp_path, body))
+    model, done = converted(write(tmp_path, link("a") + link("b", "(7, 7, 7)") + hinge("j", "a", "b", text=text)))
     np.testing.assert_allclose(model.body("b").pos, [0, 0, 1.5])
     np.testing.assert_allclose(model.jnt_pos[1], [0, 0, -0.5])
     assert any("the frames win" in item.rule for item in done.report.assumptions)
 
 
 def test_a_drawn_bend_is_the_keyframe_and_not_the_zero(tmp_path):
-    bent = link("b", "(1, 0, 0)").replace(
-        'xformOpOrder = ["xformOp:translate"]',
-        'xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]\n        double xformOp:rotateX = 40',
-    )
+    turned = '["xformOp:translate", "xformOp:rotateX"]\n        double xformOp:rotateX = 40'
+    bent = link("b", "(1, 0, 0)").replace('["xformOp:translate"]', turned)
     text = "point3f physics:localPos0 = (1, 0, 0)"
     model, _ = converted(write(tmp_path, link("a") + bent + hinge("j", "a", "b", text=text)))
     np.testing.assert_allclose(model.body("b").quat, [1, 0, 0, 0], atol=1e-9)
@@ -114,27 +98,16 @@ def test_a_drawn_bend_is_the_keyframe_and_not_the_zero(tmp_path):
 
 
 def test_local_positions_are_stretched_by_the_bodys_scale(tmp_path):
-    scaled = link("a").replace(
-        'xformOpOrder = ["xformOp:translate"]',
-        'xformOpOrder = ["xformOp:translate", "xformOp:scale"]\n        double3 xformOp:scale = (2, 3, 4)',
-    )
+    stretched = '["xformOp:translate", "xformOp:scale"]\n        double3 xformOp:scale = (2, 3, 4)'
+    scaled = link("a").replace('["xformOp:translate"]', stretched)
     text = "point3f physics:localPos0 = (1, 1, 1)"
     model, _ = converted(write(tmp_path, scaled + link("b", "(2, 3, 4)") + hinge("j", "a", "b", text=text)))
     np.testing.assert_allclose(model.body("b").pos, [2, 3, 4])
 
 
-def test_a_spherical_joint_becomes_a_ball_with_the_smaller_cone(tmp_path):
-    text = "float physics:coneAngle0Limit = 30\n float physics:coneAngle1Limit = 40"
-    model, done = two_links(tmp_path, text, kind="Spherical")
-    assert model.jnt_type[1] == mujoco.mjtJoint.mjJNT_BALL
-    assert model.jnt_range[1][1] == pytest.approx(math.radians(30))
-    assert any("cone angles" in warning for warning in done.report.warnings)
-
-
 def test_a_fixed_joint_keeps_both_bodies(tmp_path):
     model, _ = two_links(tmp_path, kind="Fixed")
-    assert model.nv == 6
-    assert model.body("b").parentid[0] == model.body("a").id
+    assert (model.nv, model.body("b").parentid[0]) == (6, model.body("a").id)
 
 
 def test_a_joint_to_a_body_that_is_not_there_is_left_out_and_named(tmp_path):
@@ -146,8 +119,7 @@ def test_a_joint_to_a_body_that_is_not_there_is_left_out_and_named(tmp_path):
 def test_equal_leaf_names_get_their_parents_in_front(tmp_path):
     groups = "".join(f'def Xform "{side}"\n{{\n{link("arm")}\n}}\n' for side in ("left", "right"))
     model, _ = converted(write(tmp_path, groups + link("body")))
-    names = {model.body(i).name for i in range(1, model.nbody)}
-    assert names == {"left_arm", "right_arm", "body"}
+    assert {model.body(i).name for i in range(1, model.nbody)} == {"left_arm", "right_arm", "body"}
 
 
 # ------------------------------------------------------------------ the base
@@ -167,23 +139,12 @@ def test_base(tmp_path, pinned, base, floats):
 # ------------------------------------------------------------------ colliders
 def test_collision_api_on_an_instanced_xform_reaches_the_shapes_below(tmp_path):
     inside = """def Xform "collisions" (
-            prepend apiSchemas = ["PhysicsCollisionAPI"]
-            instanceable = true
-            prepend references = </shapes>
-        )
-        {
-        }"""
-    prototype = """def Xform "shapes"
-{
-    def Xform "deeper"
-    {
-        double3 xformOp:scale = (0.1, 0.2, 0.3)
-        uniform token[] xformOpOrder = ["xformOp:scale"]
-
-        def Cube "box"
-        {
-            double size = 1
-        }
+            prepend apiSchemas = ["PhysicsCollisionAPI"]; instanceable = true; prepend references = </shapes>
+        ) {}"""
+    prototype = """def Xform "shapes" {
+    def Xform "deeper" {
+        double3 xformOp:scale = (0.1, 0.2, 0.3); uniform token[] xformOpOrder = ["xformOp:scale"]
+        def Cube "box" { double size = 1; }
     }
 }"""
     model, _ = converted(write(tmp_path, link("a", inside=inside), outside=prototype))
@@ -192,21 +153,15 @@ def test_collision_api_on_an_instanced_xform_reaches_the_shapes_below(tmp_path):
     assert model.ngeom == 1
 
 
-def test_scaled_shapes(tmp_path):
-    def shape(kind: str, attributes: str, scale: str) -> str:
-        return f"""def {kind} "{kind.lower()}" (prepend apiSchemas = ["PhysicsCollisionAPI"])
-        {{
-            {attributes}
-            double3 xformOp:scale = {scale}
-            uniform token[] xformOpOrder = ["xformOp:scale"]
-        }}
-"""
+def scaled(kind: str, attributes: str, scale: str) -> str:
+    head = f'def {kind} "{kind.lower()}" (prepend apiSchemas = ["PhysicsCollisionAPI"])'
+    return f'{head} {{ {attributes}; double3 xformOp:scale = {scale}; token[] xformOpOrder = ["xformOp:scale"]; }}\n'
 
-    inside = (
-        shape("Sphere", "double radius = 0.1", "(2, 2, 2)")
-        + shape("Cylinder", 'token axis = "Y"\n double radius = 0.1\n double height = 1', "(2, 3, 2)")
-        + shape("Cube", "double size = 1", "(1, 2, 3)")
-    )
+
+def test_scaled_shapes(tmp_path):
+    cylinder = 'token axis = "Y"; double radius = 0.1; double height = 1'
+    inside = scaled("Sphere", "double radius = 0.1", "(2, 2, 2)") + scaled("Cylinder", cylinder, "(2, 3, 2)")
+    inside += scaled("Cube", "double size = 1", "(1, 2, 3)")
     model, _ = converted(write(tmp_path, link("a", inside=inside)))
     np.testing.assert_allclose(model.geom("a_sphere").size[0], 0.2)
     np.testing.assert_allclose(model.geom("a_cylinder").size[:2], [0.2, 1.5])
@@ -217,25 +172,16 @@ def test_scaled_shapes(tmp_path):
 
 
 def test_a_ball_that_is_stretched_becomes_an_ellipsoid(tmp_path):
-    inside = """def Sphere "ball" (prepend apiSchemas = ["PhysicsCollisionAPI"])
-        {
-            double3 xformOp:scale = (0.1, 0.2, 0.3)
-            uniform token[] xformOpOrder = ["xformOp:scale"]
-        }"""
-    model, done = converted(write(tmp_path, link("a", inside=inside)))
-    geom = model.geom("a_ball")
+    model, done = converted(write(tmp_path, link("a", inside=scaled("Sphere", "double radius = 1", "(0.1, 0.2, 0.3)"))))
+    geom = model.geom("a_sphere")
     assert geom.type[0] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
     np.testing.assert_allclose(geom.size, [0.1, 0.2, 0.3])
     assert any("ellipsoid" in item.rule for item in done.report.assumptions)
 
 
 def test_a_mesh_is_written_beside_the_model(tmp_path):
-    inside = """def Mesh "tetra" (
-            prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]
-        )
-        {
-            point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-            int[] faceVertexCounts = [3, 3, 3, 3]
+    inside = """def Mesh "tetra" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]) {
+            point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]; int[] faceVertexCounts = [3, 3, 3, 3]
             int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]
             uniform token physics:approximation = "convexHull"
         }"""
@@ -246,11 +192,9 @@ def test_a_mesh_is_written_beside_the_model(tmp_path):
 
 
 def test_a_flat_static_mesh_becomes_a_thin_box(tmp_path):
-    ground = """def Mesh "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"])
-    {
+    ground = """def Mesh "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
         point3f[] points = [(-5, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
+        int[] faceVertexCounts = [4]; int[] faceVertexIndices = [0, 1, 2, 3]
     }"""
     model, _ = converted(write(tmp_path, link("a") + ground))
     np.testing.assert_allclose(sorted(model.geom("world_ground").size)[1:], [5, 5], rtol=1e-6)

@@ -5,29 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ..small_usd import MASS, SI, converted, link, write
+from ..small_usd import MASS, SI, applied, converted, link, write
 
 CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    upAxis = "Y"'
-CUBE = """def Cube "cube" (prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"])
-        {{
-            double size = 0.2
-            {more}
-        }}
-"""
+CUBE = f'def Cube "cube" {applied("PhysicsCollisionAPI MaterialBindingAPI")} {{{{ double size = 0.2\n{{}}\n}}}}\n'
 
 
-def scene(text: str, name: str = "scene") -> str:
-    return f'def PhysicsScene "{name}"\n{{\n    {text}\n}}\n'
+def scene(text: str, name: str = "scene", apis: str = "") -> str:
+    return f'def PhysicsScene "{name}" {applied(apis)}\n{{\n    {text}\n}}\n'
 
 
 def material(name: str, friction: float, more: str = "") -> str:
-    return f"""
-def Material "{name}" (prepend apiSchemas = ["PhysicsMaterialAPI"])
-{{
-    float physics:dynamicFriction = {friction}
-    {more}
-}}
-"""
+    text = f"float physics:dynamicFriction = {friction}\n{more}"
+    return f'def Material "{name}" (prepend apiSchemas = ["PhysicsMaterialAPI"]) {{\n{text}\n}}\n'
 
 
 # ------------------------------------------------------------------ gravity
@@ -53,31 +43,24 @@ def test_gravity(tmp_path, text, header, expected):
     np.testing.assert_allclose(model.opt.gravity, expected, atol=1e-6)
 
 
-def test_of_several_scenes_the_first_is_read_and_the_others_are_named(tmp_path):
+def test_of_several_scenes_that_of_the_body_or_the_first_is_read_and_the_others_are_named(tmp_path):
     scenes = scene("float physics:gravityMagnitude = 1", "one") + scene("float physics:gravityMagnitude = 2", "two")
     model, done = converted(write(tmp_path, link("a"), outside=scenes))
     assert model.opt.gravity[2] == pytest.approx(-1)
     assert any("/two" in item.values for item in done.report.left_out)
-
-
-def test_of_several_scenes_the_one_that_the_body_names_is_read(tmp_path):
-    scenes = scene("float physics:gravityMagnitude = 1", "one") + scene("float physics:gravityMagnitude = 2", "two")
     body = link("a", mass=MASS + "\n rel physics:simulationOwner = </two>")
     assert converted(write(tmp_path, body, outside=scenes))[0].opt.gravity[2] == pytest.approx(-2)
 
 
 def test_a_body_without_gravity_is_carried(tmp_path):
-    model, _ = converted(
-        write(tmp_path, link("a", mass=MASS + "\n bool physxRigidBody:disableGravity = 1") + link("b"))
-    )
+    carried = link("a", mass=MASS + "\n bool physxRigidBody:disableGravity = 1")
+    model, _ = converted(write(tmp_path, carried + link("b")))
     np.testing.assert_allclose(model.body_gravcomp, [0, 1, 0])
 
 
 # ------------------------------------------------------------------ friction
-def friction(
-    folder, *, on_cube: str = "", on_body: str = "", on_root: str = "", outside: str = "", root_apis: str = ""
-):
-    body = link("a", mass=f"{MASS}\n{on_body}", apis="MaterialBindingAPI", inside=CUBE.format(more=on_cube))
+def friction(folder, *, on_cube="", on_body="", on_root="", outside="", root_apis=""):
+    body = link("a", mass=f"{MASS}\n{on_body}", apis="MaterialBindingAPI", inside=CUBE.format(on_cube))
     model, done = converted(write(folder, f"{on_root}\n{body}", outside=outside, root_apis=root_apis))
     return model.geom("a_cube").friction[0], done
 
@@ -91,9 +74,8 @@ def test_a_material_is_bound_to_the_shape_or_to_what_is_above_it(tmp_path, purpo
     options = {where: BIND.format(purpose=purpose, name="rubber"), "root_apis": "MaterialBindingAPI"}
     value, done = friction(tmp_path, outside=material("rubber", 0.7), **options)
     assert value == pytest.approx(0.7)
-    mapped = {(item.path, item.name) for item in done.report.mapped}
     path = {"on_cube": "/bot/a/cube", "on_body": "/bot/a", "on_root": "/bot"}[where]
-    assert (path, f"material:binding{purpose}") in mapped
+    assert (path, f"material:binding{purpose}") in {(item.path, item.name) for item in done.report.mapped}
 
 
 def test_a_material_for_physics_wins_over_one_for_all_purposes(tmp_path):
@@ -105,8 +87,8 @@ def test_a_material_for_physics_wins_over_one_for_all_purposes(tmp_path):
 def test_a_material_may_be_bound_through_a_collection(tmp_path):
     bound = (
         'uniform token collection:soft:expansionRule = "expandPrims"\n rel collection:soft:includes = </bot/a/cube>\n'
-        "rel material:binding:collection:physics:soft = [</bot.collection:soft>, </rubber>]"
     )
+    bound += "rel material:binding:collection:physics:soft = [</bot.collection:soft>, </rubber>]"
     apis = "MaterialBindingAPI CollectionAPI:soft"
     value, _ = friction(tmp_path, on_root=bound, outside=material("rubber", 0.7), root_apis=apis)
     assert value == pytest.approx(0.7)
@@ -114,9 +96,7 @@ def test_a_material_may_be_bound_through_a_collection(tmp_path):
 
 def test_without_a_material_friction_is_the_scenes_else_physxs(tmp_path):
     assert friction(tmp_path)[0] == pytest.approx(0.5)
-    bound = scene(BIND.format(purpose=":physics", name="rubber")).replace(
-        '"scene"', '"scene" (prepend apiSchemas = ["MaterialBindingAPI"])'
-    )
+    bound = scene(BIND.format(purpose=":physics", name="rubber"), apis="MaterialBindingAPI")
     assert friction(tmp_path, outside=bound + material("rubber", 0.7))[0] == pytest.approx(0.7)
 
 
@@ -142,9 +122,8 @@ def test_restitution_and_static_friction_are_named(tmp_path):
         ("double primvars:displayColor = 3", None),
     ],
 )
-def test_a_display_color_colours_and_what_is_no_colour_does_not(tmp_path, color, expected):
-    sphere = f'def Sphere "ball"\n{{\n double radius = 0.1\n {color}\n}}\n'
-    model, _ = converted(write(tmp_path, link("a", inside=sphere)))
+def test_a_display_color_colours_and_a_value_of_another_type_does_not(tmp_path, color, expected):
+    model, _ = converted(write(tmp_path, link("a", inside=f'def Sphere "ball" {{ double radius = 0.1; {color}; }}\n')))
     grey = [0.5, 0.5, 0.5, 1]
     np.testing.assert_allclose(model.geom("a_ball_visual").rgba, expected or grey)
 
