@@ -83,10 +83,7 @@ def fit(
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
-        if change.keys != (
-            "distribution_cfg",
-            "init_std",
-        ):  # The learned deviation replaces it.
+        if change.keys != ("distribution_cfg", "init_std"):  # The learned deviation replaces it.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
