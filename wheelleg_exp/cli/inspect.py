@@ -91,12 +91,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a recorded number, such as rewards.base_height (repeatable)",
     )
     group.add_argument("-o", "--output", type=Path, metavar="PATH", help="the file or folder to write")
-    _add_reading_options(parser)
-    _add_picture_options(parser)
-    add_json(parser)
-
-
-def _add_reading_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--repair", action="store_true", help="write a repaired copy of a truncated recording")
     add("--summary", action="store_true", help="print the summary in addition to other output")
@@ -110,6 +104,8 @@ def _add_reading_options(parser: argparse.ArgumentParser) -> None:
     add("--around", metavar="LENGTH", help="with --where: print also the rows around each time: 0.5s, 200ms, 30steps")
     add("--limit", type=_count, metavar="N", help="the most lines to print (default: 10)")
     add("--compare", metavar="RUN|FILE", help="another recording; exit status 1 if they differ")
+    _add_picture_options(parser)
+    add_json(parser)
 
 
 def _add_picture_options(parser: argparse.ArgumentParser) -> None:
@@ -149,7 +145,15 @@ def run(args: argparse.Namespace) -> int:
     default = "stats" if args.term else "summary"
     chosen = [action for action in ACTIONS if _is_given(args, action.name)]
     chosen = chosen or [action for action in ACTIONS if action.name == default]
-    _require_used(args, chosen)
+    # Raise UsageError for an option that no chosen action reads.
+    used = {option for action in chosen for option in action.options}
+    for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
+        if option not in used and _is_given(args, option):
+            word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
+            users = [f"--{action.name}" for action in ACTIONS if option in action.options]
+            raise UsageError(
+                "the option has no effect on the chosen actions", key=word, expected="also " + " or ".join(users)
+            )
     target = find_target(args.recording, args.root, play=args.play)
     inspected = Inspected(target, _selection_of(args), args.id)
     results = {}
@@ -166,18 +170,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _is_given(args: argparse.Namespace, option: str) -> bool:
     return getattr(args, option) not in (None, False, [])
-
-
-def _require_used(args: argparse.Namespace, chosen: Sequence[Action]) -> None:
-    """Raise UsageError for an option that no chosen action reads."""
-    used = {option for action in chosen for option in action.options}
-    for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
-        if option not in used and _is_given(args, option):
-            word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
-            users = [f"--{action.name}" for action in ACTIONS if option in action.options]
-            raise UsageError(
-                "the option has no effect on the chosen actions", key=word, expected="also " + " or ".join(users)
-            )
 
 
 def _selection_of(args: argparse.Namespace) -> Selection:

@@ -178,7 +178,14 @@ def _runs(args: argparse.Namespace) -> Listed:
     folder = _runs_folder(args.root)
     every = run_list.list_runs(folder)
     if args.sweep is not None:
-        every = _of_sweep(every, args.sweep, folder)
+        index = run_list.find_sweep(args.sweep, folder)
+        if index is None:
+            known = [sweep.id for sweep in run_list.list_sweeps(folder)]
+            expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
+            nearest = nearest_name(args.sweep, known)
+            raise WheellegError(f"there is no sweep '{args.sweep}'", key="--sweep", expected=expected, nearest=nearest)
+        members = run_list.runs_of(index)
+        every = [run for run in every if run.path.resolve() in members]
     found = run_list.filter_runs(every, args.filter)
     if args.sort is not None:
         found = run_list.sort_runs(found, args.sort, reverse=args.reverse)
@@ -202,17 +209,6 @@ def _runs(args: argparse.Namespace) -> Listed:
     used = [i for i, name in enumerate(columns) if name not in optional or any(row[i] is not None for row in rows)]
     columns, rows = [columns[i] for i in used], [[row[i] for i in used] for row in rows]
     return Listed(columns, rows, documents, f"no run of {len(every)} matches" if args.filter else "")
-
-
-def _of_sweep(runs: list[RunSummary], name: str, root: Path) -> list[RunSummary]:
-    index = run_list.find_sweep(name, root)
-    if index is None:
-        known = [sweep.id for sweep in run_list.list_sweeps(root)]
-        expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
-        nearest = nearest_name(name, known)
-        raise WheellegError(f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest)
-    members = run_list.runs_of(index)
-    return [run for run in runs if run.path.resolve() in members]
 
 
 def _short(keys: Sequence[str]) -> list[str]:

@@ -83,24 +83,20 @@ def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
         with for_people(a, "compare"):
             if filecmp.cmp(a, b, shallow=False):
                 return Pair(iteration, "bytes")
-        return _compare_content(iteration, a, b)
+        from wheelleg_exp.rl import checkpoint
+        from wheelleg_exp.verify import tensor_differences
+
+        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
+        found = list(tensor_differences.tree_differences(one, other))
+        of = tensor_differences.count_leaves(one)
+        if not found:
+            return Pair(iteration, "content", of=of)
+        found.sort(key=_order)
+        distance = tensor_differences.relative_distance(_networks(one), _networks(other))
+        parts = Counter(_part(difference.name) for difference in found)
+        return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
     except RunDirectoryError as error:
         return Pair(iteration, "unreadable", problem=str(error))
-
-
-def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
-    from wheelleg_exp.rl import checkpoint
-    from wheelleg_exp.verify import tensor_differences
-
-    one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
-    found = list(tensor_differences.tree_differences(one, other))
-    of = tensor_differences.count_leaves(one)
-    if not found:
-        return Pair(iteration, "content", of=of)
-    found.sort(key=_order)
-    distance = tensor_differences.relative_distance(_networks(one), _networks(other))
-    parts = Counter(_part(difference.name) for difference in found)
-    return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
 
 
 def _networks(state: dict[str, Any]) -> dict[str, Any]:

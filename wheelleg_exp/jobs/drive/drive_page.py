@@ -281,33 +281,6 @@ class DrivePage:
         away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
         self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
         self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        self._build(choice)
-        # Run JavaScript in every open or future page, as viser does for its plots.
-        source = self._hands.javascript()
-        from viser._messages import RunJavascriptMessage
-
-        self._server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
-        return self.url
-
-    def show(self, status: Status) -> None:
-        """Show the state of the drive."""
-        env = self._session.env
-        self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
-        mujoco.mj_kinematics(self._scene.mj_model, self._data)
-        with self._server.atomic():
-            self._scene.update_from_mjdata(self._data)
-            self._state.content = state_html(status, self._controls, env.step_dt)
-            self._rewards.content = reward_bars_html(status.rewards)
-            for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # Keys or a drive script changed the command.
-                    self._mirrored[name] = self._sliders[name].value = value
-            self._pause.label = "Resume" if self._controls.paused else "Pause"
-
-    def _stop(self) -> None:
-        with _without_output():
-            self._server.stop()
-
-    def _build(self, choice: Choose) -> None:
         gui, controls = self._server.gui, self._controls
         self._state = gui.add_html("")
         with gui.add_folder("Commands"):
@@ -332,6 +305,30 @@ class DrivePage:
                 lambda _: controls.request(Finish())
             )
         gui.add_html(KEYS_HELP)
+        # Run JavaScript in every open or future page, as viser does for its plots.
+        source = self._hands.javascript()
+        from viser._messages import RunJavascriptMessage
+
+        self._server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
+        return self.url
+
+    def show(self, status: Status) -> None:
+        """Show the state of the drive."""
+        env = self._session.env
+        self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
+        mujoco.mj_kinematics(self._scene.mj_model, self._data)
+        with self._server.atomic():
+            self._scene.update_from_mjdata(self._data)
+            self._state.content = state_html(status, self._controls, env.step_dt)
+            self._rewards.content = reward_bars_html(status.rewards)
+            for name, value in status.commands.items():
+                if self._mirrored.get(name) != value:  # Keys or a drive script changed the command.
+                    self._mirrored[name] = self._sliders[name].value = value
+            self._pause.label = "Resume" if self._controls.paused else "Pause"
+
+    def _stop(self) -> None:
+        with _without_output():
+            self._server.stop()
 
     def _push_to(self, way: str) -> Push:
         x, y = _PUSHES[way]

@@ -71,16 +71,13 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        env["scene"] = _with_ground(env["scene"], scene)
+        # Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene.
+        own = env["scene"]
+        other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
+        shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
+        ground = {key: value for key, value in other.items() if key != "sensors"}
+        env["scene"] = {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
     return tree
-
-
-def _with_ground(own: Tree, name: str) -> Tree:
-    """Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene."""
-    other = compose([f"+{_GROUP}={name}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
-    shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
-    ground = {key: value for key, value in other.items() if key != "sensors"}
-    return {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
 
 
 _MAX_DELAY_S = 0.1  # The pacer does not catch up longer delays, so that a slow machine shows slow motion.

@@ -131,7 +131,14 @@ def _restore(
     source.moved[record["root"]] = destination
     folders = [destination / name for name in record["folders"]]
     if number == 0:
-        _require_entry(folders[0], record)
+        folder = folders[0]
+        if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
+            version = record["commit"][:12] if record["commit"] else "the run's source"
+            raise RunDirectoryError(
+                f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
+                expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
+                "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
+            )
         source.places[PACKAGE] = folders.pop(0)
     # Add a note about the files that the run did not record with its source.
     for entry in record["refused"]:
@@ -141,16 +148,6 @@ def _restore(
     if nested:
         source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
     source.source_roots += folders
-
-
-def _require_entry(folder: Path, record: dict[str, Any]) -> None:
-    if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
-        version = record["commit"][:12] if record["commit"] else "the run's source"
-        raise RunDirectoryError(
-            f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
-            expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
-            "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
-        )
 
 
 def _register(folder: Path, source: RestoredSource) -> None:

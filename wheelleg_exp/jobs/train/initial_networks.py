@@ -174,7 +174,24 @@ def initial_file(
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        part = _selected_part(source, state, config)
+        # Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin.
+        what = _parts_name(config)
+        parts = PARTS[what]
+        if "actor" not in config["agent"]:
+            raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
+        absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
+        if absent:
+            raise ConfigError(
+                f"'{source.label}' has no {absent[0]} to start with",
+                key=WHAT,
+                expected="policy, which needs only the actor",
+            )
+        facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
+        facts |= {"what": what, "parts": list(parts)}
+        # A checkpoint needs the keys of two networks, so an unused critic is empty.
+        networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
+        networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
+        part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
     _require_fit(source, config, list(PARTS[_parts_name(config)])[:2], note)
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
@@ -204,27 +221,6 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
     return Initial(
         state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
     )
-
-
-def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin."""
-    what = _parts_name(config)
-    parts = PARTS[what]
-    if "actor" not in config["agent"]:
-        raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
-    absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
-    if absent:
-        raise ConfigError(
-            f"'{source.label}' has no {absent[0]} to start with",
-            key=WHAT,
-            expected="policy, which needs only the actor",
-        )
-    facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
-    facts |= {"what": what, "parts": list(parts)}
-    # A checkpoint needs the keys of two networks, so an unused critic is empty.
-    networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
-    networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
-    return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
 
 
 def _parts_name(config: Mapping[str, Any]) -> str:

@@ -78,7 +78,15 @@ def find_point(run: RunDirectory) -> ResumePoint:
             continue
         checkpoint.require_resumable(state)
         point = ResumePoint(checkpoint_iteration(path) + 1, path, state, lines, damaged)
-        _require_line(run, point)
+        if len(point.lines) < point.iteration:
+            assert point.checkpoint is not None
+            raise RunDirectoryError(
+                f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
+                "exists, so the log would have a gap",
+                key=str(run.iterations),
+                expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
+                f"model_{len(point.lines)}.pt on, to resume from an earlier one",
+            )
         wrong = _wrong_digests(point)
         if not wrong:
             return point
@@ -109,18 +117,6 @@ def _lasts(name: str, start: int) -> bool:
     if checkpoint is not None:
         return int(checkpoint[1]) < start
     return name == MANIFEST_NAME or name.startswith(SNAPSHOT) or (start > 0 and name in _CONTINUED_FILES)
-
-
-def _require_line(run: RunDirectory, point: ResumePoint) -> None:
-    if len(point.lines) < point.iteration:
-        assert point.checkpoint is not None
-        raise RunDirectoryError(
-            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
-            "exists, so the log would have a gap",
-            key=str(run.iterations),
-            expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
-            f"model_{len(point.lines)}.pt on, to resume from an earlier one",
-        )
 
 
 def _wrong_digests(point: ResumePoint) -> list[str]:
