@@ -40,8 +40,7 @@ class Parser(argparse.ArgumentParser):
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
         optional = [str(action.metavar) for action in words if str(action.metavar) not in wanted]
-        problem = _unknown_word(message, options) or _wrong_value(message, optional)
-        raise problem or UsageError(message, key=self.prog)
+        raise _unknown_word(message, options) or _wrong_value(message, optional) or UsageError(message, key=self.prog)
 
 
 def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:

@@ -132,8 +132,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
     # A group has the name of its section without the plural: 'reward' of 'rewards'. Both names are accepted.
-    names = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}
-    section = names.get(args.group)
+    section = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
     stock = catalog.terms(group, args.config_dirs) if section is None or group in known else []

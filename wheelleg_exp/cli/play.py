@@ -46,8 +46,7 @@ def run(args: argparse.Namespace) -> int:
         return _run_drive(args, directory, checkpoint)
     for option, value in (("--scene", args.scene), ("--port", args.port)):
         if value is not None:
-            message = "the option applies only to driving"
-            raise UsageError(message, key=option, expected="also --drive or --script FILE")
+            raise UsageError("the option applies only to driving", key=option, expected="also --drive or --script FILE")
 
     from wheelleg_exp.cli.printing.metric_tables import print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay

@@ -41,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
         findings = verify_run(one)
         _print(args.json, findings)
         return EXIT_OK if findings.is_sound else EXIT_FINDING
-    other = RunDirectory.open(args.b, args.root)
-    comparison = compare_runs(one, other, iterations=args.iterations, common=args.common)
+    comparison = compare_runs(one, RunDirectory.open(args.b, args.root), iterations=args.iterations, common=args.common)
     _print(args.json, comparison)
     return EXIT_FINDING if comparison.verdict == "different" else EXIT_OK
 

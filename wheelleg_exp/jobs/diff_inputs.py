@@ -105,8 +105,7 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
 
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     env, agent = load_params(run)
-    sections = _recorded_sections(run)
-    tree = apply_overrides({**sections, "env": env, "agent": agent}, overrides)
+    tree = apply_overrides({**_recorded_sections(run), "env": env, "agent": agent}, overrides)
     typed = [*recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:

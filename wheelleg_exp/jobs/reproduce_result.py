@@ -172,8 +172,7 @@ def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
     Recorded words are overrides, never options.
     """
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
-    folders = [str(folder) for folder in config_dirs]
-    request = JobRequest("train", words, folders, ["wheelleg", "train", *words], digest)
+    request = JobRequest("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
     with run_request(request, StopRequest()) as events:
         (path,) = [event["path"] for event in events if event["event"] == "run"]
     return str(path)

@@ -244,8 +244,7 @@ class MotionMeter:
         self._work += torch.where(now, self._effort.net.double(), 0.0)
         both = now & self._before
         action = env.action_manager
-        jump = (action.action - action.prev_action).abs().mean(dim=1)
-        self._changed += torch.where(both, jump, 0.0)
+        self._changed += torch.where(both, (action.action - action.prev_action).abs().mean(dim=1), 0.0)
         self._pairs += both
         self._steps += now
         self._before, self._settled = now, self._settled | now

@@ -155,9 +155,7 @@ class QueuedJob:
 
     def over(self) -> bool:
         """Return whether the job ended, left the queue, or was stopped before it was submitted."""
-        if self.ticket is None:
-            return self._stopped
-        return self.ended is not None or self.ticket.gone()
+        return self._stopped if self.ticket is None else self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
         """Ask the job to stop at its next whole iteration; remove a waiting job from the queue."""

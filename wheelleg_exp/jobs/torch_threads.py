@@ -138,8 +138,7 @@ def _libraries() -> list[str]:
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
     """Return the number of samples over which the PPO update computes a mean."""
-    algorithm = agent.get("algorithm") or {}
-    return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
+    return (samples or 0) // max(1, int((agent.get("algorithm") or {}).get("num_mini_batches", 1)))
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:

@@ -85,8 +85,7 @@ class CameraPictures:
         order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]
         pixels = order.width * order.height
         row = np.dtype([(layer, kind, (pixels * channels,)) for layer, channels, kind in forms])
-        data = self._worker.ask(Poses(qpos.double().cpu().numpy()), row.itemsize * len(qpos))
-        rows = np.frombuffer(data, dtype=row)
+        rows = np.frombuffer(self._worker.ask(Poses(qpos.double().cpu().numpy()), row.itemsize * len(qpos)), dtype=row)
         size = (len(qpos), order.height, order.width)
         return {
             layer: torch.from_numpy(rows[layer].copy()).reshape(*size, channels).to(qpos.device)

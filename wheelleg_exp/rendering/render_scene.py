@@ -100,8 +100,7 @@ def camera_distance(cloud: Array, aspect: float) -> float:
     """Return the camera's distance at which points around the origin fill the robot's share of the picture."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
-    wide = tall * aspect
-    return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / wide, np.abs(cloud @ up) / tall)))
+    return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / (tall * aspect), np.abs(cloud @ up) / tall)))
 
 
 def camera_axes() -> tuple[Array, Array, Array]:

@@ -64,8 +64,7 @@ class Drawing:
 
     def draw(self, view: View) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3); SimulationFailure if the graphics driver failed."""
-        data = self._worker.ask(view, int(np.prod(self._size)))
-        return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
+        return np.frombuffer(self._worker.ask(view, int(np.prod(self._size))), dtype=np.uint8).reshape(self._size)
 
 
 @contextmanager

@@ -46,8 +46,7 @@ def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
 
 
 def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
-    found = (shape_of(model, geom) for geom in body_geoms(model, body)[0])
-    return [shape for shape in found if shape is not None]
+    return [shape for shape in (shape_of(model, geom) for geom in body_geoms(model, body)[0]) if shape is not None]
 
 
 def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:

@@ -227,7 +227,6 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
     robot = f"{asset} ({profile})" if asset and profile else str(asset or choices.get("robot") or "")
     seeds = manifest.get("seeds") or [subject.config.get("seed")]
     envs, step = subject.setting("env.num_envs"), subject.step_s
-    hardware = manifest.get("hardware") or {}
     rows = [
         ("Task", subject.task),
         ("Robot", robot),
@@ -236,7 +235,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
         ("Seed", ", ".join(str(seed) for seed in seeds if seed is not None)),
         ("Started", moment(manifest["started"]) if manifest.get("started") else ""),
         ("Ended", moment(manifest["ended"]) if manifest.get("ended") else ""),
-        ("Machine", str(hardware.get("cpu") or "")),
+        ("Machine", str((manifest.get("hardware") or {}).get("cpu") or "")),
     ]
     return [(name, value) for name, value in rows if value]
 

@@ -224,8 +224,7 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
     steps, settled = figures.get("settled_steps"), figures.get("settled_episodes")
     if key in ("drift_m", "yaw_drift_deg"):
         return counted(settled, "episode") if isinstance(settled, int) else ""
-    is_settled = key.startswith(("height_", "pitch_")) or key in MOTION
-    if is_settled and isinstance(steps, int) and isinstance(settled, int):
+    if (key.startswith(("height_", "pitch_")) or key in MOTION) and isinstance(steps, int) and isinstance(settled, int):
         return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
     return ""
 
@@ -241,8 +240,7 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
     ]
     # Old plays count an episode once for each termination term that ended the episode.
     twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
-    title = f"How its {counted(count, 'ended episode')} ended{twice}"
-    return [Table(title, ("Ended by", "Episodes", "Share"), rows)]
+    return [Table(f"How its {counted(count, 'ended episode')} ended{twice}", ("Ended by", "Episodes", "Share"), rows)]
 
 
 def _plays(subject: Subject) -> list[Block]:

@@ -140,8 +140,7 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
         if key in numerics:
             value = numerics[key]
             rows.append((name, ("yes" if value else "no") if isinstance(value, bool) else brief(value)))
-    libraries = numerics.get("libraries") or []
-    return [*rows, *(("Library", str(line)) for line in libraries if isinstance(line, str))]
+    return [*rows, *(("Library", str(line)) for line in numerics.get("libraries") or [] if isinstance(line, str))]
 
 
 def robot(subject: Subject) -> list[Block]:
@@ -187,8 +186,7 @@ def resumes(subject: Subject) -> list[Block]:
         ]
         for entry in entries
     ]
-    columns = ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped")
-    return [Table("Resumes", columns, rows)]
+    return [Table("Resumes", ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped"), rows)]
 
 
 def files(subject: Subject) -> list[Block]:
@@ -348,12 +346,11 @@ def _repeated(verdict: Verdict) -> list[Block]:
 
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
     known = str(subject.manifest.get("id") or run.id)
-    kinds = {
+    for how, folders in {
         "original": _original(run, subject),
         "replay": _replays(run, known),
         "same settings": _equals(run, subject),
-    }
-    for how, folders in kinds.items():
+    }.items():
         yield from (_compared(run, folder, how) for folder in folders[-_COMPARED:])
 
 

@@ -87,8 +87,7 @@ class Subject:
     def file(self, name: str) -> Path | None:
         """Return a file in the run directory by its name; None for a missing file or an outside link."""
         path = self.path / name
-        inside = path.resolve().is_relative_to(self.path.resolve())
-        return path if inside and path.is_file() else None
+        return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
         """Return the result of ``read``; if ``read`` fails, add the reason to ``problems`` and return ``instead``."""

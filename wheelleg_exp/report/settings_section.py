@@ -80,8 +80,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     for part in _PARTS:
         if subject.config.get(part):
             for change in changes(default.config.get(part), subject.config[part], same, (part,)):
-                one_sided = ABSENT in (change.a, change.b)
-                origin = _origin(again, mounts, change.keys, change.b, one_sided)
+                origin = _origin(again, mounts, change.keys, change.b, ABSENT in (change.a, change.b))
                 yield Setting(change.key, _shown(change.a), _shown(change.b), origin)
 
 

@@ -88,8 +88,7 @@ def sentence(groups: Sequence[Group]) -> str:
     If the settings change the meaning of a return, the sentence compares the training's time-out shares, or else the
     survival in the last plays.
     """
-    runs = sum(len(group.runs) for group in groups)
-    text = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
+    text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
         return text
     other = next((key for key in groups[0].settings if _below(key, _MEASURE)), None)
@@ -213,8 +212,7 @@ def members(groups: Sequence[Group]) -> list[Block]:
         for group in groups
         for run in group.runs
     ]
-    columns = ["run", "setting", "seed", "status", "iterations", *_FIGURES]
-    table = Table("The runs", columns, rows, titled=False)
+    table = Table("The runs", ["run", "setting", "seed", "status", "iterations", *_FIGURES], rows, titled=False)
     return [table, Code("wheelleg report RUN", "a page about one of them")]
 
 

@@ -134,8 +134,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
     with tempfile.TemporaryDirectory(prefix="wheelleg-git-") as folder:
         scratch = Path(folder)
         (scratch / "objects" / "info").mkdir(parents=True)
-        alternates = os.fsencode(objects.resolve()) + b"\n"
-        (scratch / "objects" / "info" / "alternates").write_bytes(alternates)
+        (scratch / "objects" / "info" / "alternates").write_bytes(os.fsencode(objects.resolve()) + b"\n")
         if index.is_file():
             # copy2 preserves the index's modification time. Git compares this time with the times of the files to find
             # changed files.
@@ -143,8 +142,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
         environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
         off = {"clean": "", "smudge": "", "process": "", "required": "false"}
         no_filters = {f"filter.{name}.{key}": value for name in filters(repository) for key, value in off.items()}
-        settings = {**repository.settings, **no_filters}
-        yield Repository(repository.top, {**repository.environ, **environ}, settings)
+        yield Repository(repository.top, {**repository.environ, **environ}, {**repository.settings, **no_filters})
 
 
 def filters(repository: Repository) -> list[str]:

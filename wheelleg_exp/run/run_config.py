@@ -53,8 +53,7 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
     """Write both parameter files below ``directory/params``; write neither if a value is not plain."""
-    texts = {part: dump_yaml(params[part]) for part in PARTS}
-    for part, text in texts.items():
+    for part, text in {part: dump_yaml(params[part]) for part in PARTS}.items():
         write_text(directory / "params" / f"{part}.yaml", text)
 
 

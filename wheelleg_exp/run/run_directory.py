@@ -272,8 +272,7 @@ def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
             message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"
             return RunDirectoryError(message, expected=expected, nearest=str(holder) if holder else None)
     names = [name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}")]
-    nearest = nearest_name(run, [LATEST, *names])
-    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest)
+    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest_name(run, [LATEST, *names]))
 
 
 def _require_name(name: str, key: str) -> None:

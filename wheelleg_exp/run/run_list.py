@@ -144,8 +144,7 @@ def summarize(folder: Path) -> RunSummary:
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
     """Return a line that counts the episodes that ended because a number was not finite; None without such episodes."""
-    counts = results.get("non_finite") or {}
-    listed = ", ".join(f"{key} {count}" for key, count in counts.items())
+    listed = ", ".join(f"{key} {count}" for key, count in (results.get("non_finite") or {}).items())
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
@@ -219,8 +218,7 @@ def _last_line(path: Path) -> dict[str, Any] | None:
     """Return the last whole line of ``iterations.jsonl``; only the end of the file is read."""
     try:
         with open_file(path) as file:
-            end = file.seek(0, os.SEEK_END)
-            file.seek(max(0, end - _TAIL_BYTES))
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
             lines = file.read().split(b"\n")[:-1]  # A last log line without a newline is incomplete.
     except RunDirectoryError:
         return None
@@ -383,8 +381,7 @@ def _holds(value: Any, sign: str, wanted: str) -> bool:
             raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
     if isinstance(value, bool) or value is None:
-        words = {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]
-        equal = wanted.lower() in words
+        equal = wanted.lower() in {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]
     elif isinstance(value, (int, float)) and number is not None:
         equal = float(value) == number
     else:

@@ -117,8 +117,7 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")
         return
-    title = "these differ, but changed no number" if equal else "these differ, and may be the cause"
-    yield from ("", title)
+    yield from ("", "these differ, but changed no number" if equal else "these differ, and may be the cause")
     # Differences of the code are first, followed by differences that allow unequal numbers; distributions are last.
     ordered = sorted(found, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
     rows = [_fact_row(difference) for difference in ordered]

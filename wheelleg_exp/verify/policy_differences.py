@@ -69,9 +69,8 @@ class CheckpointComparison:
 def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> CheckpointComparison:
     """Compare the checkpoints of the iterations below ``until``."""
     ones, others = ({checkpoint_iteration(path): path for path in run.checkpoints()} for run in (a, b))
-    common = sorted(i for i in ones if i in others and i < until)
     return CheckpointComparison(
-        pairs=[compare_pair(i, ones[i], others[i]) for i in common],
+        pairs=[compare_pair(i, ones[i], others[i]) for i in sorted(i for i in ones if i in others and i < until)],
         only_a=sorted(i for i in ones if i not in others and i < until),
         only_b=sorted(i for i in others if i not in ones and i < until),
     )
@@ -205,8 +204,7 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 def _definitions(code: str) -> list[str]:
     """Return the classes and functions of a file, without class numbers and with sorted constants."""
-    plain = _NUMBER.sub("", code)
-    ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), plain)
+    ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 

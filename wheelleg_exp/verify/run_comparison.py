@@ -168,9 +168,7 @@ def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]
 
 def _changes_part(changes: list[Change], what: str) -> Part:
     details = {"differing": [differences.as_dict(change) for change in changes]}
-    if not changes:
-        return Part("equal", what, details)
-    return Part("different", changes_text(changes), details)
+    return Part("equal", what, details) if not changes else Part("different", changes_text(changes), details)
 
 
 def _checkpoints_part(found: CheckpointComparison) -> Part:

@@ -41,8 +41,7 @@ def decides(keys: Keys) -> bool:
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
     """Return how the settings of two runs differ, with settings that can change a number first."""
-    found = plain_changes(_settings(a), _settings(b))
-    return sorted(found, key=lambda change: not decides(change.keys))
+    return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
 
 
 def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:

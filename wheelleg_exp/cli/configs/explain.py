@@ -41,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
         # The lines of a wrapped text are indented to the column after its label.
-        indent = {0: 4, 2: _LABEL}.get(blanks, blanks + 4)
-        print(hanging(line, indent) if len(line) > screen_width() else line)
+        print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 
 

@@ -166,8 +166,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
-    framed = lines and sys.stdout.isatty()
-    if framed and sum(widths) + 3 * len(widths) + 1 <= screen_width():
+    if lines and sys.stdout.isatty() and sum(widths) + 3 * len(widths) + 1 <= screen_width():
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text

@@ -85,10 +85,9 @@ def reward_bars_html(values: Mapping[str, float]) -> str:
     rows = []
     for name, value in values.items():
         width = 50.0 * abs(value) / most
-        left = 50.0 if value >= 0.0 else 50.0 - width
         rows.append(
             f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
-            + _bar(left, width, _GOOD if value >= 0.0 else _BAD)
+            + _bar(50.0 if value >= 0.0 else 50.0 - width, width, _GOOD if value >= 0.0 else _BAD)
         )
     return f'<div id="drive-rewards" style="{_BOX_STYLE}">{"".join(rows)}</div>'
 

@@ -1,8 +1,7 @@
 """Read a drive script, and write a finished drive as a script that repeats it.
 
-A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts
-for ``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the
-axis.
+A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts for
+``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the axis.
 """
 
 from __future__ import annotations
@@ -201,14 +200,12 @@ class DriveLog:
 
     def asked(self, step: int, request: Reset | Push) -> None:
         """Record a request that the driver made before a control step."""
-        deed = {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}
-        self._entries.append((step, deed))
+        self._entries.append((step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
         """Return the entries of a drive script that repeats this drive of ``steps`` control steps."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
-        last = self._entries[-1][0] if self._entries else 0
-        entries[-1]["for"] = round(self._time(steps) - self._time(last), 6)
+        entries[-1]["for"] = round(self._time(steps) - self._time(self._entries[-1][0] if self._entries else 0), 6)
         return entries
 
     def _time(self, step: int) -> float:

@@ -196,13 +196,12 @@ class DriveSession:
 
     def status(self) -> Status:
         """Return the state of the drive."""
-        rewards = self.env.reward_manager.get_active_iterable_terms(0)
         return Status(
             time_s=self.time_s,
             commands=self.controls.values,
             measured=self.meter.measured,
             height_m=self.meter.height_m,
-            rewards={name: value for name, (value,) in rewards},
+            rewards={name: value for name, (value,) in self.env.reward_manager.get_active_iterable_terms(0)},
             falls=self.meter.falls,
             fallen=self.fallen,
         )

@@ -93,8 +93,7 @@ _PER_JOINT = ("default_joint_pos", "stiffness", "damping", "effort_limit", "velo
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in [head, ["---"] * len(head), *rows])
 
 
 def _number(value: float | None) -> str:

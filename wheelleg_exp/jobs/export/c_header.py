@@ -185,7 +185,6 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
     processed = [line for name, term in actions for line in action_lines(name, term)]
-    widths = spec["network"]["widths"]
     return _HEADER.format(
         about=in_comment(f"The policy '{about['task']}' of run {about['id']}, iteration {about['iteration']}."),
         joint_names=_listed(f"{i} {name}" for i, name in enumerate(spec["joint_names"])),
@@ -200,7 +199,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         ),
         memory="\n".join(f"    {line}" for line in memory),
         constants="\n".join(_constants(spec, arrays)),
-        widest=max([spec["observation_width"], *widths]),
+        widest=max([spec["observation_width"], *spec["network"]["widths"]]),
         observe=_indented([*observe, *_layout(spec)], 4),
         normalize=_NORMALIZE if spec["network"]["normalized"] else _COPY,
         zero=_indented(_zero(spec), 4),

@@ -184,8 +184,7 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
     name = term.params["command_name"]
     command: Any = env.command_manager.get_term(name)
     if type(command) is not UniformVelocityTravelCommand:
-        kind = type(command).__name__
-        message = f"a runner does not know how a '{kind}' sums up its error"
+        message = f"a runner does not know how a '{type(command).__name__}' sums up its error"
         raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
     ids = torch.arange(len(env.scene.robot.joint_names))[command._wheel_ids].tolist()
     most = command._most[0].tolist()

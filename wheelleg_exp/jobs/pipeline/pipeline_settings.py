@@ -185,8 +185,7 @@ def _mistakes_by_phase(
 
 
 def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
-    names = list(phases)
-    for before, name in pairwise(names):
+    for before, name in pairwise(list(phases)):
         was, now = phases[before].config, phases[name].config
         roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")

@@ -95,8 +95,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
             protocol[test] = {**protocol[test], "episodes": 1}
     config = composed.config
     env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
-    asset = prepare_asset(config, composed.asset_roots)
-    return list(evaluate(env, asset.output, nan_policy, protocol).metrics)
+    return list(evaluate(env, prepare_asset(config, composed.asset_roots).output, nan_policy, protocol).metrics)
 
 
 class PipelineRunner:

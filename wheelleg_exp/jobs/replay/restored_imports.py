@@ -48,8 +48,7 @@ def main() -> int:
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN
     entry = next(entry for entry in ENTRIES if own.joinpath(f"{entry}.py").is_file())
-    module = import_module(f"{_OWN}.{entry.replace('/', '.')}")
-    return int(module.main())
+    return int(import_module(f"{_OWN}.{entry.replace('/', '.')}").main())
 
 
 if __name__ == "__main__":

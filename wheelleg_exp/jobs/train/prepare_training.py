@@ -92,8 +92,7 @@ def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ran
     """Prepare a training from its inputs: all steps except ``find_inputs``."""
     with ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    rank_facts = ranks.facts(recipe.config)
-    directory, manifest = create_run(recipe, trainer, threads, rank_facts, command, display)
+    directory, manifest = create_run(recipe, trainer, threads, ranks.facts(recipe.config), command, display)
     for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
         display.note(line)
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
@@ -104,8 +103,7 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     config = composed.config
     require_recorded(config)
     with initial_file(config, display.note) as (initial, initial_run):
-        networks = find_teacher(config) | initial
-        asset = prepare_asset(config, composed.asset_roots, networks)
+        asset = prepare_asset(config, composed.asset_roots, find_teacher(config) | initial)
     return Recipe(
         config=config,
         hydra_files=composed.hydra_files(),
@@ -130,8 +128,7 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     teacher = saved_teacher(recipe.asset) if "teacher" in agent else None
     initial = saved_initial(config, recipe.asset)
-    adapter = RslRlVecEnv(env, agent.get("clip_actions"))
-    trainer = Trainer(adapter, agent, config["seed"], teacher, initial, ranks)
+    trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher, initial, ranks)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
 
 

@@ -163,8 +163,7 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
     """Return the overrides of run and resume; a resume's override replaces the run's override of an equal key."""
-    joined = {_key(word): word for word in words}
-    return list({**joined, **{_key(word): word for word in overrides}}.values())
+    return list({**{_key(word): word for word in words}, **{_key(word): word for word in overrides}}.values())
 
 
 def _key(word: str) -> str:

@@ -169,8 +169,7 @@ def _prepare(
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # The run was killed before the first step, while its source was recorded.
-        roots = [configs_dir().parent, *folders]
-        complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
+        complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
     # 3. Load the checkpoint, and collect reasons why the resume is inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)

@@ -185,5 +185,4 @@ def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, An
         directory.exported.mkdir(exist_ok=True)
     for name, content in files.items():
         write_bytes(directory.exported / name, content)
-    description = export.description(trainer.env.env, agent, trainer.iteration - 1)
-    write_text(directory.exported / "policy.json", description)
+    write_text(directory.exported / "policy.json", export.description(trainer.env.env, agent, trainer.iteration - 1))

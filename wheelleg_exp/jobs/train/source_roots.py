@@ -50,8 +50,7 @@ def loaded_outside(roots: Sequence[Path]) -> list[Path]:
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
-        module = sys.modules.get(name)
-        for place in _places(module):
+        for place in _places(sys.modules.get(name)):
             installed = any(part in _INSTALL_FOLDERS for part in place.parts)
             if not installed and not any(place.is_relative_to(folder) for folder in known):
                 found.append(place)

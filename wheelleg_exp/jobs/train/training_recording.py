@@ -212,8 +212,7 @@ class TrainingRecording(ObservingRecording):
         if iteration == 0:
             self._recorder.say(str(self._warning()))
             return
-        before = due - interval * (due // iteration)
-        if self._recorder.frames_until(due) > self._recorder.frames_until(before):
+        if self._recorder.frames_until(due) > self._recorder.frames_until(due - interval * (due // iteration)):
             bound, count = self._options.max_mb, iteration // interval
             self._recorder.say(
                 f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
