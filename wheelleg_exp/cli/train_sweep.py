@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
-
 _MOST_SHOWN = 3
 _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
 

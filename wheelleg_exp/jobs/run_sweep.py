@@ -26,10 +26,7 @@ _PATIENCE_S = 10.0
 
 
 class Job(Protocol):
-    """A job that was started.
-
-    ``ended`` is the last event of the job; None while the job runs, and if the job died.
-    """
+    """A job that was started. ``ended`` is the last event of the job; None while the job runs, and if the job died."""
 
     ended: Event | None
 

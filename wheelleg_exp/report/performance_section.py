@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.recording_summary import Summary
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
-
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
 _HIGH, _FULL = 0.01, 0.1  # A cell is yellow or red from 1 % or 10 % of the time at the effort limit.

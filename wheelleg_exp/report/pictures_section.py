@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.recording_pictures import Scenery
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
-
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
 _FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the last, and the play's episode.

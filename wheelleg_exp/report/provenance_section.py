@@ -23,7 +23,6 @@ from wheelleg_exp.run.source_snapshot import source_entries
 if TYPE_CHECKING:
     from wheelleg_exp.verify import Check, RunFindings
 
-
 _LISTED, _FINDINGS = 40, 200
 _THREADS = {
     "torch": "Threads of torch",

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.config.composing.provenance import Mount
 
-
 _PARTS = ("env", "agent")
 _NOT_SET = "not set"
 _THEN = "the configs at the time of the run"

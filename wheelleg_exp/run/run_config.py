@@ -26,7 +26,6 @@ from wheelleg_exp.terms.key_syntax import is_override
 if TYPE_CHECKING:
     from omegaconf.base import Container
 
-
 PARTS = ("env", "agent")
 # A trained policy depends on these keys of ``agent``. The remaining keys of ``agent`` affect only the training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")

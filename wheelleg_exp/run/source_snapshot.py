@@ -2,10 +2,8 @@
 
 ``git.json`` describes the repository of each source folder, the main one first. ``source.patch`` (``source_2.patch``
 for a second repository) makes the recorded tree from the recorded commit, including untracked and binary files. Ignored
-files and the folder of runs are left out.
-
-Submodules, nested repositories, folders without git, and files that pass through a filter program such as Git LFS are
-not captured. The record then names them, and its ``exact`` is false.
+files and the folder of runs are left out. Submodules, nested repositories, folders without git, and files that pass
+through a filter program such as Git LFS are not captured. The record then names them, and its ``exact`` is false.
 """
 
 from __future__ import annotations

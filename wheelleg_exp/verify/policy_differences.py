@@ -27,7 +27,6 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-
 _MOST_LEAVES = 50  # At most this number of differing leaves is stored for one pair of checkpoints.
 
 

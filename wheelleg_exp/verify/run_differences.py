@@ -155,7 +155,6 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-
 UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # A process can record this fact only after the import of torch.
 
 

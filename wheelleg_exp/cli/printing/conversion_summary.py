@@ -17,7 +17,6 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-
 ROWS = 15  # At most this number of rows of a table or list is printed.
 JOINTS = 40  # At most this number of joints is printed.
 WIDTH = 60  # A cell of a table has at most this number of characters.

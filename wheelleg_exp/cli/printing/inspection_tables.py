@@ -29,7 +29,6 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 if TYPE_CHECKING:
     from wheelleg_exp.recording.reading.recording_repair import Repaired
 
-
 Row = Sequence[str | None]
 
 

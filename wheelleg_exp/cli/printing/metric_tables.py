@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-
 _SETTLED = (
     "height_rmse_m",
     "height_mean_m",

@@ -122,9 +122,7 @@ Request = Push | Reset | Choose | Finish
 class Controls:
     """The driver's commands, and the driver's requests that wait for the next control step.
 
-    All methods are thread-safe.
-
-    ``speed`` is simulated seconds per second of real time.
+    All methods are thread-safe. ``speed`` is simulated seconds per second of real time.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:

@@ -132,10 +132,8 @@ _MAX_MESSAGE = 1024  # bytes of a message
 class InputServer:
     """Receives key and gamepad input of a web page on the loopback address.
 
-    A web page that disconnects releases all its axes.
-
-    ``origins`` are the accepted web origins, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of a
-    push that a key requests, m/s.
+    A web page that disconnects releases all its axes. ``origins`` are the accepted web origins, such as
+    ``http://127.0.0.1:8080``. ``push`` is the velocity change of a push that a key requests, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:

@@ -154,7 +154,6 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
     actions.AbsBinaryJointPositionAction: _binary,
 }
 
-
 _ACTIVATIONS: dict[type, str] = {
     torch.nn.ELU: "elu",
     torch.nn.CELU: "elu",  # rsl_rl uses alpha 1

@@ -48,7 +48,6 @@ READINGS = {
     "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
 }
 
-
 # Quantities of an IMU (``<sensor>.<quantity>``): unit, meaning, and attribute of the sensor's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),

@@ -1,12 +1,10 @@
 """Log scalars to TensorBoard's event files and to Weights & Biases.
 
-An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content.
-The content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
-checkpoint, so that the event files contain each iteration once.
-
-Weights & Biases gets the run's name, its composed config, and its scalars, and nothing else. rsl_rl's own writer is
-not used: it also sends the local path and a git diff, takes the account from ``WANDB_USERNAME`` for a team, and
-uploads every film.
+An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content. The
+content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
+checkpoint, so that the event files contain each iteration once. Weights & Biases gets the run's name, its composed
+config, and its scalars, and nothing else. rsl_rl's own writer is not used: it also sends the local path and a git diff,
+takes the account from ``WANDB_USERNAME`` for a team, and uploads every film.
 """
 
 from __future__ import annotations
