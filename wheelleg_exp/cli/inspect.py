@@ -151,9 +151,8 @@ def run(args: argparse.Namespace) -> int:
         if option not in used and _is_given(args, option):
             word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
             users = [f"--{action.name}" for action in ACTIONS if option in action.options]
-            raise UsageError(
-                "the option has no effect on the chosen actions", key=word, expected="also " + " or ".join(users)
-            )
+            message = "the option has no effect on the chosen actions"
+            raise UsageError(message, key=word, expected="also " + " or ".join(users))
     target = find_target(args.recording, args.root, play=args.play)
     inspected = Inspected(target, _selection_of(args), args.id)
     results = {}

@@ -177,9 +177,8 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
     try:
         found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     except (LookupError, TypeError) as error:
-        raise RunDirectoryError(
-            "the record names no runs", key=str(path), expected=f"{_EXPECTED}, or no such file"
-        ) from error
+        message = "the record names no runs"
+        raise RunDirectoryError(message, key=str(path), expected=f"{_EXPECTED}, or no such file") from error
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
 
@@ -225,9 +224,8 @@ def read_record(path: Path) -> dict[str, Any]:
         with for_people(path, "read"):
             record = json_value(path.read_bytes())
     except Unreadable as error:
-        raise RunDirectoryError(
-            f"the file is damaged: {error.problem}", key=str(path), expected="a result's record"
-        ) from error
+        message = f"the file is damaged: {error.problem}"
+        raise RunDirectoryError(message, key=str(path), expected="a result's record") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("the file is not a result record", key=str(path), expected=_EXPECTED)
     return record
@@ -244,9 +242,8 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
     record = read_record(path)
     try:
         if record["name"] != name:
-            raise RunDirectoryError(
-                f"the record is of '{record['name']}'", key=str(path), expected="a record of its own name"
-            )
+            message = f"the record is of '{record['name']}'"
+            raise RunDirectoryError(message, key=str(path), expected="a record of its own name")
         if not record["runs"]:
             raise RunDirectoryError("the record names no runs", key=str(path), expected=_EXPECTED)
         trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
@@ -267,11 +264,8 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
     """Raise RunDirectoryError unless the page shows the content of the record."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
-        raise RunDirectoryError(
-            "the page does not show its record",
-            key=str(path),
-            expected="the page that wheelleg results wrote: only one of page and record was changed",
-        )
+        expected = "the page that wheelleg results wrote: only one of page and record was changed"
+        raise RunDirectoryError("the page does not show its record", key=str(path), expected=expected)
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:
@@ -285,15 +279,11 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
-        raise RunDirectoryError(
-            "the run was not trained in one go",
-            key=run.id,
-            expected="a finished run whose resumes changed nothing but its length or the machine",
-        )
+        expected = "a finished run whose resumes changed nothing but its length or the machine"
+        raise RunDirectoryError("the run was not trained in one go", key=run.id, expected=expected)
     if (run.asset / TEACHER).is_file():
-        raise RunDirectoryError(
-            "the run learned from another run's policy", key=run.id, expected="a run that its own commands reproduce"
-        )
+        message = "the run learned from another run's policy"
+        raise RunDirectoryError(message, key=run.id, expected="a run that its own commands reproduce")
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
@@ -320,11 +310,9 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
     first, *others = (_method(recipe(run)) for run in runs)
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
-            raise RunDirectoryError(
-                f"the run was trained differently from {runs[0].id}: {_describe_difference(other, first)}",
-                key=run.id,
-                expected="runs that differ only in their seed (see wheelleg diff)",
-            )
+            message = f"the run was trained differently from {runs[0].id}: {_describe_difference(other, first)}"
+            expected = "runs that differ only in their seed (see wheelleg diff)"
+            raise RunDirectoryError(message, key=run.id, expected=expected)
 
 
 def _method(made: Mapping[str, Any]) -> dict[str, Any]:

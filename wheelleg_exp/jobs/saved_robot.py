@@ -53,9 +53,8 @@ def saved_mjcf(directory: RunDirectory) -> Path:
     """
     path = directory.asset / MJCF
     if not path.is_file():
-        raise RunDirectoryError(
-            "the run directory contains no MJCF of the robot", key=str(path), expected="the MJCF that it was trained on"
-        )
+        message = "the run directory contains no MJCF of the robot"
+        raise RunDirectoryError(message, key=str(path), expected="the MJCF that it was trained on")
     try:
         elements = list(ElementTree.fromstring(read_bytes(path)).iter())
     except ElementTree.ParseError as error:
@@ -65,9 +64,8 @@ def saved_mjcf(directory: RunDirectory) -> Path:
             raise RunDirectoryError(f"the file holds <{element.tag}>, which no conversion writes", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
-                raise RunDirectoryError(
-                    f"the file names {value!r}, outside its folder", key=str(path), expected="files in its folder"
-                )
+                message = f"the file names {value!r}, outside its folder"
+                raise RunDirectoryError(message, key=str(path), expected="files in its folder")
     return path
 
 
@@ -113,6 +111,5 @@ def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rul
     """
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
-            raise ConfigError(
-                rule, key=f"env.robot.{key}", expected="the run's own value; another robot needs a new run"
-            )
+            expected = "the run's own value; another robot needs a new run"
+            raise ConfigError(rule, key=f"env.robot.{key}", expected=expected)

@@ -246,11 +246,9 @@ class SubmititLauncher(Queue):
             }
             self._executor.update_parameters(**parameters)
         except (RuntimeError, TypeError, ValueError, NameError, AssertionError) as error:
-            raise ConfigError(
-                f"submitit refuses it: {_one_line(error)[:300]}",
-                key="hydra.launcher",
-                expected="settings of hydra-submitit-launcher, on a machine that has what they ask for",
-            ) from error
+            message = f"submitit refuses it: {_one_line(error)[:300]}"
+            expected = "settings of hydra-submitit-launcher, on a machine that has what they ask for"
+            raise ConfigError(message, key="hydra.launcher", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
         """Submit all jobs as one array."""
@@ -258,11 +256,9 @@ class SubmititLauncher(Queue):
             with self._executor.batch():
                 found = [self._executor.submit(QueueWorker(), str(job.folder)) for job in jobs]
         except self._errors as error:
-            raise ConfigError(
-                f"the queue did not take the jobs: {_one_line(error)[-300:]}",
-                key="hydra.launcher",
-                expected="a partition, times and memory that the cluster has",
-            ) from error
+            message = f"the queue did not take the jobs: {_one_line(error)[-300:]}"
+            expected = "a partition, times and memory that the cluster has"
+            raise ConfigError(message, key="hydra.launcher", expected=expected) from error
         return [_SubmititTicket(each) for each in found]
 
 
@@ -305,11 +301,9 @@ class RayLauncher(Queue):
             options = {"max_retries": 0, **chosen["remote"]}  # A job that dies is reported, not restarted.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"Ray refuses it: {_one_line(error)[:300]}",
-                key="hydra.launcher.ray",
-                expected="init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus",
-            ) from error
+            message = f"Ray refuses it: {_one_line(error)[:300]}"
+            expected = "init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus"
+            raise ConfigError(message, key="hydra.launcher.ray", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
         """Submit each job as a Ray task."""

@@ -81,10 +81,8 @@ def _train(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     folders = with_current([Path(folder) for folder in request.config_dirs])
     composed = compose_valid(request.overrides, config_dirs=folders)
     if digest_of(composed) != request.digest:
-        raise ConfigError(
-            "the config files have changed since the sweep was checked",
-            expected="files that do not change until the last job has started",
-        )
+        message = "the config files have changed since the sweep was checked"
+        raise ConfigError(message, expected="files that do not change until the last job has started")
 
     from wheelleg_exp.jobs.train.prepare_training import prepare
     from wheelleg_exp.jobs.train.run_training import run

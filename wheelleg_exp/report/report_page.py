@@ -64,10 +64,8 @@ def report_path(subject: Subject, output: Path | None) -> Path:
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")
     if (path.exists() or path.is_symlink()) and not (_is_report(path, subject.id) or _is_own(subject, path)):
-        raise RunDirectoryError(
-            f"'{path}' exists and is not a report of this run, so it is not overwritten",
-            expected="-o with another name",
-        )
+        message = f"'{path}' exists and is not a report of this run, so it is not overwritten"
+        raise RunDirectoryError(message, expected="-o with another name")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     # Creating a temporary file raises an error early if the user cannot write into the folder.
     with for_people(path), tempfile.TemporaryFile(dir=folder):

@@ -61,10 +61,8 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
             run = (path.parent / phase["run"]).resolve()
             run = run.relative_to(here) if run.is_relative_to(here) else run
             runs.append(f"{run} (phase '{phase['name']}')")
-    return RunDirectoryError(
-        f"'{path.parent.name}' is a pipeline, and each of its phases is a run",
-        expected=" or ".join(runs) if runs else "a run of the pipeline, after its first phase has started",
-    )
+    expected = " or ".join(runs) if runs else "a run of the pipeline, after its first phase has started"
+    return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 
 
 LATEST = "latest"
@@ -195,11 +193,9 @@ class RunDirectory(os.PathLike[str]):
         if iteration in found:
             return found[iteration]
         nearest = min(found, key=lambda i: abs(i - iteration), default=None)
-        raise RunDirectoryError(
-            f"run '{self.id}' has no checkpoint of iteration {iteration}",
-            expected="one of " + ", ".join(map(str, found)) if found else "a run that saved checkpoints",
-            nearest=None if nearest is None else found[nearest].name,
-        )
+        message = f"run '{self.id}' has no checkpoint of iteration {iteration}"
+        expected = "one of " + ", ".join(map(str, found)) if found else "a run that saved checkpoints"
+        raise RunDirectoryError(message, expected=expected, nearest=None if nearest is None else found[nearest].name)
 
 
 def checkpoint_iteration(path: Path) -> int:

@@ -95,11 +95,8 @@ def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
 def _check_pipeline(args: argparse.Namespace) -> int:
     """Check every phase of a pipeline, its initial networks, and its gate, like ``wheelleg train``."""
     if args.physics or args.all:
-        raise UsageError(
-            "the option applies only to a single task",
-            key="--physics",
-            expected="task=... and the overrides of one phase",
-        )
+        message = "the option applies only to a single task"
+        raise UsageError(message, key="--physics", expected="task=... and the overrides of one phase")
     from wheelleg_exp.cli.train_pipeline import composed_phases
     from wheelleg_exp.config.config_errors import parts
 

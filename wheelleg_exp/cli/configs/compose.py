@@ -36,9 +36,8 @@ def run(args: argparse.Namespace) -> int:
     """Print the composed config, the place that set each value, or the layout of observations and actions."""
     if args.shapes and (args.package or args.resolve or args.provenance):
         expected = "--shapes without --package, --resolve and --provenance"
-        raise WheellegError(
-            "the option --shapes cannot be combined with other options", key="--shapes", expected=expected
-        )
+        message = "the option --shapes cannot be combined with other options"
+        raise WheellegError(message, key="--shapes", expected=expected)
     composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
@@ -72,9 +71,8 @@ def _part(tree: Any, package: str | None) -> Any:
         return select(tree, package)
     except KeyError as error:
         nearest = nearest_path(package, [dotted(path) for path in node_paths(tree)])
-        raise ConfigError(
-            "the config has no key with this name", key=package, where="--package", nearest=nearest
-        ) from error
+        message = "the config has no key with this name"
+        raise ConfigError(message, key=package, where="--package", nearest=nearest) from error
 
 
 def _print_provenance(composed: Composed, package: str | None, *, resolve: bool, as_json: bool) -> None:

@@ -66,9 +66,8 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
     if config_dirs:
-        raise UsageError(
-            "the option applies only to a task", key="--config-dir", expected=f"'{words[0]}' alone, or task=…"
-        )
+        message = "the option applies only to a task"
+        raise UsageError(message, key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
     return diagnose_file(Path(words[0]))
 
 

@@ -217,11 +217,8 @@ class DrivePage:
             import viser
             from mjviser import ViserMujocoScene
         except ImportError as error:
-            raise WheellegError(
-                f"viser and mjviser draw the page, and {error.name} is missing",
-                key="--drive",
-                expected='pip install "wheelleg_exp[drive]"',
-            ) from error
+            message = f"viser and mjviser draw the page, and {error.name} is missing"
+            raise WheellegError(message, key="--drive", expected='pip install "wheelleg_exp[drive]"') from error
 
         class LocalServer(viser.ViserServer):
             def request_share_url(self, verbose: bool = True) -> str | None:

@@ -79,23 +79,20 @@ def read_script(path: Path, axes: Sequence[Axis]) -> Script:
         line = "" if error.line is None else f":{error.line}"
         raise ConfigError(f"the script is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
     if not isinstance(value, list) or not value or not isinstance(tree, yaml.SequenceNode):
-        raise ConfigError(
-            "the script is not a list of commands", key="--script", where=str(path), expected=_example(axes)
-        )
+        message = "the script is not a list of commands"
+        raise ConfigError(message, key="--script", where=str(path), expected=_example(axes))
     places = [_Place(path, node) for node in tree.value]
     entries: list[Entry] = []
     end = 0.0
     for index, (item, place) in enumerate(zip(value, places, strict=True)):
         if not isinstance(item, dict):
-            raise ConfigError(
-                "the script entry is not a command", key=f"[{index}]", where=place.of(), expected=_example(axes)
-            )
+            message = "the script entry is not a command"
+            raise ConfigError(message, key=f"[{index}]", where=place.of(), expected=_example(axes))
         entry, end = _entry(item, place, {axis.name: axis for axis in axes}, entries[-1].at if entries else 0.0, end)
         entries.append(entry)
     if "for" not in value[-1]:
-        raise ConfigError(
-            "the last entry does not give the end of the drive", where=places[-1].of(), key="for", expected="seconds"
-        )
+        message = "the last entry does not give the end of the drive"
+        raise ConfigError(message, where=places[-1].of(), key="for", expected="seconds")
     return Script(entries, end, text)
 
 
@@ -116,18 +113,15 @@ def _entry(
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
+            message = "unknown key in a script"
+            expected = "one of " + ", ".join(names)
             raise ConfigError(
-                "unknown key in a script",
-                key=str(key),
-                where=place.of(key),
-                expected="one of " + ", ".join(names),
-                nearest=nearest_name(str(key), names),
+                message, key=str(key), where=place.of(key), expected=expected, nearest=nearest_name(str(key), names)
             )
     at = _seconds(item, "at", place, default=end)
     if at < before:
-        raise ConfigError(
-            f"{at:g} s is before the command above", key="at", where=place.of("at"), expected=f"at least {before:g}"
-        )
+        message = f"{at:g} s is before the command above"
+        raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
     values = {name: _value(axes[name], item[name], place) for name in item if name in axes}
     return Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place)), at + _seconds(
         item, "for", place, default=0.0
@@ -146,12 +140,8 @@ def _value(axis: Axis, value: Any, place: _Place) -> float:
     if not _is_number(value):
         raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
     if not axis.low <= value <= axis.high:
-        raise ConfigError(
-            f"{value:g} is outside the command range of the training",
-            key=axis.name,
-            where=place.of(axis.name),
-            expected=expected,
-        )
+        message = f"{value:g} is outside the command range of the training"
+        raise ConfigError(message, key=axis.name, where=place.of(axis.name), expected=expected)
     return float(value)
 
 

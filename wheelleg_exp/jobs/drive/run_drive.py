@@ -45,12 +45,9 @@ def require_scene(name: str) -> None:
     """Raise ConfigError for an unknown ground."""
     known = scenes()
     if name not in known:
-        raise ConfigError(
-            f"unknown ground '{name}'",
-            key="--scene",
-            expected="one of " + ", ".join(known),
-            nearest=nearest_name(name, known),
-        )
+        message = f"unknown ground '{name}'"
+        expected = "one of " + ", ".join(known)
+        raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(name, known))
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:

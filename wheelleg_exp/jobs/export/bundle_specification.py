@@ -103,11 +103,9 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         term, bound = manager.get_term(name), manager.get_term_cfg(name)
         known = _KNOWN_ACTIONS.get(type(term))
         if known is None:
-            raise ConfigError(
-                f"a runner does not know the actions of '{bound.target}'",
-                key=bound.path,
-                expected="one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS)),
-            )
+            message = f"a runner does not know the actions of '{bound.target}'"
+            expected = "one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS))
+            raise ConfigError(message, key=bound.path, expected=expected)
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
@@ -173,18 +171,13 @@ _GAUSSIAN = GaussianDistribution.__name__
 def require_perceptron(section: Mapping[str, Any], key: str) -> None:
     """Raise ConfigError for a network that is not a perceptron with the mean action as its output."""
     if section["class_name"] != MLPModel.__name__:
-        raise ConfigError(
-            f"a runner does not know networks of class '{section['class_name']}'",
-            key=f"{key}.class_name",
-            expected="MLPModel: no memory of its own, no pictures",
-        )
+        message = f"a runner does not know networks of class '{section['class_name']}'"
+        raise ConfigError(message, key=f"{key}.class_name", expected="MLPModel: no memory of its own, no pictures")
     distribution = (section.get("distribution_cfg") or {}).get("class_name", _GAUSSIAN)
     if distribution != _GAUSSIAN:
-        raise ConfigError(
-            f"a runner does not know the mean of a '{distribution}'",
-            key=f"{key}.distribution_cfg.class_name",
-            expected=f"{_GAUSSIAN}, whose mean is the network's output",
-        )
+        message = f"a runner does not know the mean of a '{distribution}'"
+        expected = f"{_GAUSSIAN}, whose mean is the network's output"
+        raise ConfigError(message, key=f"{key}.distribution_cfg.class_name", expected=expected)
 
 
 def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -203,11 +196,9 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
         elif type(layer) in _ACTIVATIONS:
             activations[-1] = _ACTIVATIONS[type(layer)]
         else:
-            raise ConfigError(
-                f"a runner does not know the activation '{type(layer).__name__}'",
-                key=f"agent.{role}.activation",
-                expected="one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity",
-            )
+            message = f"a runner does not know the activation '{type(layer).__name__}'"
+            expected = "one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity"
+            raise ConfigError(message, key=f"agent.{role}.activation", expected=expected)
     widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
     about = {"file": "policy.npz", "dtype": "float32", "widths": widths, "activations": activations}
     return about | {"normalized": bool(policy.obs_normalization)}, arrays

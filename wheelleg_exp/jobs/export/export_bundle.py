@@ -259,11 +259,8 @@ def _require_unchanged(state: Mapping[str, Any]) -> None:
         terms |= {f"env.observations.{group}.terms.{name}": term["term"] for name, term in found.items()}
     for key, term in terms.items():
         if term.get("settings"):
-            raise ConfigError(
-                "the training changed its settings (" + ", ".join(term["settings"]) + ")",
-                key=key,
-                expected="the settings of the config, from which the export is made",
-            )
+            message = "the training changed its settings (" + ", ".join(term["settings"]) + ")"
+            raise ConfigError(message, key=key, expected="the settings of the config, from which the export is made")
 
 
 def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:

@@ -100,11 +100,9 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
     bound, fields = term.term, term.term.fields
     known = _KNOWN.get(bound.func) or _KNOWN.get(type(bound.func))
     if known is None:
-        raise ConfigError(
-            f"a runner without the simulation cannot work out '{bound.target}'",
-            key=bound.path,
-            expected="one of " + ", ".join(sorted(function.__name__ for function in _KNOWN)),
-        )
+        message = f"a runner without the simulation cannot work out '{bound.target}'"
+        expected = "one of " + ", ".join(sorted(function.__name__ for function in _KNOWN))
+        raise ConfigError(message, key=bound.path, expected=expected)
     clip, scale = fields.get("clip"), fields.get("scale")
     spec = {"name": bound.name, **known(env, bound), "width": term.width, "history_length": term.history_length}
     parts = [part for name, part in term.parts().items() if name != "noise"]
@@ -129,19 +127,15 @@ def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
         modifiers.Integrator: "integrator",
     }
     if type(part) not in kinds:
-        raise ConfigError(
-            f"a runner does not know the modifier '{node[TARGET]}'",
-            key=path,
-            expected="one of " + ", ".join(kind.__name__ for kind in kinds),
-        )
+        message = f"a runner does not know the modifier '{node[TARGET]}'"
+        raise ConfigError(message, key=path, expected="one of " + ", ".join(kind.__name__ for kind in kinds))
     return {"kind": kinds[type(part)], **{name: value for name, value in node.items() if name != TARGET}}
 
 
 def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     if term.params.get("measured") is False and name == "joint_pos":
-        raise ConfigError(
-            "the term shows joint positions that encoders do not measure", key=term.path, expected="measured: true"
-        )
+        message = "the term shows joint positions that encoders do not measure"
+        raise ConfigError(message, key=term.path, expected="measured: true")
     ids = torch.arange(len(env.scene.robot.joint_names))[term.params.get("asset_cfg", _ROBOT).joint_ids].tolist()
     return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
 

@@ -77,12 +77,9 @@ def compose_phases(
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
-            raise ConfigError(
-                "the phases of a pipeline set this themselves",
-                key=_key(text),
-                where=f"override {text}",
-                expected=f"settings of {PRIMARY}.phases.<phase>",
-            )
+            message = "the phases of a pipeline set this themselves"
+            expected = f"settings of {PRIMARY}.phases.<phase>"
+            raise ConfigError(message, key=_key(text), where=f"override {text}", expected=expected)
     found: dict[str, Composed] = {}
     wrong: dict[str, list[ConfigError]] = {}
     for name, phase in phases.items():

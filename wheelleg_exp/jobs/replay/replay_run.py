@@ -55,32 +55,25 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     """Raise RunDirectoryError for a snapshot that differs from its manifest, and for a run of several processes."""
     if manifest.matches_digest() is False:
-        raise RunDirectoryError(
-            "the manifest was changed after the run wrote it",
-            where=str(run.path / MANIFEST_NAME),
-            expected="an unchanged run",
-        )
+        message = "the manifest was changed after the run wrote it"
+        raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
     processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if processes > 1:
-        raise RunDirectoryError(
-            f"run '{run.id}' was trained by {processes} processes, and a replay trains with one",
-            expected="'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'",
-        )
+        message = f"run '{run.id}' was trained by {processes} processes, and a replay trains with one"
+        expected = "'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'"
+        raise RunDirectoryError(message, expected=expected)
     recorded = {name: entry for name, entry in manifest.data["files"].items() if name.startswith(SNAPSHOT)}
     absent = next((name for name in _SNAPSHOT_FILES if name not in recorded), None)
     if absent is not None:
-        raise RunDirectoryError(
-            f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}",
-            expected="a run that got as far as its first iteration",
-        )
+        message = f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}"
+        raise RunDirectoryError(message, expected="a run that got as far as its first iteration")
     for name, entry in recorded.items():
         path = run.inside(name)
         if not path.is_file():
             raise RunDirectoryError(f"{name} is missing", where=str(path), expected="a run with its whole snapshot")
         if sha256(path) != entry["sha256"]:
-            raise RunDirectoryError(
-                f"{name} is not what the manifest recorded", where=str(path), expected="a snapshot nobody has changed"
-            )
+            message = f"{name} is not what the manifest recorded"
+            raise RunDirectoryError(message, where=str(path), expected="a snapshot nobody has changed")
     folders = (run.hydra, run.params, run.source, run.asset)
     for path in (path for folder in folders for path in sorted(folder.rglob("*"))):
         name = path.relative_to(run.path).as_posix()
@@ -343,9 +336,8 @@ def _show(event: Event, source: RestoredSource, display: Display) -> None:
     if kind == "began":
         expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
         if Path(event["package"]).resolve() != expected:
-            raise RunDirectoryError(
-                f"the training imported '{event['package']}'", expected=f"the restored '{expected}'"
-            )
+            message = f"the training imported '{event['package']}'"
+            raise RunDirectoryError(message, expected=f"the restored '{expected}'")
     elif kind == "note":
         display.note(event["text"])
     elif kind == "composed":

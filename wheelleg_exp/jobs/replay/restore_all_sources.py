@@ -166,10 +166,8 @@ def _register(folder: Path, source: RestoredSource) -> None:
 
 def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
     if record["status"] != "installed":
-        raise RunDirectoryError(
-            f"the source of the run was not captured ({record['status']}): {record['note']}",
-            expected="a run whose source was captured",
-        )
+        message = f"the source of the run was not captured ({record['status']}): {record['note']}"
+        raise RunDirectoryError(message, expected="a run whose source was captured")
     package = configs_dir().parent
     if not is_installed(package) or content_digest(package) != record["content_sha256"]:
         source.notes.append(

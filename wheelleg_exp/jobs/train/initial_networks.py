@@ -181,11 +181,8 @@ def initial_file(
             raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
         absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
         if absent:
-            raise ConfigError(
-                f"'{source.label}' has no {absent[0]} to start with",
-                key=WHAT,
-                expected="policy, which needs only the actor",
-            )
+            message = f"'{source.label}' has no {absent[0]} to start with"
+            raise ConfigError(message, key=WHAT, expected="policy, which needs only the actor")
         facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
         facts |= {"what": what, "parts": list(parts)}
         # A checkpoint needs the keys of two networks, so an unused critic is empty.
@@ -206,17 +203,14 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
         return None
     path = asset.output.parent / INITIAL
     if not path.is_file():
-        raise RunDirectoryError(
-            f"is missing: the training started with the policy of '{config[KEY]}'",
-            key=str(path),
-            expected="the saved networks; without them the run cannot be trained again from its start",
-        )
+        message = f"is missing: the training started with the policy of '{config[KEY]}'"
+        expected = "the saved networks; without them the run cannot be trained again from its start"
+        raise RunDirectoryError(message, key=str(path), expected=expected)
     state = checkpoint.load(path)
     facts = state.get("init_from")
     if not isinstance(facts, Mapping):
-        raise RunDirectoryError(
-            "does not name the run of the initial networks", key=str(path), expected="the file that the run saved"
-        )
+        message = "does not name the run of the initial networks"
+        raise RunDirectoryError(message, key=str(path), expected="the file that the run saved")
     parts = [str(part) for part in facts.get("parts") or ()]
     return Initial(
         state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}

@@ -68,9 +68,8 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
     tree = recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
         if not isinstance(tree[key], kind):
-            raise RunDirectoryError(
-                f"'{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
-            )
+            message = f"'{key}' is missing or wrong"
+            raise RunDirectoryError(message, key=str(run.path / CONFIG), expected="the config of the run")
     earlier = {key: value for key, value in tree.items() if value is not None or key not in _NEW_KEYS}
     return {**earlier, "env": upgrade_env_params(env), "agent": agent}
 
@@ -123,9 +122,8 @@ def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -
 
 
 def _refusal(change: Change, why: str) -> ConfigError:
-    return ConfigError(
-        f"cannot change in a resume: {why}", key=change.key, expected="the run's own value; a new run can have another"
-    )
+    message = f"cannot change in a resume: {why}"
+    return ConfigError(message, key=change.key, expected="the run's own value; a new run can have another")
 
 
 def rewritten_files(

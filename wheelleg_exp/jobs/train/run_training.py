@@ -176,11 +176,9 @@ def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, An
         with trainer.played() as policy:
             files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
     except Exception as error:  # The exporter of torch raises many kinds of errors, with reports of many lines.
-        raise SimulationFailure(
-            f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}",
-            key="agent.actor.class_name",
-            expected="MLPModel, or a network that needs nothing but the observations; the checkpoints are whole",
-        ) from error
+        message = f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}"
+        expected = "MLPModel, or a network that needs nothing but the observations; the checkpoints are whole"
+        raise SimulationFailure(message, key="agent.actor.class_name", expected=expected) from error
     with for_people(directory.exported):
         directory.exported.mkdir(exist_ok=True)
     for name, content in files.items():

@@ -120,11 +120,8 @@ _WANDB_SETTINGS = {
 def require_wandb(logger: str | None) -> None:
     """Raise ConfigError if the logger is wandb and the package wandb is not installed."""
     if logger == _WANDB and find_spec(_WANDB) is None:
-        raise ConfigError(
-            "the package wandb is not installed",
-            key=_LOGGER_KEY,
-            expected="pip install wheelleg_exp[wandb], or tensorboard",
-        )
+        message = "the package wandb is not installed"
+        raise ConfigError(message, key=_LOGGER_KEY, expected="pip install wheelleg_exp[wandb], or tensorboard")
 
 
 class WandbLog:
@@ -153,11 +150,9 @@ class WandbLog:
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:
-            raise WheellegError(
-                f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}",
-                key=_LOGGER_KEY,
-                expected="a login ('wandb login'), or WANDB_MODE=offline in the environment",
-            ) from error
+            message = f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}"
+            expected = "a login ('wandb login'), or WANDB_MODE=offline in the environment"
+            raise WheellegError(message, key=_LOGGER_KEY, expected=expected) from error
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -85,10 +85,8 @@ class Outputs:
         """
         # Without this error, a checkpoint would create a new run directory without any other file.
         if not self._directory.iterations.exists():
-            raise RunDirectoryError(
-                f"'{self._directory.path}' was removed while it was written",
-                expected="a folder that exists until the end",
-            )
+            message = f"'{self._directory.path}' was removed while it was written"
+            raise RunDirectoryError(message, expected="a folder that exists until the end")
         if self._tensorboard is not None:
             for key, value in iteration.scalars.items():
                 self._tensorboard.add_scalar(key, value, iteration.index)
