@@ -23,29 +23,18 @@ REFERENCE = "reference"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    parser.add_argument(
-        "overrides",
-        nargs="*",
-        metavar="RUN|OVERRIDE",
-        help="runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
-        "of the runs' parameters: env.sim.dt=0.002",
+    text = (
+        "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
+        "of the runs' parameters: env.sim.dt=0.002"
     )
+    parser.add_argument("overrides", nargs="*", metavar="RUN|OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
-    parser.add_argument(
-        "--against",
-        metavar="RUN",
-        action="append",
-        default=[],
-        help="compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed",
-    )
-    parser.add_argument(
-        "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too"
-    )
-    parser.add_argument(
-        "--kept",
-        action="store_true",
-        help="use a run's stored evaluation of this protocol, and evaluate only the other runs",
-    )
+    text = "compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed"
+    parser.add_argument("--against", metavar="RUN", action="append", default=[], help=text)
+    text = "evaluate the linear-quadratic reference controller too"
+    parser.add_argument("--reference", action="store_true", help=text)
+    text = "use a run's stored evaluation of this protocol, and evaluate only the other runs"
+    parser.add_argument("--kept", action="store_true", help=text)
     add_config_dir(parser)
     add_root(parser)
     add_json(parser)

@@ -79,28 +79,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("selection of rows and columns")
     group.add_argument("--env", type=int, metavar="N", help="use only the rows of this environment")
     group.add_argument("--iteration", metavar="N|A-B", help="use only these training iterations")
-    group.add_argument(
-        "--from", dest="begin", metavar="TIME", help="use rows from this simulated time (2.5s) or step (150steps)"
-    )
+    text = "use rows from this simulated time (2.5s) or step (150steps)"
+    group.add_argument("--from", dest="begin", metavar="TIME", help=text)
     group.add_argument("--to", dest="end", metavar="TIME", help="use rows up to this simulated time or step")
-    group.add_argument(
-        "--term",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="a recorded number, such as rewards.base_height (repeatable)",
-    )
+    text = "a recorded number, such as rewards.base_height (repeatable)"
+    group.add_argument("--term", action="append", default=[], metavar="NAME", help=text)
     group.add_argument("-o", "--output", type=Path, metavar="PATH", help="the file or folder to write")
     add = parser.add_argument
     add("--repair", action="store_true", help="write a repaired copy of a truncated recording")
     add("--summary", action="store_true", help="print the summary in addition to other output")
     add("--names", action="store_true", help="print the names of all recorded numbers")
     add("--stats", action="store_true", help="print the statistics of each --term")
-    add(
-        "--where",
-        metavar="CONDITION",
-        help="print the times at which a condition is true: 'terminations.base_contact', 'base.pitch > 0.3'",
-    )
+    text = "print the times at which a condition is true: 'terminations.base_contact', 'base.pitch > 0.3'"
+    add("--where", metavar="CONDITION", help=text)
     add("--around", metavar="LENGTH", help="with --where: print also the rows around each time: 0.5s, 200ms, 30steps")
     add("--limit", type=_count, metavar="N", help="the most lines to print (default: 10)")
     add("--compare", metavar="RUN|FILE", help="another recording; exit status 1 if they differ")
@@ -110,13 +101,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; with --compare both "
-        "recordings",
+    text = (
+        "draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; with --compare both recordings"
     )
+    add("--plot", type=Path, metavar="FILE", help=text)
     add("--export", metavar="KIND", help="write the numbers as parquet or csv: -o FOLDER, with --term -o FILE")
     add("--screenshot", type=Path, metavar="FILE", help="draw the robot into a .png, .jpg or .webp")
     add("--at", metavar="WHEN", help="a simulated time (1.5s) or step (90steps), or a term: when it is first not zero")

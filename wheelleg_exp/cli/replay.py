@@ -17,26 +17,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "run's patch, with all your rights: replay only runs from people whose code you would run."
     )
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    parser.add_argument(
-        "--repository",
-        dest="repositories",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="DIR",
-        help="a clone that contains the run's commit (repeatable); by default the recorded folder, then the current "
-        "checkout",
+    text = (
+        "a clone that contains the run's commit (repeatable); by default the recorded folder, then the current checkout"
     )
     parser.add_argument(
-        "--iterations", type=int, metavar="N", help="train N iterations and compare these; by default all"
+        "--repository", dest="repositories", action="append", type=Path, default=[], metavar="DIR", help=text
     )
+    text = "train N iterations and compare these; by default all"
+    parser.add_argument("--iterations", type=int, metavar="N", help=text)
     parser.add_argument("--keep", action="store_true", help="do not delete the restored source, and print its path")
-    parser.add_argument(
-        "--root",
-        type=Path,
-        default=Path("runs"),
-        help="the folder of the runs; the replay is written to its subfolder replays/ (default: runs)",
-    )
+    text = "the folder of the runs; the replay is written to its subfolder replays/ (default: runs)"
+    parser.add_argument("--root", type=Path, default=Path("runs"), help=text)
     add_json(parser)
 
 

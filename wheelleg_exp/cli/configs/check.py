@@ -21,11 +21,8 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
-    parser.add_argument(
-        "--physics",
-        action="store_true",
-        help="also check whether the numbers are plausible; exit status 1 with findings",
-    )
+    text = "also check whether the numbers are plausible; exit status 1 with findings"
+    parser.add_argument("--physics", action="store_true", help=text)
     parser.add_argument("--all", action="store_true", help="with --physics: also show silenced findings")
     parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
     add_json(parser)

@@ -26,9 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_primary(parser)
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
     parser.add_argument("--resolve", action="store_true", help="replace each ${...} by its value")
-    parser.add_argument(
-        "--provenance", action="store_true", help="print the place of each leaf, and the values that it replaced"
-    )
+    text = "print the place of each leaf, and the values that it replaced"
+    parser.add_argument("--provenance", action="store_true", help=text)
     parser.add_argument("--shapes", action="store_true", help="print the layout of observations and actions")
 
 

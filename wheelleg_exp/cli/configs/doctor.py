@@ -20,12 +20,10 @@ _COLUMNS = ("", "", "place", "what", "write", "known by")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "overrides", nargs="+", metavar=ROBOT, help="a USD, URDF or MJCF file; or task=… and other overrides"
-    )
-    parser.add_argument(
-        "--screenshot", type=Path, metavar="FILE", help="write a picture: colliders, centre of mass, support, contacts"
-    )
+    text = "a USD, URDF or MJCF file; or task=… and other overrides"
+    parser.add_argument("overrides", nargs="+", metavar=ROBOT, help=text)
+    text = "write a picture: colliders, centre of mass, support, contacts"
+    parser.add_argument("--screenshot", type=Path, metavar="FILE", help=text)
     parser.add_argument("--all", action="store_true", help="also show the findings that the task silences")
     add_config_dir(parser)
     add_json(parser)
