@@ -97,10 +97,7 @@ def _digests(composed: Composed) -> dict[str, str]:
 
 
 def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
-    """Train a prepared run and return its results, or None if the training was interrupted.
-
-    If the training stops early, print the command that resumes the run.
-    """
+    """Train a prepared run; return its results, or print the command that resumes it and return None."""
     from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
 

@@ -1,7 +1,4 @@
-"""Displays of a job's progress: the interface, one that shows nothing, and one that sends events to a parent process.
-
-The modules of the commands define the displays for users.
-"""
+"""Displays of a job's progress: the interface, a silent one, and one that sends events to a parent process."""
 
 from __future__ import annotations
 

@@ -135,10 +135,7 @@ class Played:
 def play(
     run: RunDirectory, checkpoint: Path | None, overrides: Sequence[str], command: Sequence[str], display: Display
 ) -> Played:
-    """Play the mean action of a run's policy for one episode of each environment, with the task's own events.
-
-    Without ``checkpoint``, play the last checkpoint.
-    """
+    """Play the mean action of a policy, by default of the last checkpoint, for one episode of each environment."""
     prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
     settle_s = float(tree["play"]["settle_s"])

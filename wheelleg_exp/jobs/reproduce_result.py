@@ -167,10 +167,7 @@ def _trained_run(
 
 
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
-    """Train a recorded recipe in a child process, and return the run directory.
-
-    Recorded words are overrides, never options.
-    """
+    """Train a recorded recipe, whose words are overrides, in a child process; return the run directory."""
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
     request = JobRequest("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
     with run_request(request, StopRequest()) as events:

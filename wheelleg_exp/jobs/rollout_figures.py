@@ -52,10 +52,7 @@ class StandFigures:
 
 
 class StandMeter:
-    """Measures standing over the first episode of each of the N environments.
-
-    Height and pitch exclude the first ``settle_s`` of each episode.
-    """
+    """Measures standing over the first episode of N environments; height and pitch from ``settle_s`` on."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -200,10 +197,7 @@ class MotionFigures:
 
 
 class MotionMeter:
-    """Measures motion over the first episode of each of the N environments.
-
-    All metrics exclude the first ``settle_s`` of each episode.
-    """
+    """Measures motion over the first episode of each of the N environments, from ``settle_s`` on."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt

@@ -48,10 +48,7 @@ class AgentRun:
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
-    """Run zero actions or uniform random actions in [-1, 1], and record the rollout.
-
-    ``steps`` counts control steps; None means one episode.
-    """
+    """Run zero or uniform random actions in [-1, 1] for ``steps`` (None: one episode), and record the rollout."""
     config = composed.config
     with composed.placing():
         require_recorded(config)

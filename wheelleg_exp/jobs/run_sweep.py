@@ -1,7 +1,4 @@
-"""Run each job of a sweep in a child process, and update the index of the sweep.
-
-A launcher starts the jobs: on this machine, or through a queue (see ``sweep_queue``).
-"""
+"""Run each job of a sweep in a child process, here or in a queue (``sweep_queue``), and update the sweep's index."""
 
 from __future__ import annotations
 
@@ -188,10 +185,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record the ended jobs in the index of the sweep.
-
-        A job that was removed from its queue before the start counts as waiting.
-        """
+        """Record ended jobs in the sweep's index; a job that left its queue before its start counts as waiting."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)

@@ -105,10 +105,7 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """Raise ConfigError if overrides changed the robot of a run.
-
-    ``rule`` is the violated rule, for the error message.
-    """
+    """Raise ConfigError, with the violated ``rule``, if overrides changed the robot of a run."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
             expected = "the run's own value; another robot needs a new run"

@@ -59,10 +59,7 @@ class QueueWorker:
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Stop the job with a checkpoint when its time is over (submitit calls this method).
-
-        The queue does not restart the job.
-        """
+        """Stop the job with a checkpoint when its time is over; submitit calls this method. No restart follows."""
         del folder
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
@@ -341,10 +338,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher that Hydra's group ``hydra/launcher`` names.
-
-    All machines must see the folder of the sweep.
-    """
+    """Return the launcher of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -1,7 +1,4 @@
-"""Train, resume, or evaluate in a child process: the request, the process that serves it, and its parent's side.
-
-Each job of a sweep and each step of a pipeline is such a process.
-"""
+"""Train, resume, or evaluate in a child process (a job of a sweep, a step of a pipeline): request and both sides."""
 
 from __future__ import annotations
 
@@ -50,10 +47,7 @@ class JobRequest:
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that serves a job, with this Python interpreter.
-
-    ``path`` is the import path of the child process, by default ``sys.path``.
-    """
+    """Return the command of a child process that serves a job; ``path`` is its import path (default ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 

@@ -78,10 +78,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to draw, and its colliders if the colliders differ from the geoms to draw.
-
-    A body without geoms in the visual group is drawn by its colliders.
-    """
+    """Return a body's geoms to draw (its visual group, else its colliders), and its colliders if they differ."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -150,21 +147,17 @@ class Kinematics:
     def height(self, root: int, qpos: Array) -> float:
         """Return the height of the robot with the root body ``root`` at ``qpos``, m; at least 0.01."""
         self.update(qpos)
-        below = np.flatnonzero(np.isin(self._model.geom_bodyid, tree_bodies(self._model, root))).tolist()
+        # Return the body ``root`` and all bodies below it.
+        bodies = [root]
+        for body in range(root + 1, self._model.nbody):
+            if int(self._model.body_parentid[body]) in bodies:
+                bodies.append(body)
+        below = np.flatnonzero(np.isin(self._model.geom_bodyid, bodies)).tolist()
         geoms = [g for g in below if not is_plane(self._model, g)]
         if not geoms:
             return 0.1
         centre, radius = self._data.geom_xpos[geoms, 2], self._model.geom_rbound[geoms]
         return max(float((centre + radius).max() - (centre - radius).min()), 0.01)
-
-
-def tree_bodies(model: mujoco.MjModel, root: int) -> list[int]:
-    """Return the body ``root`` and all bodies below it."""
-    bodies = [root]
-    for body in range(root + 1, model.nbody):
-        if int(model.body_parentid[body]) in bodies:
-            bodies.append(body)
-    return bodies
 
 
 RIG = "rig"

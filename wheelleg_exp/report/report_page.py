@@ -34,11 +34,7 @@ MARK = '<meta name="wheelleg-report" content="'
 
 
 def render_page(page: Page) -> str:
-    """Return the report page as HTML text.
-
-    No value can run a script: the templates escape all values, and the page's content security policy forbids scripts
-    and external resources.
-    """
+    """Return the report page as HTML; the templates escape all values, and the page forbids scripts and other hosts."""
     environment = Environment(
         loader=PackageLoader("wheelleg_exp.report"),
         autoescape=True,
@@ -170,10 +166,7 @@ def _lead(subject: Subject) -> str:
 
 
 def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
-    """Return a section of the report page.
-
-    If a builder raises an error, the section contains one sentence about the error.
-    """
+    """Return a section of the report page; an error of a builder becomes one sentence in the section."""
     blocks: list[Block] = []
     for builder in builders:
         try:

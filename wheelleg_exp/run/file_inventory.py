@@ -43,10 +43,7 @@ class FileFindings:
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return the record of every file at or below ``directory``, by the file's relative path with forward slashes.
-
-    The manifest, lock files, and unfinished temporary files are left out.
-    """
+    """Return records of files at or below ``directory`` by relative path, without manifest, locks, and temporaries."""
     return record_files(directory, _files(directory))
 
 

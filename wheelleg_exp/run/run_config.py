@@ -115,10 +115,7 @@ _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the resolved ``SECTIONS`` of a run's config; the value of a missing section is None.
-
-    The config can only request the given environment variables.
-    """
+    """Return a run's resolved ``SECTIONS`` (None if missing); the config can request only the given variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):

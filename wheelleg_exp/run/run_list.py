@@ -1,7 +1,4 @@
-"""List, filter, and sort the runs and sweeps below a folder.
-
-To be fast, the list hashes no file, and reads only the end of an iteration log.
-"""
+"""List, filter, and sort runs and sweeps below a folder, fast: hash no file, read only the ends of logs."""
 
 from __future__ import annotations
 
@@ -335,10 +332,7 @@ def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[R
 
 
 def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) -> list[RunSummary]:
-    """Return the runs sorted by a column or a config key, the largest value or the latest time first.
-
-    ``reverse`` puts the smallest first. Runs without the sort key are last.
-    """
+    """Return runs by a column or config key, largest or latest first (``reverse``: last); runs without the key last."""
     values = _values(runs, key, "--sort")
 
     def rank(run: RunSummary) -> tuple[bool, Any]:  # Numbers come before text.

@@ -251,10 +251,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Check a run against its manifest, and its files against each other.
-
-    No code of the run is executed: checkpoints are loaded as numbers and names only.
-    """
+    """Check a run's files against its manifest and each other, without executing code of the run."""
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]

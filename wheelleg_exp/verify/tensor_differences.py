@@ -1,7 +1,4 @@
-"""Compare two trees of tensors, numbers, and text bit by bit.
-
-This module imports torch, so its callers must import this module lazily.
-"""
+"""Compare two trees of tensors, numbers, and text bit by bit. Import this module lazily: it imports torch."""
 
 from __future__ import annotations
 

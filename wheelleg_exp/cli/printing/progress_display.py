@@ -29,10 +29,7 @@ PLAIN_EVERY_S = 10.0
 
 
 class LiveLines:
-    """Progress on standard error: live lines on a terminal, plain lines elsewhere.
-
-    The argument ``columns`` contains extra columns of the progress bar, between the count and the figures.
-    """
+    """Progress on standard error: live lines on a terminal, plain lines elsewhere; ``columns`` follow the count."""
 
     def __init__(self, *columns: ProgressColumn) -> None:
         self._console = Console(file=styled(sys.stderr))
@@ -61,10 +58,7 @@ class LiveLines:
 
 
 class ConsoleDisplay(LiveLines):
-    """Show the progress of a job on standard error, because standard output contains only the result.
-
-    If the attribute ``quiet`` is true, the tables of the managers are not shown.
-    """
+    """Show the progress of a job on standard error; ``quiet`` omits the tables of the managers."""
 
     def __init__(self, quiet: bool = False) -> None:
         super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())

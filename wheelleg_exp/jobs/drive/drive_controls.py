@@ -102,10 +102,7 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """Request to drive another checkpoint, or on another ground; None means the current checkpoint or ground.
-
-    ``scene`` is an option of the config group ``scene``, or ``own``.
-    """
+    """Request to drive another checkpoint or ground (an option of ``scene``, or ``own``); None: the current one."""
 
     checkpoint: Path | None = None
     scene: str | None = None

@@ -29,10 +29,7 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a port is free; 0 means any free port.
-
-    ``use`` describes the purpose of the port, for error messages.
-    """
+    """Raise WheellegError, with the purpose ``use`` of the port, unless the port is free; 0 means any free port."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

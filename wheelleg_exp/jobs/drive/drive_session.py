@@ -91,10 +91,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return height and measured values.
-
-        Call this method once per control step, because the height above ground needs ray casts.
-        """
+        """Return height and measured values. Call once per control step: the height above ground needs ray casts."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])

@@ -41,15 +41,6 @@ def scenes() -> list[str]:
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
-def require_scene(name: str) -> None:
-    """Raise ConfigError for an unknown ground."""
-    known = scenes()
-    if name not in known:
-        message = f"unknown ground '{name}'"
-        expected = "one of " + ", ".join(known)
-        raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(name, known))
-
-
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config tree of ``play`` with the changes for driving.
 
@@ -171,7 +162,12 @@ def _drive_one(
 ) -> tuple[Drive, Choose | None]:
     """Return the finished drive, and the driver's choice of the next checkpoint and ground, or None."""
     scene = choice.scene or OWN_GROUND
-    require_scene(scene)
+    # Raise ConfigError for an unknown ground.
+    known = scenes()
+    if scene not in known:
+        message = f"unknown ground '{scene}'"
+        expected = "one of " + ", ".join(known)
+        raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
     prepared = prepare_policy(
         request.run, choice.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
     )

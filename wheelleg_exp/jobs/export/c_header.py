@@ -59,10 +59,7 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
 
 
 def number(value: float | None, missing: str = "FLT_MAX") -> str:
-    """Return a C float.
-
-    JSON's null becomes ``missing``. Infinity becomes the largest float, because -ffast-math does not support inf.
-    """
+    """Return a C float: null becomes ``missing``, inf the largest float (-ffast-math does not support inf)."""
     return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 

@@ -92,18 +92,6 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     return found
 
 
-def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -> dict[str, Any]:
-    """Return the ``env`` section of a scene with only the robot on level ground.
-
-    ``friction`` is the ground's static and dynamic friction and its restitution.
-    """
-    found = as_configured(env)
-    names = ("static_friction", "dynamic_friction", "restitution")
-    plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
-    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
-    return found
-
-
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model that carries a bundle's specification.
 
@@ -277,7 +265,12 @@ def _write_robot(
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain
     friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
-    scene = SceneManager(as_simulated(params, friction), mjcf, 1).scene
+    # Return the ``env`` section of a scene with only the robot on level ground.
+    found = as_configured(params)
+    names = ("static_friction", "dynamic_friction", "restitution")
+    plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
+    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
+    scene = SceneManager(found, mjcf, 1).scene
     scene.play()
     write_text(folder / "scene.xml", scene.spec.to_xml())
     strange = [f"the drive `{name}`" for name, group in env.scene.robot.actuators.items() if drive_law(group) is None]

@@ -1,7 +1,4 @@
-"""Describe observation terms and their sensor readings as plain numbers for a bundle's runner.
-
-A term that a runner cannot compute raises a ``ConfigError`` with its name.
-"""
+"""Describe observation terms and sensor readings as numbers for a runner; unknown terms raise ConfigError."""
 
 from __future__ import annotations
 

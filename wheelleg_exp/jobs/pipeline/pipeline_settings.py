@@ -27,10 +27,7 @@ _NAME = re.compile(r"[\w-]+")  # The name of a phase is a part of keys and folde
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A composed pipeline: its plain config, and its phases by name.
-
-    ``composed`` knows the file and line of each key; it is None for a recorded pipeline.
-    """
+    """A pipeline's plain config and phases by name; ``composed`` knows file and line of each key, None if recorded."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]

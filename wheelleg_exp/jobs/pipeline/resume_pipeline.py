@@ -69,10 +69,7 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders of the resumed pipeline.
-
-    A pipeline needs all recorded folders, because it composes its phases again.
-    """
+    """Return the config folders of the resumed pipeline, which needs all recorded folders to compose its phases."""
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():

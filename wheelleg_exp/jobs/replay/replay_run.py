@@ -220,10 +220,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
 
 
 def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
-    """Return the config tree of a replay.
-
-    Recorded environment variables take precedence over the environment of this process.
-    """
+    """Return the config tree of a replay; recorded environment variables replace those of this process."""
     return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
 

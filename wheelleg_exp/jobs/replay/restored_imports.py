@@ -29,10 +29,7 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module of a restored package.
-
-        Stop the search, because ``sys.path`` may contain another version of this package.
-        """
+        """Return the spec of a restored module; stop there, as ``sys.path`` may contain another version of it."""
         top = fullname.partition(".")[0]
         if top not in self._places:
             return None

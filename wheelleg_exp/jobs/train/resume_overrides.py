@@ -75,10 +75,7 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Return the config tree with overrides applied, and the changes.
-
-    Refuse an override that changes a setting on which the saved state depends.
-    """
+    """Return the config tree with overrides and the changes; refuse changes on which the saved state depends."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
     found = list(changes(recorded, tree, _same_value))

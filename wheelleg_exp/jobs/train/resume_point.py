@@ -103,10 +103,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return the damaged files among the files that a resume continues, each with the kind of damage.
-
-    Files that a resume rewrites are not checked.
-    """
+    """Return the damaged files that a resume continues (not those that it rewrites), with the kind of damage."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 

@@ -203,10 +203,7 @@ def _prepare(
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Refuse a run whose process is alive.
-
-    On file systems with locks, the run's lock refuses a run of a living process earlier.
-    """
+    """Refuse a run whose process is alive; on file systems with locks, the run's lock already refuses it."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return

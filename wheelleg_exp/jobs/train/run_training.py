@@ -27,10 +27,7 @@ _CURRICULUM, _STUCK = "Curriculum/", "stuck"
 
 
 class StuckCurricula:
-    """Collects the curricula that report that they are stuck, in ``now``.
-
-    A curriculum reports that it is stuck by a scalar ``stuck`` or ``<part>_stuck`` that is not 0.
-    """
+    """Collects in ``now`` the curricula whose scalar ``stuck`` or ``<part>_stuck`` is not 0."""
 
     def __init__(self) -> None:
         self.now: list[str] = []
@@ -115,10 +112,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the files of the run.
-
-    After the files are closed, record how episodes ended, and warn about unfinished files.
-    """
+    """Open the run's files; after closing, record how episodes ended, and warn about unfinished files."""
     config, directory = training.recipe.config, training.directory
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")

@@ -120,10 +120,7 @@ class Outputs:
         return name
 
     def last_checkpoint(self) -> str | None:
-        """Write the checkpoint of the last written iteration if it is missing, and return its name.
-
-        Return None before the first iteration.
-        """
+        """Write the last iteration's checkpoint if it is missing, and return its name; None before the first."""
         if self._last is None:
             return None
         name = f"model_{self._last}.pt"
