@@ -135,8 +135,7 @@ FORMAT = 2
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
-_LENGTH = "agent.max_iterations="
-_EXPECTED = "what wheelleg results has written"
+_LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # These overrides set folders, not the training.
 
 

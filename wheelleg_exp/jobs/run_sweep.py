@@ -18,8 +18,7 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.stop_request import StopRequest
 
-_WAIT_S = 0.2
-_PATIENCE_S = 10.0
+_WAIT_S, _PATIENCE_S = 0.2, 10.0
 
 
 class Job(Protocol):
@@ -118,8 +117,7 @@ class SweepRunner:
         self._at_once = at_once
         if at_once > 1:
             share_cores()
-        self._display = display
-        self._stop = stop
+        self._display, self._stop = display, stop
         self._launcher: Launcher = launcher or LocalLauncher()
         self._running: dict[Job, dict[str, Any]] = {}
 

@@ -23,8 +23,7 @@ from wheelleg_exp.run.file_inventory import is_inside
 from wheelleg_exp.run.run_config import ROBOT, recorded_robot
 from wheelleg_exp.run.run_directory import RunDirectory
 
-MJCF = "robot.xml"
-REPORT = "report.json"
+MJCF, REPORT = "robot.xml", "report.json"
 _FORBIDDEN_TAGS = {
     *("include", "model", "attach", "extension", "plugin"),
     *("replicate", "composite", "flexcomp", "hfield", "texture", "skin", "size"),

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.provenance import Mount
 
 _PARTS = ("env", "agent")
-_NOT_SET = "not set"
-_THEN = "the configs at the time of the run"
+_NOT_SET, _THEN = "not set", "the configs at the time of the run"
 _ROWS = 200
 _NOT_COMPOSED = ("hydra", "${", "..")
 _LETTERS = 20_000

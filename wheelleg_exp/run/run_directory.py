@@ -65,11 +65,8 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
     return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 
 
-LATEST = "latest"
-AGENTS = "agents"
-SWEEPS = "sweeps"
-REPLAYS = "replays"
-PIPELINES = "pipelines"
+LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
+REPLAYS, PIPELINES = "replays", "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
 FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.

@@ -26,8 +26,7 @@ from wheelleg_exp.run.run_index import SWEEP_NAME, SweepIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 
-CRASHED = "crashed"
-DAMAGED = "damaged"
+CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)

@@ -65,8 +65,7 @@ def _start_ticks(pid: int) -> int | None:
     return None if fields[0] in "ZX" else int(fields[19])
 
 
-RUN_LOCK = ".lock"
-MANIFEST_LOCK = ".manifest.lock"
+RUN_LOCK, MANIFEST_LOCK = ".lock", ".manifest.lock"
 
 
 class RunLock:

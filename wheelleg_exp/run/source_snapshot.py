@@ -24,8 +24,7 @@ from wheelleg_exp.run.git_commands import GitError, Repository
 from wheelleg_exp.run.source_changes import state
 
 SOURCE_FORMAT = 1
-PATCH_NAME = "source.patch"
-RECORD_NAME = "git.json"
+PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
 # A record with the status "ok" or "no_commits" has a patch that restores the tree. Other records have a note that
 # says why the working tree was not captured.
@@ -33,8 +32,7 @@ Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_la
 
 _BIG_FILES_SHOWN = 20
 _INSTALL_FOLDERS = ("site-packages", "dist-packages")
-_GITLINK = "160000"
-_NO_MODE = "000000"
+_GITLINK, _NO_MODE = "160000", "000000"
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,7 @@ def _order(difference: Difference) -> tuple[int, float]:
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
-_EQUAL = "equal"
-_EQUAL_CONTENT = "weights and code equal, other bytes"
+_EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
 # TorchScript numbers its classes in the order in which the process scripted them, so the numbers are ignored.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)

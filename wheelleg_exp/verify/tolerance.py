@@ -29,9 +29,7 @@ from typing import Any
 
 from wheelleg_exp.run.iteration_log import Line
 
-START = 1e-3
-END = 0.1
-SPREADS = 2.0
+START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
 _SHORTEST = 50  # The ends of runs with fewer iterations are not compared.
 _TINY = 1e-9  # Smaller magnitudes are treated as zero, because small scalars are often means of terms that cancel.

@@ -106,10 +106,7 @@ class PipelineRunner:
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
-        self._index = index
-        self._settings = settings
-        self._display = display
-        self._stop = stop
+        self._index, self._settings, self._display, self._stop = index, settings, display, stop
         self._folders = [Path(folder) for folder in index.data["config_dirs"]]
 
     @while_running()
