@@ -50,15 +50,12 @@ class Inspected:
 
 @dataclass(frozen=True)
 class Result:
-    """The result of an action: its JSON document, a function that prints the result as text, and its exit status.
-
-    ``wheelleg inspect`` returns the highest exit status of its actions, and prints ``notes`` on standard error.
-    """
+    """The result of an action: its JSON document, a function that prints the result as text, and its exit status."""
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK
-    notes: tuple[str, ...] = ()
+    status: int = EXIT_OK  # the command returns the highest status of its actions
+    notes: tuple[str, ...] = ()  # printed on standard error
 
 
 @dataclass(frozen=True)

@@ -35,16 +35,12 @@ from wheelleg_exp.user_exceptions import in_words
 
 @dataclass(frozen=True)
 class Command:
-    """One command: a module in ``cli`` with ``configure(parser)``, and the text in ``wheelleg --help``.
-
-    The attribute ``run`` names the function that runs the command and returns its exit status. The attribute
-    ``project`` is true if the command reads the user's project in the current folder.
-    """
+    """One command: a module in ``cli`` with ``configure(parser)``, and the text in ``wheelleg --help``."""
 
     module: str
     help: str
-    run: str = "run"
-    project: bool = True
+    run: str = "run"  # the function that runs the command and returns its exit status
+    project: bool = True  # whether the command reads the project in the current folder
 
 
 COMMANDS: dict[str, Command] = {

@@ -288,18 +288,14 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """The result of a comparison: every metric over the runs, and the differences from the other side.
-
-    If no other method is compared, ``differences`` and ``verdict`` are empty. ``content`` is the content of
-    ``comparison.json``.
-    """
+    """The result of a comparison: every metric over the runs, and the differences from the other side."""
 
     folder: Path
     seeds: list[OverSeeds]
-    differences: list[Difference]
-    verdict: str
+    differences: list[Difference]  # empty without another method
+    verdict: str  # empty without another method
     push_verdict: str
-    content: dict[str, Any]
+    content: dict[str, Any]  # the content of ``comparison.json``
 
 
 def compare(

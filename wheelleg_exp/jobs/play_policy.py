@@ -52,18 +52,14 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A trained policy, and an environment in which the policy can act.
-
-    ``tree`` holds ``env`` and ``agent`` of the run and the settings of ``configs/play.yaml``, with the overrides.
-    ``policy`` returns the mean action. ``about`` holds the name and the sha256 of the checkpoint.
-    """
+    """A trained policy, and an environment in which the policy can act."""
 
     run: RunDirectory
     checkpoint: Path
-    tree: Tree
+    tree: Tree  # the run's ``env`` and ``agent``, and the settings of ``configs/play.yaml``, with overrides
     adapter: RslRlVecEnv
-    policy: Any
-    about: dict[str, str]
+    policy: Any  # returns the mean action
+    about: dict[str, str]  # the name and the sha256 of the checkpoint
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
         """Return the recording of a play or a drive."""

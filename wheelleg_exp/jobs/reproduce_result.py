@@ -30,16 +30,11 @@ _COMMAND = ("wheelleg", "results")
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The result of a reproduction.
+    """The result of a reproduction."""
 
-    ``differences`` names the numbers that differ from the record; empty if all numbers are bitwise equal. ``machine``
-    contains the differences in hardware, versions, and threads that may change bits. ``other_code`` is true if the
-    source files differ from the source files of the recorded trainings.
-    """
-
-    differences: list[str]
-    machine: list[FactDifference]
-    other_code: bool
+    differences: list[str]  # numbers that differ from the record; empty if all are bitwise equal
+    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change bits
+    other_code: bool  # whether the source files differ from those of the recorded trainings
 
     @property
     def verdict(self) -> str:

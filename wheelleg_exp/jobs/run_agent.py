@@ -33,18 +33,13 @@ UPRIGHT_RAD = 0.2
 
 @dataclass(frozen=True)
 class AgentRun:
-    """The result of a rollout with zero or random actions.
-
-    ``contacts`` contains the contact forces of each link while the robot stood, by sensor. ``figures`` contains the
-    durations and terminations of the first episodes. ``failures`` lists the episodes that ended because a number was
-    not finite.
-    """
+    """The result of a rollout with zero or random actions."""
 
     folder: Path
     recording: Path | None
-    contacts: dict[str, list[ContactFigures]]
-    figures: StandFigures
-    failures: FailureCount
+    contacts: dict[str, list[ContactFigures]]  # forces of each link while the robot stood, by sensor
+    figures: StandFigures  # durations and terminations of the first episodes
+    failures: FailureCount  # episodes that ended because a number was not finite
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:

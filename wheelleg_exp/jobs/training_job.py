@@ -26,20 +26,16 @@ _BOOT = (
 
 @dataclass(frozen=True)
 class JobRequest:
-    """A request to train a new run, or to resume or evaluate a run.
-
-    ``command`` is the equivalent command line, for the manifest. ``digest`` is the digest of the checked
-    config of a training, and ``root`` the folder of all runs.
-    """
+    """A request to train a new run, or to resume or evaluate a run."""
 
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]
-    digest: str = ""
+    command: list[str]  # the equivalent command line, for the manifest
+    digest: str = ""  # of the checked config of a training
     run: str = ""
     checkpoint: str = ""
-    root: str = "runs"
+    root: str = "runs"  # the folder of all runs
 
     def line(self) -> bytes:
         """Return the request as one line of JSON."""

@@ -31,16 +31,13 @@ _FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the las
 
 @dataclass(frozen=True)
 class Episode:
-    """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it.
-
-    ``is_whole`` is true if the episode was recorded from its start to its end.
-    """
+    """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it."""
 
     start: float
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool
+    is_whole: bool  # recorded from its start to its end
 
     @property
     def seconds(self) -> float:
@@ -50,13 +47,10 @@ class Episode:
 
 @dataclass
 class Look:
-    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read.
-
-    ``pictures`` is true if the report shows pictures of the robot.
-    """
+    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read."""
 
     subject: Subject
-    pictures: bool = True
+    pictures: bool = True  # whether the report shows pictures of the robot
     _missing: str | None = field(default=None, init=False)
     _sceneries: dict[Path, Scenery] = field(default_factory=dict, init=False)
 

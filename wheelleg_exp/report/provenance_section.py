@@ -224,17 +224,13 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 
 @dataclass(frozen=True)
 class Repeat:
-    """Another run that should be bitwise equal to the reported run, and the result of the comparison.
+    """Another run that should be bitwise equal to the reported run, and the result of the comparison."""
 
-    ``label`` is the other run's task and id. ``how`` is ``replay``, ``original``, or ``same settings``. ``verdict`` is
-    the verdict of the comparison, or the reason why the runs were not compared. ``lines`` is the whole comparison.
-    """
-
-    label: str
-    how: str
-    verdict: str
+    label: str  # the other run's task and id
+    how: str  # ``replay``, ``original``, or ``same settings``
+    verdict: str  # of the comparison, or ``not compared``
     reason: str
-    lines: Sequence[str]
+    lines: Sequence[str]  # the whole comparison
 
 
 @dataclass(frozen=True)

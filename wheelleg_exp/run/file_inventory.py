@@ -26,17 +26,13 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """The differences between a run's files and its manifest, as sorted relative paths.
+    """The differences between a run's files and its manifest, as sorted relative paths."""
 
-    The attribute ``links`` lists symbolic links that the manifest does not name. A recorded file that was replaced by a
-    link is listed in ``missing``.
-    """
-
-    missing: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)  # also files that were replaced by a link
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)  # symbolic links that the manifest does not name
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)

@@ -51,15 +51,11 @@ class GitMissing(GitError):
 
 @dataclass(frozen=True)
 class Repository:
-    """A git working tree: its top folder, and the environment of the git commands that run in this folder.
-
-    The argument ``environ`` contains additional environment variables, such as the path of a temporary index. The
-    argument ``settings`` overrides the git settings of the repository and of the user.
-    """
+    """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)
-    settings: dict[str, str] = field(default_factory=dict)
+    environ: dict[str, str] = field(default_factory=dict)  # additional variables, such as the path of a temporary index
+    settings: dict[str, str] = field(default_factory=dict)  # override the git settings of repository and user
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return its output; raise GitError if the command fails."""

@@ -14,18 +14,12 @@ from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first difference of two runs.
+    """The first difference of two runs."""
 
-    ``part`` is ``settings``, ``robot``, ``digests``, ``scalars``, ``checkpoints``, ``recording``, ``exported``,
-    ``results``, ``files`` (a file is missing or damaged), or ``length``. ``iteration`` is None for a difference outside
-    the training iterations, such as one in the settings. ``name`` is the first key, digest, scalar, tensor, or entity
-    that differs. ``a`` and ``b`` are the values of ``name`` in the two runs, if these are single values.
-    """
-
-    iteration: int | None
-    part: str
-    name: str
-    a: Any = None
+    iteration: int | None  # None outside the training iterations, such as in the settings
+    part: str  # a part of the comparison, ``files`` (a file is missing or damaged), or ``length``
+    name: str  # the first key, digest, scalar, tensor, or entity that differs
+    a: Any = None  # the value of ``name`` in run A, if it is a single value
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 

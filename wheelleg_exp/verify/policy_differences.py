@@ -32,23 +32,16 @@ _MOST_LEAVES = 50  # At most this number of differing leaves is stored for one p
 
 @dataclass(frozen=True)
 class Pair:
-    """The checkpoints of one iteration in two runs.
-
-    ``state`` is ``bytes`` (equal files), ``content`` (equal tensors in different bytes), ``different``, or
-    ``unreadable``. ``count`` of ``of`` leaves differ. ``differences`` lists them: networks first, random streams last,
-    and within a part the largest relative difference first. ``by_part`` counts the differing leaves by part of the
-    checkpoint. ``parameters`` is the relative Euclidean distance of the networks' parameters. ``problem`` says why a
-    checkpoint file cannot be read.
-    """
+    """The checkpoints of one iteration in two runs."""
 
     iteration: int
-    state: Literal["bytes", "content", "different", "unreadable"]
-    count: int = 0
+    state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors in different bytes
+    count: int = 0  # ``count`` of ``of`` leaves differ
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)
-    by_part: dict[str, int] = field(default_factory=dict)
-    parameters: float | None = None
-    problem: str | None = None
+    differences: list[Difference] = field(default_factory=list)  # networks first, random streams last, largest first
+    by_part: dict[str, int] = field(default_factory=dict)  # the differing leaves by part of the checkpoint
+    parameters: float | None = None  # relative Euclidean distance of the networks' parameters
+    problem: str | None = None  # why a checkpoint file cannot be read
 
     @property
     def equal(self) -> bool:

@@ -26,25 +26,20 @@ Verdict = Literal["identical", "within tolerance", "different"]
 
 @dataclass(frozen=True)
 class Comparison:
-    """The result of ``compare_runs``.
-
-    The attribute ``reason`` is a sentence that explains the verdict, and ``iterations`` counts the compared iterations.
-    ``environment`` contains the runs' differences of code, versions, hardware, threads, and environment variables.
-    ``tolerance`` contains the measured deviations; it is None if no deviation is allowed or no number differs.
-    """
+    """The result of ``compare_runs``."""
 
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str
+    reason: str  # a sentence that explains the verdict
     first_divergence: Divergence | None
-    iterations: int
+    iterations: int  # the number of compared iterations
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]
-    tolerance: Tolerance | None = None
+    environment: list[FactDifference]  # code, versions, hardware, threads, and environment variables
+    tolerance: Tolerance | None = None  # measured deviations; None if none is allowed or no number differs
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""

@@ -19,13 +19,9 @@ from wheelleg_exp.sim.timers import forget
 
 @dataclass(frozen=True)
 class Axis:
-    """One component of a command term, with its range [low, high] in the component's unit.
+    """One component of a command term, with its range [low, high] in the component's unit."""
 
-    Drive scripts and sliders use the axis's ``name``. If several command terms have the component, ``name`` starts with
-    the command term's name.
-    """
-
-    name: str
+    name: str  # the name in drive scripts and sliders, after the term's name if several terms have the component
     term: str
     component: str
     low: float

@@ -26,15 +26,12 @@ _ACTIONS = ("push", "reset", "stop")
 
 @dataclass(frozen=True)
 class Entry:
-    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s.
+    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s."""
 
-    If ``stops`` is true, every axis that ``values`` does not name gets its rest value.
-    """
-
-    at: float
+    at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False
+    stops: bool = False  # whether every axis without a value gets its rest value
 
 
 @dataclass(frozen=True)

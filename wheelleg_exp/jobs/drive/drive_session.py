@@ -105,19 +105,15 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """The state of a drive, as Python numbers.
+    """The state of a drive, as Python numbers."""
 
-    ``time_s`` counts from the start of the drive. ``rewards`` are the weighted rewards per second of the last control
-    step, by reward term. ``fallen`` describes how the episode ended; None while the episode runs.
-    """
-
-    time_s: float
+    time_s: float  # since the start of the drive
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
-    rewards: dict[str, float] = field(default_factory=dict)
+    rewards: dict[str, float] = field(default_factory=dict)  # weighted, per second, by reward term
     falls: int = 0
-    fallen: str | None = None
+    fallen: str | None = None  # how the episode ended; None while it runs
 
 
 class DriveSession:

@@ -133,17 +133,13 @@ _SKIPPED_FILES = (REPORT, "asset.json")
 
 @dataclass(frozen=True)
 class Exported:
-    """The result of an export.
-
-    ``differences`` are the largest differences of the exported policies from the training's simulation, step by step.
-    ``notes`` name missing parts of the bundle, with reasons.
-    """
+    """The result of an export."""
 
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]
-    notes: Sequence[str]
+    differences: Mapping[str, float]  # largest differences from the training's simulation, by policy file
+    notes: Sequence[str]  # missing parts of the bundle, with reasons
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:

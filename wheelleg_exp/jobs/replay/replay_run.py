@@ -86,24 +86,18 @@ KIND = "replay"
 
 @dataclass(frozen=True)
 class Replayed:
-    """The result of a replay, with the comparison of the original run and the new run.
-
-    ``whole`` is true if all iterations were compared. ``composed`` says whether the recorded overrides compose to the
-    snapshot with the restored configs: ``equal`` and ``difference``. ``asset`` records whether the robot was
-    ``converted`` again, or a ``note`` with the reason why not. ``kept`` is the folder of the restored source, or None
-    if the folder was removed.
-    """
+    """The result of a replay, with the comparison of the original run and the new run."""
 
     original: RunDirectory
     run: RunDirectory
     iterations: int
-    whole: bool
+    whole: bool  # whether all iterations were compared
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event
-    asset: Event
+    composed: Event  # whether the overrides compose to the snapshot (``equal``), and the ``difference``
+    asset: Event  # whether the robot was ``converted`` again, or a ``note`` with the reason why not
     notes: list[str]
-    kept: Path | None
+    kept: Path | None  # the folder of the restored source; None if it was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:

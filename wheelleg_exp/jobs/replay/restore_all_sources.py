@@ -24,34 +24,25 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """A source folder that a run recorded, and the origin of the restored content.
-
-    ``how`` is ``restored`` (from commit and patch), ``installed`` (the package installed now), ``in place`` (the
-    recorded folder, unchanged), or ``missing``. ``origin`` is the repository from which the commit was read.
-    """
+    """A source folder that a run recorded, and the origin of the restored content."""
 
     root: str
-    how: str
+    how: str  # restored (commit and patch), installed (the current package), in place (recorded folder), or missing
     commit: str | None = None
     tree: str | None = None
-    origin: str | None = None
+    origin: str | None = None  # the repository from which the commit was read
 
 
 @dataclass
 class RestoredSource:
-    """All restored sources of a run.
+    """All restored sources of a run."""
 
-    ``trees`` has an entry for each recorded folder; the first entry is the folder of this package. ``places`` maps each
-    top-level package or module to its folder. ``source_roots`` are the folders of further packages whose source a new
-    run records. ``moved`` maps each recorded folder to its restored folder.
-    """
-
-    trees: list[RestoredTree] = field(default_factory=list)
-    places: dict[str, Path] = field(default_factory=dict)
+    trees: list[RestoredTree] = field(default_factory=list)  # by recorded folder, this package's first
+    places: dict[str, Path] = field(default_factory=dict)  # the folder of each top-level package or module
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)
-    moved: dict[str, Path] = field(default_factory=dict)
+    source_roots: list[Path] = field(default_factory=list)  # further packages whose source a new run records
+    moved: dict[str, Path] = field(default_factory=dict)  # the restored folder of each recorded folder
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:

@@ -35,16 +35,11 @@ _IGNORED_KEYS = ("noise",)  # A policy tolerates changes of these keys of an obs
 
 @dataclass(frozen=True)
 class Fit:
-    """The differences between the settings of a policy's training and new settings.
+    """The differences between the settings of a policy's training and new settings."""
 
-    ``mistakes`` make the policy unusable. ``suspects`` are changed joints, bodies, or sensors of an observation term,
-    which may change the term's width. ``notes`` describe changed settings that do not change the layout of an
-    observation vector; ``notes`` include the suspects.
-    """
-
-    mistakes: list[ConfigError]
-    suspects: list[ConfigError]
-    notes: list[str]
+    mistakes: list[ConfigError]  # make the policy unusable
+    suspects: list[ConfigError]  # changed joints, bodies, or sensors of a term, which may change its width
+    notes: list[str]  # changed settings that do not change the layout of a vector, and the suspects
 
 
 def fit(

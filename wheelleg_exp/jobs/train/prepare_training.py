@@ -48,35 +48,27 @@ from wheelleg_exp.run.start_run import start_run
 
 @dataclass(frozen=True)
 class Recipe:
-    """The inputs of a training.
-
-    ``source_roots`` starts with the folder of this package. ``matmul`` is the recorded decision of ``agent.matmul:
-    auto`` in a resumed run; None decides by this CPU.
-    """
+    """The inputs of a training."""
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
-    source_roots: Sequence[Path]
+    source_roots: Sequence[Path]  # the folder of this package first
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None
+    matmul: str | None = None  # a resumed run's decision of ``agent.matmul: auto``; None decides by this CPU
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training whose environment, networks, and run directory are ready.
-
-    In a resume, ``lock`` is the acquired lock of the run, ``earlier`` contains the log lines of the finished
-    iterations, and ``recomputed`` checks the digests of each iteration that is computed a second time.
-    """
+    """A training whose environment, networks, and run directory are ready."""
 
     recipe: Recipe
     trainer: Trainer
     directory: RunDirectory
     manifest: Manifest
-    lock: RunLock
-    earlier: Sequence[Mapping[str, Any]] = ()
+    lock: RunLock  # acquired in a resume
+    earlier: Sequence[Mapping[str, Any]] = ()  # log lines of the finished iterations, in a resume
     recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 

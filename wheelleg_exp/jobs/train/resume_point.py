@@ -29,18 +29,13 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The end of the last iteration whose state is saved completely.
+    """The end of the last iteration whose state is saved completely."""
 
-    ``iteration`` is the first iteration to compute. ``checkpoint`` is the state after the previous iteration, and None
-    at the start of the run. ``lines`` are all whole lines of the log of iterations. ``damaged`` maps newer checkpoints
-    that cannot be used to the reason.
-    """
-
-    iteration: int
-    checkpoint: Path | None
+    iteration: int  # the first iteration to compute
+    checkpoint: Path | None  # the state after the previous iteration; None at the start of the run
     state: Mapping[str, Any] | None
-    lines: Sequence[Line]
-    damaged: Mapping[Path, str]
+    lines: Sequence[Line]  # all whole lines of the log of iterations
+    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
