@@ -104,10 +104,8 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--config-dir``, which can be repeated."""
-    text = (
-        "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
-        "configs (repeatable); the project in the current folder is found without this option"
-    )
+    text = "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
+    text += "configs (repeatable); the project in the current folder is found without this option"
     parser.add_argument(
         "--config-dir", dest="config_dirs", action="append", type=Path, default=[], metavar="DIR", help=text
     )

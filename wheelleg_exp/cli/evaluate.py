@@ -23,10 +23,8 @@ REFERENCE = "reference"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    text = (
-        "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
-        "of the runs' parameters: env.sim.dt=0.002"
-    )
+    text = "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
+    text += "of the runs' parameters: env.sim.dt=0.002"
     parser.add_argument("overrides", nargs="*", metavar="RUN|OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     text = "compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed"

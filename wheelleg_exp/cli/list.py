@@ -42,10 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(_LISTS) + "}", help="what to list")
     parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
     of_runs = parser.add_argument_group("list runs")
-    text = (
-        "only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
-        "agent.algorithm.gamma=0.99"
-    )
+    text = "only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
+    text += "agent.algorithm.gamma=0.99"
     of_runs.add_argument("--filter", nargs="+", action="extend", default=[], metavar="CONDITION", help=text)
     of_runs.add_argument("--sort", metavar="KEY", help="sort by a column or a key of the config, the largest first")
     of_runs.add_argument("--reverse", action="store_true", help="list the smallest value, or the oldest run, first")

@@ -18,10 +18,8 @@ FOLDER = Path("docs/results")
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("name", metavar="NAME", help="the name of the result and of its page")
-    text = (
-        "runs that differ by their seed, and overrides such as protocol=walk; with --again: names of more "
-        "results, whose common runs are trained once"
-    )
+    text = "runs that differ by their seed, and overrides such as protocol=walk; with --again: names of more "
+    text += "results, whose common runs are trained once"
     parser.add_argument("runs", nargs="*", metavar="RUN|OVERRIDE", help=text)
     text = f"the folder of the result (default: {FOLDER})"
     parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=text)

@@ -24,10 +24,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
     add_json(parser)
-    text = (
-        "train every combination of several values: seed=1,2,3 env.rewards.alive.weight=choice(1,2) "
-        "[hydra/launcher=joblib hydra.launcher.n_jobs=2]"
-    )
+    text = "train every combination of several values: seed=1,2,3 env.rewards.alive.weight=choice(1,2) "
+    text += "[hydra/launcher=joblib hydra.launcher.n_jobs=2]"
     parser.add_argument("-m", "--multirun", action="store_true", help=text)
 
 

@@ -124,10 +124,8 @@ def _crowded(sweep: Sweep, at_once: int) -> str | None:
     if at_once == 1 or at_once * threads <= cores:
         return None
     each = max(1, cores // at_once)
-    return (
-        f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
-        f"env.sim.nthread={each} is faster and gives the same numbers"
-    )
+    text = f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
+    return text + f"env.sim.nthread={each} is faster and gives the same numbers"
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:

@@ -160,10 +160,8 @@ class EpisodeRecording(ObservingRecording):
 
     def _warning(self) -> str:
         room = f"at least {self._frames} steps fit" if self._frames else "maybe no step fits"
-        return (
-            f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
-            f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
-        )
+        text = f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
+        return text + f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
 
 
 _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")

@@ -41,41 +41,30 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """The facts about one run that the list of runs shows.
-
-    ``status`` is the manifest's status, or ``crashed`` (the manifest says ``running``, but the run's process has
-    ended), or ``damaged`` (the manifest cannot be read). ``problem`` says why the run failed or is damaged, or counts
-    the episodes that ended because a value was not finite. ``failure`` is the recorded failure: message, config key,
-    iteration. ``iterations`` counts the finished iterations, and ``checkpoint`` is the iteration of the last
-    checkpoint. ``resumable`` is true if ``resume`` can continue from the last checkpoint or from the start. ``figures``
-    contains the last episodes' mean return, mean length, and share that reached the time limit. ``played`` and
-    ``evaluated`` are the results of the last play and evaluation. ``bundles`` lists the folders of the deployment
-    bundles that were exported from the run. ``seconds`` is the training time in s up to the last iteration, without the
-    pauses between a stop and a resume. ``bytes`` is the size of the files directly in the run directory.
-    """
+    """The facts about one run that the list of runs shows."""
 
     id: str
     task: str
-    status: str
+    status: str  # of the manifest; ``crashed``: a dead process left ``running``; ``damaged``: no readable manifest
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None
-    failure: dict[str, Any] | None = None
+    problem: str | None = None  # why the run failed or is damaged, or the number of episodes with NaN or inf
+    failure: dict[str, Any] | None = None  # the recorded failure: message, config key, iteration
     name: str | None = None
-    iterations: int | None = None
+    iterations: int | None = None  # finished iterations
     max_iterations: int | None = None
-    checkpoint: int | None = None
-    resumable: bool = False
+    checkpoint: int | None = None  # the iteration of the last checkpoint
+    resumable: bool = False  # whether ``resume`` can continue from the last checkpoint or the start
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)
-    played: dict[str, Any] = field(default_factory=dict)
-    evaluated: dict[str, Any] = field(default_factory=dict)
-    bundles: tuple[str, ...] = ()
-    seconds: float | None = None
-    bytes: int | None = None
+    figures: dict[str, float] = field(default_factory=dict)  # mean return, mean length, and time-out share at the end
+    played: dict[str, Any] = field(default_factory=dict)  # results of the last play
+    evaluated: dict[str, Any] = field(default_factory=dict)  # results of the last evaluation
+    bundles: tuple[str, ...] = ()  # folders of the exported deployment bundles
+    seconds: float | None = None  # training time up to the last iteration, without pauses before a resume
+    bytes: int | None = None  # size of the files directly in the run directory
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:

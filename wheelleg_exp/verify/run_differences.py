@@ -160,22 +160,15 @@ UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # A process can record this fa
 
 @dataclass(frozen=True)
 class FactDifference:
-    """One fact in which two runs differ.
+    """One fact in which two runs differ."""
 
-    ``section`` is ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables``, or
-    ``distributions``. ``a`` and ``b`` are the values; a value is a list if the run was resumed with another one.
-    ``allows`` says why the fact can change the last digits of a number; it is None if the fact must not change them.
-    ``forbids`` is true if the fact can change any number by any amount: other code, or a resume that was inexact for
-    other reasons than the machine. No tolerance applies then. ``note`` describes a difference of digests in words.
-    """
-
-    section: str
+    section: str  # ``code``, ``resumed``, ``distributions``, or a section of the manifest
     name: str
-    a: Any
+    a: Any  # the value in run A; a list if the run was resumed with another value
     b: Any
-    allows: str | None = None
-    forbids: bool = False
-    note: str = ""
+    allows: str | None = None  # why the fact can change the last digits of a number; None if it must not change them
+    forbids: bool = False  # any number can differ by any amount: other code, or a resume inexact beyond the machine
+    note: str = ""  # describes a difference of digests in words
 
 
 def environment_differences(

@@ -194,10 +194,8 @@ def _resume_notes(manifest: Manifest) -> list[str]:
             continue
         at = f" before iteration {entry['iteration']}" if entry.get("iteration") is not None else ""
         why = "; ".join(map(str, entry.get("why") or ())) or " ".join(map(str, entry.get("overrides") or ()))
-        notes.append(
-            f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
-            "numbers will differ"
-        )
+        text = f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
+        notes.append(text + "numbers will differ")
     return notes
 
 

@@ -213,10 +213,8 @@ def _require_ended(manifest: Manifest, display: Display) -> None:
         expected = "a run that has ended: wait for it, or end that process first"
         raise RunDirectoryError(message, key=str(manifest.directory), expected=expected)
     if alive is None:
-        display.note(
-            f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
-            "it is treated as dead"
-        )
+        text = f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
+        display.note(text + "it is treated as dead")
 
 
 def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:

@@ -146,10 +146,8 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
         display.note(f"warning: {outputs.films.ended}")
     unfinished = None if outputs.recording is None else outputs.recording.unfinished
     if unfinished:
-        display.note(
-            f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
-            "'wheelleg inspect RUN --repair' writes a copy with one"
-        )
+        text = f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
+        display.note(text + "'wheelleg inspect RUN --repair' writes a copy with one")
     # An earlier process may have noted an unfinished recording, which this process has finished.
     if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)

@@ -214,10 +214,8 @@ class TrainingRecording(ObservingRecording):
             return
         if self._recorder.frames_until(due) > self._recorder.frames_until(due - interval * (due // iteration)):
             bound, count = self._options.max_mb, iteration // interval
-            self._recorder.say(
-                f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
-                "from here on there are scalars alone"
-            )
+            text = f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
+            self._recorder.say(text + "from here on there are scalars alone")
 
 
 def _task(directory: RunDirectory) -> Any:
