@@ -142,11 +142,9 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
-    """Return a warning about activations whose rounding depends on the number of threads.
-
-    torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are computed
-    by scalar code, which rounds differently.
-    """
+    """Return a warning about activations whose rounding depends on the number of threads."""
+    # torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are
+    # computed by scalar code, which rounds differently.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}

@@ -166,12 +166,10 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode that the pictures show, and the sample of this episode.
-
-    ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the page
-    lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without complete
-    episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
-    """
+    """Return the episode that the pictures show, and the sample of this episode."""
+    # ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the
+    # page lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without
+    # complete episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):

@@ -271,10 +271,8 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs.
-
-    A file to which this process prints is also left out, because this file grows during the run.
-    """
+    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs."""
+    # A file to which this process prints is also left out, because this file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
@@ -314,10 +312,8 @@ def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
 
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
-    """Return the files that git passes through a filter program, such as Git LFS or an encryption.
-
-    Git stores the output of the filter program, and this function must not run that program.
-    """
+    """Return the files that git passes through a filter program, such as Git LFS or an encryption."""
+    # Git stores the output of the filter program, and this function must not run that program.
     programs = git.filters(repository)
     if not programs or not paths:
         return []

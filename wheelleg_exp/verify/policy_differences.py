@@ -105,10 +105,9 @@ def _part(name: str) -> str:
 
 
 def _order(difference: Difference) -> tuple[int, float]:
-    """Return the sort key of a difference: by part of the checkpoint, then by size.
-
-    Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative ones.
-    """
+    """Return the sort key of a difference: by part of the checkpoint, then by size."""
+    # Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative
+    # ones.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
@@ -171,11 +170,9 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 
 def _archived_code(path: Path) -> dict[str, Any]:
-    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors.
-
-    The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
-    archive.
-    """
+    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
+    # The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
+    # archive.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)

@@ -89,10 +89,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 
 
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
-    """Yield the iterations, and count the episodes that ended because a number was not finite.
-
-    If an iteration fails, save the evidence and the checkpoint of the previous iteration.
-    """
+    """Yield the iterations, and count the episodes that ended because a number was not finite."""
+    # If an iteration fails, save the evidence and the checkpoint of the previous iteration.
     trainer, failed = training.trainer, Counter[str]()
     for line in training.earlier:
         failed.update(logged(line["scalars"]))

@@ -170,10 +170,8 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the present places of the run's source roots: this package's, then the projects of the config folders.
-
-    Other recorded folders count only if they are trusted, installed, or imported by this process.
-    """
+    """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
+    # Other recorded folders count only if they are trusted, installed, or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     content = load_source(run)
     recorded = [
