@@ -111,12 +111,13 @@ def evaluated(
 
     if args.kept:
         from wheelleg_exp.files import sha256
-        from wheelleg_exp.jobs.evaluate_policy import evaluation_settings, find_saved, load_evaluated
+        from wheelleg_exp.jobs import evaluate_policy as jobs
 
-        tree = evaluation_settings(directory, overrides, args.config_dirs)
-        folder = find_saved(directory, sha256(checkpoint), tree, overrides)
+        tree = jobs.evaluation_settings(directory, overrides, args.config_dirs)
+        folder = jobs.find_saved(directory, sha256(checkpoint), tree, overrides)
         if folder is not None:
-            return load_evaluated(directory, checkpoint, folder)
+            found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
+            return jobs.Evaluated(directory, checkpoint, folder, found, content)
     from wheelleg_exp.inspection.evaluation_plots import draw
 
     return evaluate_run(directory, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)

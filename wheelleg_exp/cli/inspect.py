@@ -35,17 +35,12 @@ class Inspected:
     selection: Selection
     recording_id: str | None = None
 
-    @property
-    def path(self) -> Path:
-        """The file of the recording."""
-        return self.target.path
-
     @cached_property
     def recording(self) -> Recording:
         """The recording, which is opened on first use."""
         from wheelleg_exp.recording.reading.recording_reader import Recording
 
-        return Recording(self.path, recording_id=self.recording_id)
+        return Recording(self.target.path, recording_id=self.recording_id)
 
 
 @dataclass(frozen=True)
@@ -247,7 +242,7 @@ def _repair(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.recording.reading.recording_repair import repair
 
     with inspected.target.resting():
-        done = repair(inspected.path, args.output)
+        done = repair(inspected.target.path, args.output)
     return Result({**asdict(done), "health": done.health.as_dict()}, lambda: print_repaired(done))
 
 
@@ -279,7 +274,7 @@ def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
             return recording_plots.terms_figure(inspected.recording, args.term, selection=chosen)
         return recording_plots.default_page(inspected.recording, selection=chosen)
     recordings = (inspected.recording, _other_recording(args))
-    paths = [path.resolve() for path in (inspected.path, recordings[1].path)]
+    paths = [path.resolve() for path in (inspected.target.path, recordings[1].path)]
     names = [path.stem if path.stem != "recording" else path.parent.name for path in paths]
     if names[0] == names[1]:
         names = [f"{name} ({i})" for i, name in enumerate(names, start=1)]
@@ -314,15 +309,11 @@ def _screenshot(args: argparse.Namespace, inspected: Inspected) -> Result:
         from wheelleg_exp.inspection.rerun_viewer import viewer_screenshot
 
         width, height = _size(args, 1600, 900)
-        viewer_screenshot(inspected.path, args.screenshot, time_s=time_s, width=width, height=height)
+        viewer_screenshot(inspected.target.path, args.screenshot, time_s=time_s, width=width, height=height)
     else:
         recording_pictures.save(shown, row, args.screenshot, *_size(args, 1280, 720))
-    facts = {
-        "time_s": time_s,
-        "step": int(shown.motion.step[row]),
-        "iteration": shown.motion.iteration_at(row),
-        "env": shown.source.env_id,
-    }
+    facts: dict[str, Any] = {"time_s": time_s, "step": int(shown.motion.step[row])}
+    facts |= {"iteration": shown.motion.iteration_at(row), "env": shown.source.env_id}
     return _written(args.screenshot, facts, f" ({_environment(shown.env_id)}t = {time_s:.3f} s)")
 
 

@@ -293,12 +293,5 @@ def _duration(seconds: float | None) -> str | None:
     return f"{minutes}m{seconds:02}s" if minutes else f"{seconds}s"
 
 
-_LISTS = {
-    "tasks": _tasks,
-    "terms": _terms,
-    "groups": _groups,
-    "options": _options,
-    "pipelines": _pipelines,
-    "runs": _runs,
-    "sweeps": _sweeps,
-}
+_LISTS = {"tasks": _tasks, "terms": _terms, "groups": _groups, "options": _options}
+_LISTS |= {"pipelines": _pipelines, "runs": _runs, "sweeps": _sweeps}

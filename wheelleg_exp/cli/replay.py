@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from wheelleg_exp.cli.arguments import add_json, print_json
@@ -43,17 +44,9 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
         from wheelleg_exp.jobs.replay.replay_run import replay
 
+        again = partial(replay, repositories=args.repositories, iterations=args.iterations, keep=args.keep)
         with ConsoleDisplay() as display:
-            found = replay(
-                directory,
-                args.command,
-                display,
-                stop,
-                root=args.root,
-                repositories=args.repositories,
-                iterations=args.iterations,
-                keep=args.keep,
-            )
+            found = again(directory, args.command, display, stop, root=args.root)
     status = EXIT_FINDING if found.comparison.verdict == "different" else EXIT_OK
     if args.json:
         print_json(found.as_dict())

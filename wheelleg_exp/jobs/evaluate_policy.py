@@ -265,11 +265,6 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
     return None
 
 
-def load_evaluated(run: RunDirectory, checkpoint: Path, folder: Path) -> Evaluated:
-    """Return a saved evaluation as ``Evaluated``."""
-    return Evaluated(run, checkpoint, folder, read_evaluation(folder), read_content(folder))
-
-
 def _figure(value: Mapping[str, Any]) -> Figure:
     numbers = {key: float("nan") if value[key] is None else float(value[key]) for key in ("value", "low", "high")}
     return Figure(**numbers, episodes=value["episodes"], unit=value["unit"], better=value["better"])

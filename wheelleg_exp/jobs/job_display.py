@@ -26,20 +26,8 @@ class Display(Protocol):
         """Show how many steps of a rollout are done."""
 
 
-class SilentDisplay:
-    """A display that shows nothing."""
-
-    def environment(self, description: str) -> None:
-        """Show nothing."""
-
-    def note(self, text: str) -> None:
-        """Show nothing."""
-
-    def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show nothing."""
-
-    def steps(self, done: int, total: int) -> None:
-        """Show nothing."""
+class SilentDisplay(Display):
+    """A display that shows nothing: the methods of ``Display`` are empty."""
 
 
 class PipeDisplay(SilentDisplay):

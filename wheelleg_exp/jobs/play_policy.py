@@ -64,16 +64,11 @@ class RunPolicy:
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
         """Return the recording of a play or a drive."""
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
-        task = self.run.manifest().data.get("task")
-        return EpisodeRecording(
-            folder / "recording.rrd",
-            self.adapter.env,
-            self.tree["recording"],
-            purpose="play",
-            name=folder.name,
-            about={"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about},
-            documents=documents | {"checkpoint": fenced(dump_json(self.about), "json")},
-        )
+        task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
+        about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
+        options, env = self.tree["recording"], self.adapter.env
+        documents |= {"checkpoint": fenced(dump_json(self.about), "json")}
+        return EpisodeRecording(path, env, options, purpose="play", name=folder.name, about=about, documents=documents)
 
 
 def prepare_policy(

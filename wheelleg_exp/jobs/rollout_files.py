@@ -125,15 +125,9 @@ class EpisodeRecording(ObservingRecording):
         about: Mapping[str, Any],
         documents: Mapping[str, str],
     ) -> None:
+        ids, every = options["env_ids"], max(round(1.0 / env.step_dt), 1)
         recorder = Recorder(
-            path,
-            env,
-            recording_id=name,
-            name=name,
-            env_ids=options["env_ids"],
-            purpose=purpose,
-            about=about,
-            flush_every=max(round(1.0 / env.step_dt), 1),
+            path, env, recording_id=name, name=name, env_ids=ids, purpose=purpose, about=about, flush_every=every
         )
         for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
             recorder.document(title, text)

@@ -61,14 +61,10 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         options = config["recording"]
         recording = None
         if options["enabled"]:
+            about = {"run_id": directory.id, "task": config["task"]["name"], "agent": kind}
+            title, documents = f"{directory.id} {kind} agent", config_document(config)
             recording = EpisodeRecording(
-                directory.recording,
-                env,
-                options,
-                purpose="play",
-                name=f"{directory.id} {kind} agent",
-                about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
-                documents=config_document(config),
+                directory.recording, env, options, purpose="play", name=title, about=about, documents=documents
             )
             recording.warn(display.note)
         with recording or nullcontext():

@@ -122,13 +122,9 @@ class QueuedJob:
         self.ticket: Ticket | None = None
         self.ended: Event | None = None
         self._read, self._began, self._stopped = 0, False, False
-        facts = {
-            "line": request.line().decode().rstrip("\n"),
-            "path": [str(Path(entry).absolute()) for entry in _PATH],
-            "working_directory": str(Path.cwd()),
-            "variables": variables(),
-        }
-        write_json(self.folder / REQUEST, facts)
+        path = [str(Path(entry).absolute()) for entry in _PATH]
+        facts = {"line": request.line().decode().rstrip("\n"), "path": path, "working_directory": str(Path.cwd())}
+        write_json(self.folder / REQUEST, {**facts, "variables": variables()})
 
     def events(self) -> Iterator[Event]:
         """Yield the events of the job since the last call."""

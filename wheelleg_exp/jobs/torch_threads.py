@@ -18,21 +18,8 @@ from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
 # MKL numbers its code branches (mkl_types.h, MKL_CBWR_*).
-_BRANCHES = {
-    1: "off",
-    2: "auto",
-    3: "compatible",
-    4: "sse2",
-    6: "ssse3",
-    7: "sse4_1",
-    8: "sse4_2",
-    9: "avx",
-    10: "avx2",
-    11: "avx512_mic",
-    12: "avx512",
-    13: "avx512_mic_e1",
-    14: "avx512_e1",
-}
+_NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
+_BRANCHES = dict(enumerate(_NAMES.split(), start=1))
 _in_time: list[bool] = []  # One late call of prepare_threads marks the process for its lifetime.
 
 _STRICT = 0x10000

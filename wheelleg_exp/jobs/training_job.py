@@ -108,19 +108,12 @@ def _evaluate(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     from wheelleg_exp.packages import with_current
     from wheelleg_exp.run.run_directory import RunDirectory
 
-    run = RunDirectory.open(request.run, request.root)
-
-    def check_stop(_test: str, _done: int, _total: int) -> None:
-        stop.check()
-
-    folders = with_current([Path(folder) for folder in request.config_dirs])
-    made = evaluate_run(run, run.inside(request.checkpoint), request.overrides, request.command, check_stop, folders)
-    pipe.send(
-        "evaluated",
-        folder=made.folder.relative_to(run.path).as_posix(),
-        metrics={name: figure["value"] for name, figure in made.content["metrics"].items()},
-        scenarios_sha256=made.content["scenarios_sha256"],
-    )
+    run, folders = RunDirectory.open(request.run, request.root), [Path(folder) for folder in request.config_dirs]
+    words, checkpoint = request.overrides, run.inside(request.checkpoint)
+    made = evaluate_run(run, checkpoint, words, request.command, lambda *_: stop.check(), with_current(folders))
+    metrics = {name: figure["value"] for name, figure in made.content["metrics"].items()}
+    folder, scenarios = made.folder.relative_to(run.path).as_posix(), made.content["scenarios_sha256"]
+    pipe.send("evaluated", folder=folder, metrics=metrics, scenarios_sha256=scenarios)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,8 @@ from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # A card is green from 95 % survival and yellow from 50 %.
-_TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
-
-
-def tone(subject: Subject) -> Tone:
-    """Return the colour tone in which the report shows a run's status."""
-    return _TONES.get(subject.status, "")
+# The colour tone in which the report shows the status of a run.
+TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def played(subject: Subject) -> dict[str, Any]:

@@ -80,13 +80,8 @@ def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
 def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
     touched = [force for force in forces if force.contact_share > 0]
     rows = [
-        [
-            Cell(force.body, code=True),
-            Cell(number(force.mean_n), number=True),
-            Cell(number(force.largest_n), number=True),
-            Cell(percent(force.contact_share), bar=force.contact_share),
-        ]
-        for force in touched
+        [Cell(f.body, code=True), *_numbers(f.mean_n, f.largest_n), Cell(percent(f.contact_share), bar=f.contact_share)]
+        for f in touched
     ]
     columns = ("Body", *map(capital, recorded_headings("contact forces", "mean_n", "largest_n", "contact_share")))
     what = "mean and contact at the end of steps, largest in the sensor's history"
@@ -94,18 +89,18 @@ def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
 
 
 def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
-    rows = [
-        [
-            Cell(use.joint, code=True),
-            Cell(number(use.rms), number=True),
-            Cell(number(use.largest), number=True),
-            Cell(exact(use.limit), number=True),
-            _saturated(use.saturated_share),
-        ]
-        for use in efforts
-    ]
+    rows = []
+    for use in efforts:
+        limit = Cell(exact(use.limit), number=True)
+        rows.append(
+            [Cell(use.joint, code=True), *_numbers(use.rms, use.largest), limit, _saturated(use.saturated_share)]
+        )
     columns = ("Joint", *map(capital, recorded_headings("efforts")))
     return [Table("Efforts of the joints", columns, rows)] if rows else []
+
+
+def _numbers(*values: float) -> list[Cell]:
+    return [Cell(number(value), number=True) for value in values]
 
 
 def _saturated(share: float | None) -> Cell:
@@ -286,15 +281,8 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
-_TITLES = {
-    "stand": "Standing",
-    "walk": "Following commands",
-    "steps": "Steps of the command",
-    "push": "Pushes",
-    "terrain": "Rough ground",
-    "strip": "Onto rough ground and off it",
-    "robust": "A changed world",
-}
+_TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
+_TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
 _SHOWN_FIRST = 12  # The less important metrics of a test are in a collapsed block.
 
 

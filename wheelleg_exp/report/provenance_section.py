@@ -192,10 +192,8 @@ def files(subject: Subject) -> list[Block]:
     """Return a table of every file in the run's manifest with its size and digest; reports are omitted."""
     if subject.run is None:
         return [Note("An agent's run keeps no record of its files.", "")]
-    records = dict(subject.run.manifest().recorded_files())
-    for entry in subject.additions(KIND):
-        for name in entry.get("files", {}):
-            records.pop(name, None)
+    own, every = _reports(subject), subject.run.manifest().recorded_files()
+    records = {name: record for name, record in every.items() if name not in own}
     total = sum(record["size"] for record in records.values())
     rows = [
         [Cell(name, code=True), Cell(size(record["size"]), number=True), Cell(record["sha256"], code=True)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -107,7 +108,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         run=subject.id,
         task=subject.task,
         status=subject.status,
-        tone=headline.tone(subject),
+        tone=headline.TONES.get(subject.status, ""),
         sentence=_or(lambda: whole_units(headline.sentence(subject)), unknown),
         cards=_or(lambda: headline.cards(subject, verdict.card), [verdict.card] if verdict.card else []),
         facts=_or(lambda: headline.facts(subject), []),
@@ -132,11 +133,7 @@ def _sections(subject: Subject, look: Look, verdict: Verdict) -> list[Section]:
     if subject.status == AGENT:
         return [played, _settings(subject)]
     curves = (lambda: learning.first_curves(subject), look.of_training, lambda: learning.more_curves(subject))
-    origin = (
-        lambda: provenance.source(subject),
-        lambda: provenance.machine(subject),
-        lambda: provenance.robot(subject),
-    )
+    origin = [partial(part, subject) for part in (provenance.source, provenance.machine, provenance.robot)]
     files = (lambda: provenance.resumes(subject), lambda: provenance.files(subject))
     found = [played]
     if _or(lambda: standing.evaluated(subject), False):

@@ -27,14 +27,8 @@ _MISLEADING = (
 )
 
 # Without these settings, a git command can write into the repository or run a user-defined program.
-_SETTINGS = {
-    "core.fsmonitor": "false",
-    "core.splitIndex": "false",
-    "core.untrackedCache": "false",
-    "core.hooksPath": os.devnull,
-    "core.safecrlf": "false",
-    "gc.auto": "0",
-}
+_SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedCache", "core.safecrlf"), "false")
+_SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 
 # Git must neither prompt nor download the objects that a partial clone lacks. The repository's settings name the
 # program that downloads these objects, and that program cannot be trusted.

@@ -364,13 +364,9 @@ class Manifest:
 
         The kind of an addition is ``play``, ``evaluation``, or ``export``. The files must be below the run directory.
         """
-        entry: dict[str, Any] = {
-            "kind": kind,
-            "when": utc_text(now or utc_now()),
-            "command": list(sys.argv if command is None else command),
-            "files": record_files(self.directory, files),
-            "results": dict(results or {}),
-        }
+        words = list(sys.argv if command is None else command)
+        entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
+        entry |= {"files": record_files(self.directory, files), "results": dict(results or {})}
         self._update(lambda data: data["additions"].append(entry))
         return self.data["additions"][-1]
 

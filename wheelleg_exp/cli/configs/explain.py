@@ -144,16 +144,11 @@ def _cut(values: list[str]) -> str:
 
 def document(explained: Explanation) -> dict[str, Any]:
     """Return the JSON document of the explanation of a config key."""
-    other, mount, group = explained.alternatives, explained.mount, None
+    other, mount, group = explained.alternatives, explained.mount, dict[str, Any]()
     if mount is not None:
-        group = {
-            "name": mount.name,
-            "package": mount.package,
-            "option": explained.option,
-            "selected": list(mount.selected),
-            "options": list(mount.options),
-            "choices": [vars(choice) for choice in mount.choices],
-        }
+        group = {"name": mount.name, "package": mount.package, "option": explained.option}
+        group |= {"selected": list(mount.selected), "options": list(mount.options)}
+        group |= {"choices": [vars(choice) for choice in mount.choices]}
     return {
         "key": explained.key,
         "kind": explained.kind,
@@ -170,5 +165,5 @@ def document(explained: Explanation) -> dict[str, Any]:
         "default": other.default if other.has_default else None,
         "required": not other.has_default if other.type else None,
         "not_set": dict(other.keys),
-        "group": group,
+        "group": group or None,
     }

@@ -16,12 +16,8 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-_SETTLED = (
-    "height_rmse_m",
-    "height_mean_m",
-    "pitch_rms_deg",
-    "pitch_mean_deg",
-)  # These figures do not cover the settling time at the start of an episode.
+# These figures do not cover the settling time at the start of an episode.
+_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
     "drift_m": lambda value: f"{1e3 * value:.1f} mm",

@@ -25,12 +25,8 @@ from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import Imu
 
-_DRIVE_LAWS = {
-    actuators.ImplicitActuator: "implicit",
-    actuators.IdealPDActuator: "pd",
-    actuators.DelayedPDActuator: "pd",
-    actuators.DCMotor: "dc_motor",
-}
+_DRIVE_LAWS: dict[type, str] = {actuators.ImplicitActuator: "implicit", actuators.DCMotor: "dc_motor"}
+_DRIVE_LAWS |= dict.fromkeys((actuators.IdealPDActuator, actuators.DelayedPDActuator), "pd")
 _DRIVE_RATE_MARGIN = 10.0
 _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 

@@ -217,9 +217,8 @@ def _indented(lines: Iterable[str], spaces: int) -> str:
 
 
 def _array(kind: str, name: str, values: Iterable[str]) -> str:
-    words, lines = list(values), []
-    for start in range(0, len(words), 10):
-        lines.append("    " + ", ".join(words[start : start + 10]))
+    words = list(values)
+    lines = ["    " + ", ".join(words[start : start + 10]) for start in range(0, len(words), 10)]
     return f"static const {kind} {name}[{len(words)}] = {{\n" + ",\n".join(lines) + "};"
 
 

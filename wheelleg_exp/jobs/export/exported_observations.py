@@ -116,13 +116,8 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
 
 
 def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
-    kinds = {
-        modifiers.Scale: "scale",
-        modifiers.Bias: "bias",
-        modifiers.Clip: "clip",
-        modifiers.DigitalFilter: "filter",
-        modifiers.Integrator: "integrator",
-    }
+    kinds: dict[type, str] = {modifiers.Scale: "scale", modifiers.Bias: "bias", modifiers.Clip: "clip"}
+    kinds |= {modifiers.DigitalFilter: "filter", modifiers.Integrator: "integrator"}
     if type(part) not in kinds:
         message = f"a runner does not know the modifier '{node[TARGET]}'"
         raise ConfigError(message, key=path, expected="one of " + ", ".join(kind.__name__ for kind in kinds))

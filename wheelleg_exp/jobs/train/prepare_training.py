@@ -96,14 +96,8 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     require_recorded(config)
     with initial_file(config, display.note) as (initial, initial_run):
         asset = prepare_asset(config, composed.asset_roots, find_teacher(config) | initial)
-    return Recipe(
-        config=config,
-        hydra_files=composed.hydra_files(),
-        source_roots=source_roots(composed),
-        asset=asset,
-        config_dirs=composed.config_dirs,
-        initial_run=initial_run,
-    )
+    roots, folders = source_roots(composed), composed.config_dirs
+    return Recipe(config, composed.hydra_files(), roots, asset, folders, initial_run)
 
 
 def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]]:

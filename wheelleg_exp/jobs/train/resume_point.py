@@ -48,11 +48,6 @@ class ResumePoint:
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
-    @property
-    def log_size(self) -> int:
-        """The size of the log of iterations up to the checkpoint, bytes."""
-        return self.lines[self.iteration - 1].end if self.iteration else 0
-
 
 def find_point(run: RunDirectory) -> ResumePoint:
     """Find the last whole checkpoint of a run.
@@ -145,7 +140,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         (run.path / FAILURE).unlink(missing_ok=True)  # The manifest also describes the failure.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
-    cut(run.iterations, point.log_size)
+    cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)
     if events:
         cut_events(run.path, point.kept)
 

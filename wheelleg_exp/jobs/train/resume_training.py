@@ -39,14 +39,8 @@ from wheelleg_exp.verify.run_differences import decides
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
     """Return the recipe of a resumed training, with the robot in the run directory."""
-    return Recipe(
-        config=tree,
-        hydra_files={"config.yaml": text},
-        source_roots=(),
-        asset=load_saved_robot(run),
-        config_dirs=folders,
-        matmul=(run.manifest().data.get("threads") or {}).get("matmul"),
-    )
+    matmul = (run.manifest().data.get("threads") or {}).get("matmul")
+    return Recipe(tree, {"config.yaml": text}, (), load_saved_robot(run), folders, matmul=matmul)
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:

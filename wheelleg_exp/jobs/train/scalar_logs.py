@@ -102,19 +102,9 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
 # Without these settings, wandb would also send the machine, the program, the packages, the console, and the source.
-_WANDB_SETTINGS = {
-    "console": "off",
-    "disable_code": True,
-    "disable_git": True,
-    "disable_job_creation": True,
-    "host": "",
-    "save_code": False,
-    "silent": True,
-    "x_disable_machine_info": True,
-    "x_disable_meta": True,
-    "x_disable_stats": True,
-    "x_save_requirements": False,
-}
+_WANDB_SETTINGS: dict[str, Any] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
+_WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
+_WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
 
 
 def require_wandb(logger: str | None) -> None:

@@ -132,12 +132,8 @@ def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: 
 
     Differences that cannot change a number are left out. ``threads`` is the result of ``set_threads``.
     """
-    now = {
-        "versions": environment.versions(),
-        "hardware": environment.hardware(),
-        "threads": threads,
-        "environment_variables": environment.variables(),
-    }
+    now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
+    now["environment_variables"] = environment.variables()
     facts = environment_differences(run.manifest().data, now)
     return _source_differences(run, config_dirs) + [fact for fact in facts if fact.section == "versions" or fact.allows]
 

@@ -154,12 +154,8 @@ def save_failure(
 ) -> None:
     """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
     entry: dict[str, Any] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
-    names = {
-        "joints": env.scene.robot.joint_names,
-        "bodies": env.scene.robot.body_names,
-        "reward_terms": env.reward_manager.active_terms,
-        "observations": env.observation_manager.active_terms,
-    }
+    names: dict[str, Any] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
+    names |= {"reward_terms": env.reward_manager.active_terms, "observations": env.observation_manager.active_terms}
     arrays = {name: value.cpu().numpy() for name, value in error.evidence.items()}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, about=np.array(json.dumps({**entry, **names})), **arrays)
