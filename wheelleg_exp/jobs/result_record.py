@@ -43,11 +43,8 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     about = record["about"]
     profile = f"robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
-    yield (
-        f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
-        f"{profile}physics step {about['physics_dt_s']:.6g} s, "
-        f"control step {about['step_dt_s']:.6g} s."
-    )
+    text = f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
+    yield f"{text}{profile}physics step {about['physics_dt_s']:.6g} s, control step {about['step_dt_s']:.6g} s."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
@@ -287,11 +284,8 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
         overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
-    found: dict[str, Any] = {
-        "overrides": [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)],
-        "begins_with": None,
-        "iteration": None,
-    }
+    words = [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)]
+    found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
     began = data.get("init_from")
     if isinstance(began, Mapping):
         parent = RunDirectory.open(str(began["run"]), run.root)
@@ -322,11 +316,8 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return a text about how the commands of two trainings, or of their initial policies' trainings, differ."""
     words = set(one["overrides"]), set(other["overrides"])
-    parts = [
-        f"{side} {word}"
-        for side, mine, its in (("with", *words), ("without", *words[::-1]))
-        for word in sorted(mine - its)
-    ]
+    sides = (("with", *words), ("without", *words[::-1]))
+    parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]
     if parts:
         return ", ".join(parts)
     if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:

@@ -232,12 +232,9 @@ class SubmititLauncher(Queue):
         own = {f"{cluster}_{key}": settings[key] for key in _EXECUTOR_SETTINGS if key in settings}
         try:
             self._executor = submitit.AutoExecutor(folder=settings["submitit_folder"], cluster=cluster, **own)
-            parameters = {
-                key if key in _SHARED_SETTINGS else f"{cluster}_{key}": value
-                for key, value in settings.items()
-                if key not in _OTHER_SETTINGS
-            }
-            self._executor.update_parameters(**parameters)
+            keys = {key: key if key in _SHARED_SETTINGS else f"{cluster}_{key}" for key in settings}
+            chosen = {keys[key]: value for key, value in settings.items() if key not in _OTHER_SETTINGS}
+            self._executor.update_parameters(**chosen)
         except (RuntimeError, TypeError, ValueError, NameError, AssertionError) as error:
             message = f"submitit refuses it: {_one_line(error)[:300]}"
             expected = "settings of hydra-submitit-launcher, on a machine that has what they ask for"

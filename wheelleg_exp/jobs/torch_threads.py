@@ -41,9 +41,8 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
     _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import.
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
-    reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(
-        agent, samples, wanted
-    )
+    reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
+    reasons += _uneven_activations(agent, samples, wanted)
     return {
         "torch": torch.get_num_threads(),
         "interop": torch.get_num_interop_threads(),
@@ -135,22 +134,17 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
-    layers = {
-        int(width)
-        for role in ROLES
-        for section in [agent.get(role) or {}]
-        if str(section.get("activation", "elu")) == "elu"
-        for width in section.get("hidden_dims") or ()
-    }
-    uneven = [
-        f"{rows} x {width}" for rows in sorted(batches) for width in sorted(layers) if _splits(rows * width, threads)
-    ]
+    sections = [agent.get(role) or {} for role in ROLES]
+    elus = [section for section in sections if str(section.get("activation", "elu")) == "elu"]
+    layers = {int(width) for section in elus for width in section.get("hidden_dims") or ()}
+    pairs = [(rows, width) for rows in sorted(batches) for width in sorted(layers)]
+    uneven = [f"{rows} x {width}" for rows, width in pairs if _splits(rows * width, threads)]
     if not uneven:
         return []
-    return [
+    text = (
         f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end within a vector; "
-        "1, 2, 4 or 8 threads and a multiple of 32 environments do not"
-    ]
+    )
+    return [text + "1, 2, 4 or 8 threads and a multiple of 32 environments do not"]
 
 
 def _splits(numbers: int, threads: int) -> bool:
@@ -168,13 +162,10 @@ def _thread_dependence(mkl: Mapping[str, Any] | None, device: str, largest_mean:
     elif not mkl["strict"] or mkl["branch"] in _THREADED_BRANCHES:
         variable = os.environ.get("MKL_CBWR", "not set")
         state = f"{mkl['branch']}{', strict' if mkl['strict'] else ', not strict'}"
-        reasons.append(
-            f"MKL is not in its repeatable mode (it is {state}; MKL_CBWR is {variable}; it must be AVX2,STRICT or the "
-            "like before torch multiplies its first matrices)"
-        )
+        need = "it must be AVX2,STRICT or the like before torch multiplies its first matrices"
+        reasons.append(f"MKL is not in its repeatable mode (it is {state}; MKL_CBWR is {variable}; {need})")
     if largest_mean > SPLIT_ABOVE:
-        reasons.append(
-            f"torch adds up more than {SPLIT_ABOVE} numbers in parts, one a thread, and a minibatch has {largest_mean} "
-            "samples; a higher agent.algorithm.num_mini_batches makes it smaller"
-        )
+        hint = "a higher agent.algorithm.num_mini_batches makes it smaller"
+        size = f"a minibatch has {largest_mean} samples; {hint}"
+        reasons.append(f"torch adds up more than {SPLIT_ABOVE} numbers in parts, one a thread, and {size}")
     return reasons

@@ -16,12 +16,9 @@ from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
 VISUAL_GROUP = 2  # By MuJoCo's convention, this group contains visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SOLIDS = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
-}
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # how many sizes a solid has
+_KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
+_SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _TILES_PER_HEIGHT = 2.0
 
@@ -164,13 +161,6 @@ RIG = "rig"
 _FINE_SHADOWS_FROM = 800  # px
 _FLOOR_LIGHT, _FLOOR_DARK = (0.80, 0.815, 0.83), (0.70, 0.725, 0.75)
 _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
-_KINDS = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
-}
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
@@ -254,12 +244,9 @@ def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
     a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)
     if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
         return False
-    mesh = spec.add_mesh(
-        name=name,
-        uservert=shape.vertices.ravel(),
-        userface=shape.faces.ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
+    vertices, faces = shape.vertices.ravel(), shape.faces.ravel()
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    mesh = spec.add_mesh(name=name, uservert=vertices, userface=faces, inertia=shell)
     if shape.normals is not None:
         mesh.usernormal = shape.normals.ravel()
     return True

@@ -86,11 +86,8 @@ class Look:
             return []
         if isinstance(recording, WheellegError):
             return [Note(f"The recording cannot be shown: {recording}.")]
-        return [
-            *health(recording),
-            *self._strip(recording, _PLAY, "The agent" if self.subject.status == AGENT else "The play"),
-            *standing.motion(recording),
-        ]
+        label = "The agent" if self.subject.status == AGENT else "The play"
+        return [*health(recording), *self._strip(recording, _PLAY, label), *standing.motion(recording)]
 
     def of_training(self) -> list[Block]:
         """Return the pictures of the first and the last recorded training episode."""

@@ -163,9 +163,8 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for i, group in enumerate(groups):
-            at, mean, deviation = course(
-                [(run.scalars[key].at, run.scalars[key].values) for run in group.runs if key in run.scalars]
-            )
+            series = [run.scalars[key] for run in group.runs if key in run.scalars]
+            at, mean, deviation = course([(one.at, one.values) for one in series])
             if len(at):
                 axes.plot(at, mean, color=colour(i), label=group.label, marker="." if len(at) < 15 else None)
                 axes.fill_between(at, mean - deviation, mean + deviation, color=colour(i), alpha=0.2, linewidth=0)

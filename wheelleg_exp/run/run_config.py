@@ -131,10 +131,8 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
     except RunDirectoryError as error:
         if missing:
             message = f"the config requests the environment variable {missing[0]}, which was not stored with the run"
-            expected = (
-                f"{missing[0]} set to its value at the start of the run, and 'wheelleg replay': no other command "
-            )
-            expected += "that reads a run uses this environment"
+            value = f"{missing[0]} set to its value at the start of the run"
+            expected = f"{value}, and 'wheelleg replay': no other command that reads a run uses this environment"
             raise RunDirectoryError(message, key=str(path), expected=expected) from error
         error.key = str(path)
         raise

@@ -240,10 +240,7 @@ _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operato
 
 # Filters and sorting accept these columns, and also the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
-    "id": lambda run: run.id,
-    "task": lambda run: run.task,
-    "status": lambda run: run.status,
-    "name": lambda run: run.name,
+    **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
     "started": lambda run: run.started.isoformat(),
     "done": lambda run: run.iterations,

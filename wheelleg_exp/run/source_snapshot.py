@@ -147,9 +147,8 @@ def _place(root: Path) -> _WorkingTree | dict[str, Any]:
     """Return the repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
     folder = root if root.is_dir() else root.parent
     try:
-        repository = Repository(
-            Path(os.fsdecode(git.run_git(folder, "rev-parse", "--show-toplevel")).removesuffix("\n"))
-        )
+        found = git.run_git(folder, "rev-parse", "--show-toplevel")
+        repository = Repository(Path(os.fsdecode(found).removesuffix("\n")))
     except GitError as error:
         if is_installed(root):
             return _installed(root)
@@ -351,13 +350,9 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
 
 
 def _submodules(scratch: Repository) -> list[dict[str, str]]:
-    found = []
-    for entry in scratch.paths("ls-files", "--stage", "-z"):
-        facts, path = entry.split("\t", 1)
-        mode, commit, _ = facts.split(" ")
-        if mode == _GITLINK:
-            found.append({"path": path, "commit": commit})
-    return found
+    entries = (entry.split("\t", 1) for entry in scratch.paths("ls-files", "--stage", "-z"))
+    found = ((facts.split(" "), path) for facts, path in entries)
+    return [{"path": path, "commit": commit} for (mode, commit, _), path in found if mode == _GITLINK]
 
 
 def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size: int, cap: int) -> None:
@@ -365,7 +360,5 @@ def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size
     record.update(status="patch_too_large", dirty=True)
     record["big_files"] = [{"path": path, "bytes": count} for path, count in biggest]
     names = ", ".join(path for path, _ in biggest[:3])
-    record["note"] = (
-        f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
-        f"commit or ignore the big files ({names}), or raise run.max_patch_mb"
-    )
+    note = f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
+    record["note"] = note + f"commit or ignore the big files ({names}), or raise run.max_patch_mb"

@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.verify.policy_differences import CheckpointComparison, Pair
 from wheelleg_exp.verify.run_differences import FactDifference, brief, decides
-from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
+from wheelleg_exp.verify.run_parts import Part, Parting, Sides, Span
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,7 @@ class Divergence:
 
 
 def first_divergence(
-    parts: dict[str, Part],
-    parted: Parting | None,
-    found: CheckpointComparison,
-    span: Span,
-    sides: tuple[Measured, Measured],
+    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, span: Span, sides: Sides
 ) -> Divergence | None:
     """Return the first difference of two runs: settings and robot first, then the numbers, then their length."""
     inside = _first_of_numbers(parts, parted, found, sides)
@@ -45,7 +41,7 @@ def first_divergence(
 
 
 def _first_of_numbers(
-    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, sides: tuple[Measured, Measured]
+    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, sides: Sides
 ) -> Divergence | None:
     pair = next((pair for pair in found.pairs if not pair.equal), None)
     if parted is not None and (pair is None or parted.iteration <= pair.iteration):
@@ -59,7 +55,7 @@ def _first_of_numbers(
     return None
 
 
-def _of_log(parted: Parting, pair: Pair | None, sides: tuple[Measured, Measured]) -> Divergence:
+def _of_log(parted: Parting, pair: Pair | None, sides: Sides) -> Divergence:
     one, other = (side.log.lines[parted.iteration] for side in sides)
     details: dict[str, Any] = {
         "digests": parted.digests,

@@ -79,13 +79,8 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
     env, agent = load_params(run)
     data = run.manifest().data
     changed = [[entry.get("iteration"), changes] for entry in data["resumes"] if (changes := _resume_changes(entry))]
-    settings = {
-        "seed": data.get("seeds"),
-        "task": data["task"],
-        "env": env,
-        "agent": agent,
-        "resumed with other settings": changed,
-    }
+    settings: dict[str, Any] = {"seed": data.get("seeds"), "task": data["task"], "env": env, "agent": agent}
+    settings["resumed with other settings"] = changed
     config = written_config(run)
     return {**settings, "recording": config["recording"]} if "recording" in config else settings
 
@@ -136,12 +131,9 @@ _KERNEL_VARIABLES = (
 )
 _ALLOWING: dict[str, dict[str, str]] = {
     "hardware": {
-        "cpu": "another CPU",
-        "cpu_family": "another CPU",
-        "cpu_model": "another CPU",
-        "cpu_flags": "other vector instructions",
+        **dict.fromkeys(("cpu", "cpu_family", "cpu_model"), "another CPU"),
+        **dict.fromkeys(("cpu_flags", "torch_cpu_capability"), "other vector instructions"),
         "machine": "another CPU architecture",
-        "torch_cpu_capability": "other vector instructions",
         "platform": "another C library (sine, cosine, exponential)",
     },
     "versions": {name: f"another {name}" for name in ("torch", "mujoco", "numpy")},

@@ -85,6 +85,7 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 
 
 State = Literal["equal", "different", "not compared"]
+Sides = tuple[Measured, Measured]  # the compared runs A and B
 
 _TIME = "seconds"  # Results whose key has this suffix are durations, which can differ between equal runs.
 

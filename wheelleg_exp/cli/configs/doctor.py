@@ -35,11 +35,8 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.inspection.robot_picture import require_picture
 
         require_picture(args.screenshot)
-    found = (
-        _of_file(args.overrides, args.config_dirs)
-        if _names_a_file(args.overrides[0])
-        else _of_task(args.overrides, args.config_dirs, args.json)
-    )
+    words, dirs = args.overrides, args.config_dirs
+    found = _of_file(words, dirs) if _names_a_file(words[0]) else _of_task(words, dirs, args.json)
     if found is None:
         return EXIT_INPUT
     if args.screenshot is not None:

@@ -292,9 +292,8 @@ class DrivePage:
             self._rewards = gui.add_html("")
         with gui.add_folder("What is driven"):
             self._choices(choice)
-            gui.add_button("Finish", hint="end the drive and write its figures").on_click(
-                lambda _: controls.request(Finish())
-            )
+            finish = gui.add_button("Finish", hint="end the drive and write its figures")
+            finish.on_click(lambda _: controls.request(Finish()))
         gui.add_html(KEYS_HELP)
         # Run JavaScript in every open or future page, as viser does for its plots.
         source = self._hands.javascript()
@@ -326,10 +325,9 @@ class DrivePage:
         return Push(self._hands.push * x, self._hands.push * y)
 
     def _slider(self, name: str) -> Any:
-        axis = self._controls.axes[name]
-        slider = self._server.gui.add_slider(
-            name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest
-        )
+        axis, add = self._controls.axes[name], self._server.gui.add_slider
+        step = (axis.high - axis.low) / 200.0
+        slider = add(name, min=axis.low, max=axis.high, step=step, initial_value=axis.rest)
 
         @slider.on_update
         def _(event: Any) -> None:

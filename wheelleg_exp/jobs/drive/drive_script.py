@@ -120,9 +120,8 @@ def _entry(
         message = f"{at:g} s is before the command above"
         raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
     values = {name: _value(axes[name], item[name], place) for name in item if name in axes}
-    return Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place)), at + _seconds(
-        item, "for", place, default=0.0
-    )
+    entry = Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place))
+    return entry, at + _seconds(item, "for", place, default=0.0)
 
 
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:

@@ -12,7 +12,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import SceneEntityCfg, Term
 from wheelleg_exp.managers.observation_term import ObservationTerm
-from wheelleg_exp.mdp import modifiers, observations
+from wheelleg_exp.mdp import modifiers
 from wheelleg_exp.mdp import observations as obs
 from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 from wheelleg_exp.terms.term_binding import TARGET
@@ -132,16 +132,19 @@ def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
 
 
+def _reading(name: str, function: str = "reading") -> Spec:
+    return {"function": function, "reading": name}
+
+
 def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    return lambda _env, _term: {"function": function, "reading": name}
+    return lambda _env, _term: _reading(name, function)
 
 
 def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    def spec(_env: ManagerBasedRLEnv, term: Term) -> Spec:
-        sensor = term.params["asset_cfg"].name if "asset_cfg" in term.params else _IMU
-        return {"function": "reading", "reading": f"{sensor}.{quantity}"}
+    def sensor(term: Term) -> str:
+        return str(term.params["asset_cfg"].name) if "asset_cfg" in term.params else _IMU
 
-    return spec
+    return lambda _env, term: _reading(f"{sensor(term)}.{quantity}")
 
 
 def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
@@ -196,34 +199,28 @@ def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
 
 
 _KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
-    observations.base_ang_vel: _plain("base_ang_vel"),
-    observations.base_lin_vel: _plain("base_lin_vel"),
-    observations.base_height: _plain("base_height"),
-    observations.projected_gravity: _plain("projected_gravity"),
-    observations.base_roll_pitch: _plain("projected_gravity", "roll_pitch"),
-    observations.joint_pos: _joint_values("joint_pos"),
-    observations.joint_pos_rel: _minus_default("joint_pos", "default_joint_pos"),
-    observations.joint_pos_sin_cos: _joint_values("joint_pos", "sin_cos"),
-    observations.joint_pos_limit_normalized: _within_limits,
-    observations.joint_vel: _joint_values("joint_vel"),
-    observations.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
-    observations.joint_effort_commanded: _joint_values("joint_effort"),
-    observations.imu_ang_vel: _of_imu("ang_vel"),
-    observations.imu_lin_acc: _of_imu("lin_acc"),
-    observations.imu_projected_gravity: _of_imu("projected_gravity"),
-    observations.imu_orientation: _of_imu("quat"),
-    observations.generated_commands: lambda _env, term: {
-        "function": "reading",
-        "reading": f"{COMMANDS}{term.params['command_name']}",
-    },
-    observations.last_action: _last_action,
-    observations.travel_error: _travel_error,
-    observations.current_time_s: lambda _env, _term: {"function": "time"},
-    observations.remaining_time_s: lambda env, _term: {
-        "function": "remaining_time",
-        "episode_length_s": env.max_episode_length_s,
-    },
-    observations.gait_phase: lambda _env, term: {
+    obs.base_ang_vel: _plain("base_ang_vel"),
+    obs.base_lin_vel: _plain("base_lin_vel"),
+    obs.base_height: _plain("base_height"),
+    obs.projected_gravity: _plain("projected_gravity"),
+    obs.base_roll_pitch: _plain("projected_gravity", "roll_pitch"),
+    obs.joint_pos: _joint_values("joint_pos"),
+    obs.joint_pos_rel: _minus_default("joint_pos", "default_joint_pos"),
+    obs.joint_pos_sin_cos: _joint_values("joint_pos", "sin_cos"),
+    obs.joint_pos_limit_normalized: _within_limits,
+    obs.joint_vel: _joint_values("joint_vel"),
+    obs.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
+    obs.joint_effort_commanded: _joint_values("joint_effort"),
+    obs.imu_ang_vel: _of_imu("ang_vel"),
+    obs.imu_lin_acc: _of_imu("lin_acc"),
+    obs.imu_projected_gravity: _of_imu("projected_gravity"),
+    obs.imu_orientation: _of_imu("quat"),
+    obs.generated_commands: lambda _env, term: _reading(f"{COMMANDS}{term.params['command_name']}"),
+    obs.last_action: _last_action,
+    obs.travel_error: _travel_error,
+    obs.current_time_s: lambda _env, _term: {"function": "time"},
+    obs.remaining_time_s: lambda env, _: {"function": "remaining_time", "episode_length_s": env.max_episode_length_s},
+    obs.gait_phase: lambda _env, term: {
         "function": "gait_phase",
         "period": term.params["period"],
         "offsets": list(term.params.get("offsets", (0.0,))),

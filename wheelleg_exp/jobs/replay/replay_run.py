@@ -331,11 +331,8 @@ def _show(event: Event, source: RestoredSource, display: Display) -> None:
         display.note(event["text"])
     elif kind == "composed":
         same = "compose to the snapshot's config with the restored files"
-        display.note(
-            f"config: the recorded overrides {same}"
-            if event["equal"]
-            else f"config: the recorded overrides do not {same}: {event['difference']}"
-        )
+        how = same if event["equal"] else f"do not {same}: {event['difference']}"
+        display.note(f"config: the recorded overrides {how}")
     elif kind == "asset":
         display.note(f"robot: {event['note'] or 'converted again from the restored source, to the same MJCF'}")
     elif kind == "run":

@@ -105,9 +105,8 @@ def _restore(
     source: RestoredSource,
 ) -> None:
     # The restored folder has its recorded name, because imports can depend on the name of a folder.
-    destination = (
-        workplace / "source" / str(number) / (_UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source")
-    )
+    name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
+    destination = workplace / "source" / str(number) / name
     with for_people(destination.parent):
         destination.parent.mkdir(parents=True)
     try:

@@ -207,9 +207,8 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
         message = "does not name the run of the initial networks"
         raise RunDirectoryError(message, key=str(path), expected="the file that the run saved")
     parts = [str(part) for part in facts.get("parts") or ()]
-    return Initial(
-        state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
-    )
+    named = {"named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
+    return Initial(state, tuple(parts), {**facts, **named})
 
 
 def _parts_name(config: Mapping[str, Any]) -> str:

@@ -34,11 +34,8 @@ class StuckCurricula:
 
     def take(self, index: int, scalars: Mapping[str, float]) -> Iterator[str]:
         """Yield a warning for each curriculum that was not stuck before this iteration, and is stuck now."""
-        marks = {
-            key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): value
-            for key, value in scalars.items()
-            if key.startswith(_CURRICULUM) and key.endswith(_STUCK)
-        }
+        keys = [key for key in scalars if key.startswith(_CURRICULUM) and key.endswith(_STUCK)]
+        marks = {key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): scalars[key] for key in keys}
         if not marks:  # Without an ended episode, an iteration has no figures of curricula.
             return
         before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]

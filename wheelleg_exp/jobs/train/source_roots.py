@@ -169,13 +169,8 @@ def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
     # Other recorded folders count only if they are trusted, installed, or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
-    content = load_source(run)
-    recorded = [
-        Path(record["root"]) / name
-        for record in (content, *content["others"])
-        for name in record["folders"]
-        if record["root"] is not None
-    ]
+    records = [record for record in _records(load_source(run)) if record["root"] is not None]
+    recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]
     known = [configs_dir().parent, *projects]
     installed = [root for name in installed_packages() if (root := _package_root(name)) is not None]
     used = {real_path(path) for path in [*loaded_outside(known), *installed]}

@@ -61,9 +61,8 @@ class Outputs:
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
-                self.recording = opened.enter_context(
-                    TrainingRecording(self._directory, env, self._options, self._documents, start_iteration=start)
-                )
+                own = (self._directory, env, self._options, self._documents)
+                self.recording = opened.enter_context(TrainingRecording(*own, start_iteration=start))
             if self._options.video_every:
                 self.films = opened.enter_context(Films(self._directory.videos, env, self._options, start))
             if self.wandb is not None:
