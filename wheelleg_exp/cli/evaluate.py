@@ -100,11 +100,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
 
 
 def evaluated(
-    args: argparse.Namespace,
-    directory: RunDirectory,
-    checkpoint: Path,
-    overrides: Sequence[str],
-    display: ConsoleDisplay,
+    args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
     """Evaluate one run with the options of the command, or load its stored evaluation (``--kept``)."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
@@ -113,14 +109,14 @@ def evaluated(
         from wheelleg_exp.files import sha256
         from wheelleg_exp.jobs import evaluate_policy as jobs
 
-        tree = jobs.evaluation_settings(directory, overrides, args.config_dirs)
-        folder = jobs.find_saved(directory, sha256(checkpoint), tree, overrides)
+        tree = jobs.evaluation_settings(run, overrides, args.config_dirs)
+        folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
         if folder is not None:
             found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
-            return jobs.Evaluated(directory, checkpoint, folder, found, content)
+            return jobs.Evaluated(run, checkpoint, folder, found, content)
     from wheelleg_exp.inspection.evaluation_plots import draw
 
-    return evaluate_run(directory, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
+    return evaluate_run(run, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
 
 
 def reference_of(

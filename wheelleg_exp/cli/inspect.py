@@ -93,9 +93,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    text = (
-        "draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; with --compare both recordings"
-    )
+    text = "draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; "
+    text += "with --compare both recordings"
     add("--plot", type=Path, metavar="FILE", help=text)
     add("--export", metavar="KIND", help="write the numbers as parquet or csv: -o FOLDER, with --term -o FILE")
     add("--screenshot", type=Path, metavar="FILE", help="draw the robot into a .png, .jpg or .webp")

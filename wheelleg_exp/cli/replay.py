@@ -18,9 +18,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "run's patch, with all your rights: replay only runs from people whose code you would run."
     )
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    text = (
-        "a clone that contains the run's commit (repeatable); by default the recorded folder, then the current checkout"
-    )
+    text = "a clone that contains the run's commit (repeatable); "
+    text += "by default the recorded folder, then the current checkout"
     parser.add_argument(
         "--repository", dest="repositories", action="append", type=Path, default=[], metavar="DIR", help=text
     )

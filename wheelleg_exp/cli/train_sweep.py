@@ -95,12 +95,9 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
 
     from wheelleg_exp.run.run_index import SweepIndex
 
-    index = SweepIndex.create(
-        sweep.jobs[0].config["run"]["root"],
-        command=command,
-        launcher={"name": sweep.launcher, "at_once": at_once},
-        jobs=[(job.overrides, job.swept) for job in sweep.jobs],
-    )
+    root, launcher = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
+    jobs = [(job.overrides, job.swept) for job in sweep.jobs]
+    index = SweepIndex.create(root, command=command, launcher=launcher, jobs=jobs)
     sweep.multirun.hydra.sweep.dir = str(index.folder)
     index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
     return index

@@ -137,19 +137,14 @@ _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # These overr
 
 
 def write_results(
-    name: str,
-    folder: Path,
-    compared: Compared,
-    runs: Sequence[Evaluated],
-    reference: Evaluated | None,
-    words: Sequence[str],
+    name: str, folder: Path, found: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: list[str]
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
     The files replace an earlier result with this name, whose manifests are removed. ``words`` are the overrides that
     were given to the evaluations.
     """
-    record = build_record(name, compared, runs, reference, words)
+    record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
     earlier = earlier_manifests(name, folder)

@@ -141,10 +141,8 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
     uneven = [f"{rows} x {width}" for rows, width in pairs if _splits(rows * width, threads)]
     if not uneven:
         return []
-    text = (
-        f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end within a vector; "
-    )
-    return [text + "1, 2, 4 or 8 threads and a multiple of 32 environments do not"]
+    text = f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end "
+    return [text + "within a vector; 1, 2, 4 or 8 threads and a multiple of 32 environments do not"]
 
 
 def _splits(numbers: int, threads: int) -> bool:

@@ -75,12 +75,8 @@ class Scene:
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
     """Return points (n, 3), m, that enclose the robot, for poses (B, 3) and (B, 4) of the bodies."""
-    found = [
-        rotated(quat[b], np.concatenate([shape.corners() for shape in shapes])) + pos[b]
-        for b, shapes in enumerate(scene.bodies.values())
-        if shapes
-    ]
-    return np.concatenate(found)
+    corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
+    return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
 AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as in MuJoCo's camera

@@ -91,10 +91,8 @@ def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
 def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
     rows = []
     for use in efforts:
-        limit = Cell(exact(use.limit), number=True)
-        rows.append(
-            [Cell(use.joint, code=True), *_numbers(use.rms, use.largest), limit, _saturated(use.saturated_share)]
-        )
+        ends = [Cell(exact(use.limit), number=True), _saturated(use.saturated_share)]
+        rows.append([Cell(use.joint, code=True), *_numbers(use.rms, use.largest), *ends])
     columns = ("Joint", *map(capital, recorded_headings("efforts")))
     return [Table("Efforts of the joints", columns, rows)] if rows else []
 

@@ -57,11 +57,8 @@ def _first_of_numbers(
 
 def _of_log(parted: Parting, pair: Pair | None, sides: Sides) -> Divergence:
     one, other = (side.log.lines[parted.iteration] for side in sides)
-    details: dict[str, Any] = {
-        "digests": parted.digests,
-        "equal_digests": parted.equal_digests,
-        "scalars": {name: [one.scalars.get(name), other.scalars.get(name)] for name in parted.scalars},
-    }
+    scalars = {name: [one.scalars.get(name), other.scalars.get(name)] for name in parted.scalars}
+    details: dict[str, Any] = {"digests": parted.digests, "equal_digests": parted.equal_digests, "scalars": scalars}
     if pair is not None:
         details["checkpoint"] = asdict(_of_pair(pair, {}))
     if parted.digests:

@@ -127,10 +127,8 @@ _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
     """Compare the exported policies: their bytes, and if these differ, their weights, code, and graphs."""
-    ones, others = (
-        {path.name: path for path in run.exported.iterdir() if path.is_file()} if run.exported.is_dir() else {}
-        for run in (a, b)
-    )
+    folders = [run.exported for run in (a, b)]
+    ones, others = ({p.name: p for p in f.iterdir() if p.is_file()} if f.is_dir() else {} for f in folders)
     if not ones or not others:
         sides = [side for side, files in (("A", ones), ("B", others)) if files]
         return Part("not compared", f"only {sides[0]} exported a policy" if sides else "neither run exported a policy")

@@ -189,11 +189,9 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     facts = environment_differences(one.data, other.data)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
     ones, others = _installed(a), _installed(b)
-    more = [
-        FactDifference("distributions", name, ones.get(name), others.get(name))
-        for name in (sorted({*ones, *others} - listed) if ones and others else ())
-        if ones.get(name) != others.get(name)
-    ]
+    names = sorted({*ones, *others} - listed) if ones and others else []
+    facts_of = [(name, ones.get(name), others.get(name)) for name in names]
+    more = [FactDifference("distributions", name, one, two) for name, one, two in facts_of if one != two]
     return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
 
 

@@ -67,10 +67,8 @@ def state_html(status: Status, controls: Controls, step_dt: float) -> str:
     """Return time, commands, measured values, and height of a drive as HTML."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
-    lines = [
-        f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
-        f"falls {status.falls} {fallen}</div>"
-    ]
+    time = f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
+    lines = [time + f"falls {status.falls} {fallen}</div>"]
     lines += [_axis(axis, status.commands[name], status.measured.get(name)) for name, axis in controls.axes.items()]
     lines.append(f'<div id="drive-height">height {1e3 * status.height_m:.1f} mm</div>')
     return f'<div style="{_BOX_STYLE}">{"".join(lines)}</div>'
@@ -82,10 +80,9 @@ def reward_bars_html(values: Mapping[str, float]) -> str:
     rows = []
     for name, value in values.items():
         width = 50.0 * abs(value) / most
-        rows.append(
-            f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
-            + _bar(50.0 if value >= 0.0 else 50.0 - width, width, _GOOD if value >= 0.0 else _BAD)
-        )
+        left, colour = (50.0, _GOOD) if value >= 0.0 else (50.0 - width, _BAD)
+        text = f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
+        rows.append(text + _bar(left, width, colour))
     return f'<div id="drive-rewards" style="{_BOX_STYLE}">{"".join(rows)}</div>'
 
 
@@ -326,8 +323,7 @@ class DrivePage:
 
     def _slider(self, name: str) -> Any:
         axis, add = self._controls.axes[name], self._server.gui.add_slider
-        step = (axis.high - axis.low) / 200.0
-        slider = add(name, min=axis.low, max=axis.high, step=step, initial_value=axis.rest)
+        slider = add(name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest)
 
         @slider.on_update
         def _(event: Any) -> None:

@@ -153,15 +153,10 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 
 
 def _drive_one(
-    request: DriveRequest,
-    choice: Choose,
-    path: Path | None,
-    display: Display,
-    view: DriveView | None,
-    stop: StopRequest,
+    request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
     """Return the finished drive, and the driver's choice of the next checkpoint and ground, or None."""
-    scene = choice.scene or OWN_GROUND
+    scene = pick.scene or OWN_GROUND
     # Raise ConfigError for an unknown ground.
     known = scenes()
     if scene not in known:
@@ -169,7 +164,7 @@ def _drive_one(
         expected = "one of " + ", ".join(known)
         raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
     prepared = prepare_policy(
-        request.run, choice.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
+        request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
     )
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
@@ -178,7 +173,7 @@ def _drive_one(
         recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
         with recording or nullcontext():
             if view is not None:
-                where = view.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+                where = view.open(session, Choose(prepared.checkpoint, pick.scene), float(tree["drive"]["push"]))
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
             following = _Driver(session, script, tree["drive"], display, view, stop).run()
             content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
@@ -194,7 +189,7 @@ def _drive_one(
     made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
     if following is None:
         return made, None
-    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or choice.scene)
+    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or pick.scene)
 
 
 class _Driver:

@@ -173,9 +173,8 @@ _ACTIVATIONS = {
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     """Return ``policy.h``, from ``policy.json`` and the network's arrays."""
-    terms = [
-        (f"{g}_{t}", term) for g, group in enumerate(spec["observations"]) for t, term in enumerate(group["terms"])
-    ]
+    groups = enumerate(spec["observations"])
+    terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
     joints, about = len(spec["joint_names"]), spec["run"]
     memory = [line for name, term in terms for line in term_memory(name, term)]

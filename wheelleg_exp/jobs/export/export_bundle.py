@@ -167,12 +167,11 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
             work.rename(place)
         folder = place.resolve()
     if folder.is_relative_to(run.path):
-        results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
+        results: dict[str, Any] = {"folder": str(folder.relative_to(run.path)), "checkpoint": checkpoint.name}
+        results |= {"largest_difference": differences, "lacks": notes}
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
-            run.manifest().add(
-                "export", files, {"folder": str(folder.relative_to(run.path)), **results}, command=command
-            )
+            run.manifest().add("export", files, results, command=command)
         except BaseException:  # The run directory must not contain a bundle that is missing in the manifest.
             shutil.rmtree(folder, ignore_errors=True)
             raise

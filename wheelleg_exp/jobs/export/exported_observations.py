@@ -61,9 +61,8 @@ def reading(name: str) -> Reading:
     if not name.startswith(COMMANDS):
         sensor, _, quantity = name.rpartition(".")
         unit, meaning, attribute = QUANTITIES[quantity]
-        return Reading(
-            unit, f"of the IMU '{sensor}': {meaning}", lambda env: getattr(env.scene[sensor].data, attribute)
-        )
+        text = f"of the IMU '{sensor}': {meaning}"
+        return Reading(unit, text, lambda env: getattr(env.scene[sensor].data, attribute))
     term = name.removeprefix(COMMANDS)
     meaning = f"the command '{term}'; commands.{term} lists its components and ranges"
     return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))

@@ -72,12 +72,10 @@ def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[Con
     for bound, asked in (("at_least", gate.at_least), ("at_most", gate.at_most)):
         for name in asked:
             if name not in names:
-                yield ConfigError(
-                    f"protocol '{gate.protocol}' has no such metric",
-                    key=f"{key}.{bound}.{name}",
-                    expected="a metric of its evaluations, such as " + ", ".join(names[:3]),
-                    nearest=nearest_name(name, names),
-                )
+                message = f"protocol '{gate.protocol}' has no such metric"
+                expected = "a metric of its evaluations, such as " + ", ".join(names[:3])
+                path, nearest = f"{key}.{bound}.{name}", nearest_name(name, names)
+                yield ConfigError(message, key=path, expected=expected, nearest=nearest)
 
 
 def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:

@@ -295,12 +295,7 @@ def _request(
 
 
 def _train(
-    request: Request,
-    source: RestoredSource,
-    environ: Mapping[str, str],
-    folder: Path,
-    display: Display,
-    stop: StopRequest,
+    request: Request, source: RestoredSource, environ: dict[str, str], folder: Path, display: Display, stop: StopRequest
 ) -> dict[str, Event]:
     """Train the replay in a child process; return the last event of each kind."""
     # With -P, Python imports nothing from the working folder. The code is passed as text, so that the child process

@@ -97,20 +97,15 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 
 
 def _restore(
-    run: RunDirectory,
-    number: int,
-    record: dict[str, Any],
-    workplace: Path,
-    candidates: Sequence[Path],
-    source: RestoredSource,
+    run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
     # The restored folder has its recorded name, because imports can depend on the name of a folder.
     name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
-    destination = workplace / "source" / str(number) / name
+    destination = work / "source" / str(number) / name
     with for_people(destination.parent):
         destination.parent.mkdir(parents=True)
     try:
-        origin = find_origin(record, candidates)
+        origin = find_origin(record, clones)
     except RunDirectoryError:
         if number == 0:
             raise
@@ -160,9 +155,8 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
         raise RunDirectoryError(message, expected="a run whose source was captured")
     package = configs_dir().parent
     if not is_installed(package) or content_digest(package) != record["content_sha256"]:
-        source.notes.append(
-            f"the run was made by an installed {PACKAGE}; its files are not those of '{package}', which trains now"
-        )
+        what = f"its files are not those of '{package}', which trains now"
+        source.notes.append(f"the run was made by an installed {PACKAGE}; {what}")
     source.trees.append(RestoredTree(record["root"], "installed"))
     source.places[PACKAGE] = Path(__file__).resolve().parents[3]
 
@@ -184,9 +178,8 @@ def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
     else:
         missing = f"no repository here contains commit {str(record['commit'])[:12]}; see --repository"
         reason = missing if record["patch"] else status
-        source.notes.append(
-            f"'{root}' cannot be restored ({reason}); an installed package replaces it, if there is one"
-        )
+        instead = "an installed package replaces it, if there is one"
+        source.notes.append(f"'{root}' cannot be restored ({reason}); {instead}")
     source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record["commit"]))
 
 

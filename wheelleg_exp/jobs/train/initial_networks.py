@@ -30,6 +30,7 @@ from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
 # Keys of an observation term that decide its function and its width.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
+Tree = Mapping[str, Any]  # a config section, or a checkpoint
 _IGNORED_KEYS = ("noise",)  # A policy tolerates changes of these keys of an observation term.
 
 
@@ -42,12 +43,7 @@ class Fit:
     notes: list[str]  # changed settings that do not change the layout of a vector, and the suspects
 
 
-def fit(
-    was: tuple[Mapping[str, Any], Mapping[str, Any]],
-    now: tuple[Mapping[str, Any], Mapping[str, Any]],
-    roles: Sequence[str],
-    of: str,
-) -> Fit:
+def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's training with new settings.
 
     ``was`` and ``now`` are pairs of the ``env`` and ``agent`` sections. ``roles`` are the copied networks, and ``of``
@@ -82,7 +78,7 @@ def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
-def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], key: str, of: str) -> None:
+def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str) -> None:
     for name in _LAYOUT_KEYS:
         if was.get(name) != now.get(name):
             _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
@@ -90,13 +86,7 @@ def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], k
 
 
 def _compare_terms(
-    found: Fit,
-    was: Mapping[str, Any],
-    now: Mapping[str, Any],
-    key: str,
-    of: str,
-    fixed: Sequence[str],
-    free: Sequence[str],
+    found: Fit, was: Tree, now: Tree, key: str, of: str, fixed: Sequence[str], free: Sequence[str]
 ) -> None:
     for name in now:
         if name not in was:
@@ -154,9 +144,7 @@ class _Source:
 
 
 @contextmanager
-def initial_file(
-    config: Mapping[str, Any], note: Callable[[str], None]
-) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
+def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
     """Yield the initial networks' file by its saved name, and facts about their run; empty without ``init_from``.
 
     The file does not name its run, so that equal networks of two runs have equal files. ``note`` receives texts about
@@ -192,7 +180,7 @@ def initial_file(
         yield {INITIAL: path}, {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
-def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
+def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
     """Return the initial networks that are saved next to the robot; None without ``init_from``."""
     if config.get(KEY) is None:
         return None
@@ -211,7 +199,7 @@ def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial
     return Initial(state, tuple(parts), {**facts, **named})
 
 
-def _parts_name(config: Mapping[str, Any]) -> str:
+def _parts_name(config: Tree) -> str:
     return str(config.get(WHAT) or "networks")
 
 
@@ -233,7 +221,7 @@ def _find(named: str, root: str) -> _Source:
     return _Source(path, run)
 
 
-def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], note: Callable[[str], None]) -> None:
+def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable[[str], None]) -> None:
     if source.run is None:
         return
     env, agent = load_params(source.run)
@@ -256,7 +244,7 @@ def _at_key(key: str) -> Iterator[None]:
         raise ConfigError(message, key=key, expected=error.expected, nearest=error.nearest) from error
 
 
-def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
+def find_teacher(config: Tree) -> dict[str, Path]:
     """Return the teacher's checkpoint file by its name next to the robot; empty if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:

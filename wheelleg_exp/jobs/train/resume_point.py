@@ -82,11 +82,9 @@ def find_point(run: RunDirectory) -> ResumePoint:
             return point
         verb = "differ" if len(wrong) > 1 or wrong[0].endswith("s") else "differs"
         damaged[path] = f"{', '.join(wrong)} {verb} from the logged digests of iteration {point.iteration - 1}"
-        foreign = foreign or RunDirectoryError(
-            f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}",
-            key=str(path),
-            expected="the run's own checkpoints and log",
-        )
+        why = f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}"
+        own = "the run's own checkpoints and log"
+        foreign = foreign or RunDirectoryError(why, key=str(path), expected=own)
     if foreign is not None:  # A start from iteration 0 would discard the training.
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)

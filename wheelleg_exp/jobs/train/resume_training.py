@@ -216,9 +216,8 @@ def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     for name in NEEDED:
         path = run.path / name
         if not path.is_file():
-            message = (
-                "the file is missing: the run ended before its snapshot was complete, or somebody removed the file"
-            )
+            message = "the file is missing: the run ended before its snapshot was complete, "
+            message += "or somebody removed the file"
             raise RunDirectoryError(message, key=str(path), expected="the snapshot of the run; without it, train again")
         if name in recorded and sha256(path) != recorded[name]["sha256"]:
             expected = "the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'"

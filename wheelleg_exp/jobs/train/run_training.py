@@ -134,9 +134,8 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
 def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
     if outputs.diverged_after is not None:
-        display.note(
-            f"warning: from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
-        )
+        what = f"from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
+        display.note(f"warning: {what}")
     if outputs.films is not None and outputs.films.ended:
         display.note(f"warning: {outputs.films.ended}")
     unfinished = None if outputs.recording is None else outputs.recording.unfinished
