@@ -45,11 +45,9 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
-    """Return the path of the MJCF in a run directory.
-
-    Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load libraries,
-    or allocate any amount of memory.
-    """
+    """Return the path of the MJCF in a run directory."""
+    # Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load
+    # libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
         message = "the run directory contains no MJCF of the robot"

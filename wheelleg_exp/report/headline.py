@@ -50,10 +50,8 @@ def done(subject: Subject) -> int:
 
 
 def seconds(subject: Subject) -> float | None:
-    """Return the duration of the training, s, from its results or from its start and end.
-
-    The time between a stop and a resume is unknown, so the duration of a resumed run is None.
-    """
+    """Return the duration of the training, s, from its results or from its start and end."""
+    # The time between a stop and a resume is unknown, so the duration of a resumed run is None.
     if subject.manifest.get("resumes"):
         return None
     kept = (subject.manifest.get("results") or {}).get("seconds")
@@ -83,10 +81,8 @@ def time_outs(subject: Subject) -> list[str]:
 
 
 def reached_end(subject: Subject) -> float | None:
-    """Return the share of environments whose last training episode reached the time-out and did not fail.
-
-    Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
-    """
+    """Return the share of environments whose last training episode reached the time-out and did not fail."""
+    # Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
         survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]

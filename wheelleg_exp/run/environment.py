@@ -122,10 +122,8 @@ def requested_variables(texts: Iterable[str]) -> list[str]:
 
 
 def distributions() -> list[str]:
-    """Return ``name==version`` of every installed distribution, sorted, including local version labels.
-
-    A distribution that was not installed from an index has a comment with its origin.
-    """
+    """Return ``name==version`` of every installed distribution, sorted, including local version labels."""
+    # A distribution that was not installed from an index has a comment with its origin.
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
         # Read only the header of each metadata file, because parsing 100 descriptions takes 1 s.

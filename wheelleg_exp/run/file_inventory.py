@@ -72,11 +72,9 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 
 
 def odd_entries(directory: Path) -> dict[str, str]:
-    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name.
-
-    A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
-    disappear are ignored.
-    """
+    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name."""
+    # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
+    # disappear are ignored.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):

@@ -131,10 +131,8 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest.
-
-    Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
-    """
+    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest."""
+    # Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)

@@ -66,11 +66,9 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert an environment's parameters to the current format.
-
-    An older version of this project may have written the parameters. Until 0.1, the ground was a
-    plane whose material was in ``scene.ground``, and there was only one engine.
-    """
+    """Convert an environment's parameters to the current format."""
+    # An older version of this project may have written the parameters. Until 0.1, the ground was a plane whose material
+    # was in ``scene.ground``, and there was only one engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
@@ -82,11 +80,9 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with MuJoCo's own engine.
-
-    Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
-    GPU.
-    """
+    """Return an environment's parameters with MuJoCo's own engine."""
+    # Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
+    # GPU.
     if not isinstance(env.get("sim"), Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
@@ -157,11 +153,9 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config.
-
-    Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
-    variables of this machine) are refused, because a config is composed from the recorded words.
-    """
+    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config."""
+    # Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
+    # variables of this machine) are refused, because a config is composed from the recorded words.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"

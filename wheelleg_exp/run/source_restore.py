@@ -64,10 +64,8 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first folder whose repository contains a record's commit; None if the record has no commit.
-
-    The error for a missing commit names the command that fetches the commit.
-    """
+    """Return the first folder whose repository contains a record's commit; None if the record has no commit."""
+    # The error for a missing commit names the command that fetches the commit.
     commit = record["commit"]
     if commit is None:
         return None

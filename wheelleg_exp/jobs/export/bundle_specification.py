@@ -201,10 +201,8 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
-    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32.
-
-    In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
-    """
+    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
+    # In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:

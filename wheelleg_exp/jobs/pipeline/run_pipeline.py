@@ -52,10 +52,8 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
-    """Check that the protocols of the gates measure the metrics that the gates name.
-
-    A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
-    """
+    """Check that the protocols of the gates measure the metrics that the gates name."""
+    # A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:

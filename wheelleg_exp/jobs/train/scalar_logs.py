@@ -37,11 +37,9 @@ def event_files(folder: Path) -> list[Path]:
 
 
 def open_events(folder: Path) -> SummaryWriter:
-    """Return the writer of a new event file that TensorBoard reads after the existing ones.
-
-    TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
-    text. So two event files must not start in the same second.
-    """
+    """Return the writer of a new event file that TensorBoard reads after the existing ones."""
+    # TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
+    # text. So two event files must not start in the same second.
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
         time.sleep(1.0)
@@ -49,10 +47,8 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Cut the event files so that they contain exactly the scalars of ``lines``.
-
-    If an event file lacks scalars, for example after a loss of data, write all event files from scratch.
-    """
+    """Cut the event files so that they contain exactly the scalars of ``lines``."""
+    # If an event file lacks scalars, for example after a loss of data, write all event files from scratch.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
         # Cut an event file before its first record of iteration ``steps``; add the remaining tags to ``found``.

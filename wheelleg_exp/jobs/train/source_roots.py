@@ -43,10 +43,8 @@ def source_roots(composed: Composed) -> list[Path]:
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the imported packages and modules outside the roots, the standard library, and virtual environments.
-
-    Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
-    """
+    """Return the imported packages and modules outside the roots, the standard library, and virtual environments."""
+    # Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):

@@ -132,12 +132,10 @@ def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return the part of an iteration's state that is digested.
-
-    Digest the whole state if a checkpoint is due or the engine is bitwise reproducible. Otherwise digest only the
-    networks: hashing the remaining state, which no later run can reproduce, takes longer than a GPU takes for an
-    iteration.
-    """
+    """Return the part of an iteration's state that is digested."""
+    # Digest the whole state if a checkpoint is due or the engine is bitwise reproducible. Otherwise digest only the
+    # networks: hashing the remaining state, which no later run can reproduce, takes longer than a GPU takes for an
+    # iteration.
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
