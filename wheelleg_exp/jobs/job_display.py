@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.child_process import EventPipe
 
@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from wheelleg_exp.rl.trainer import Iteration
 
 
-class Display(Protocol):
-    """Receives the progress and the results of a job."""
+class Display:
+    """Receives the progress and the results of a job. The methods of this base class show nothing."""
 
     def environment(self, description: str) -> None:
         """Show the tables of the environment's managers."""
@@ -27,7 +27,7 @@ class Display(Protocol):
 
 
 class SilentDisplay(Display):
-    """A display that shows nothing: the methods of ``Display`` are empty."""
+    """A display that shows nothing."""
 
 
 class PipeDisplay(SilentDisplay):

@@ -55,6 +55,7 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
+        """Empty the history and the memory of the modifiers, at the start of an episode."""
         self.history: np.ndarray | None = None  # The first sample fills the whole history.
         self.memory: dict[int, list[np.ndarray]] = {}
 
