@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json
@@ -18,16 +19,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_overrides(parser)
     parser.add_argument("--steps", type=int, help="control steps; by default one episode")
     add_json(parser)
-
-
-def run_zero(args: argparse.Namespace) -> int:
-    """Run a task with zero actions."""
-    return _run("zero", args)
-
-
-def run_random(args: argparse.Namespace) -> int:
-    """Run a task with actions uniform in [-1, 1]."""
-    return _run("random", args)
 
 
 def _run(kind: AgentKind, args: argparse.Namespace) -> int:
@@ -53,3 +44,6 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
         print_recording(made.recording)
     made.failures.require_few("in this run")
     return EXIT_OK
+
+
+run_zero, run_random = partial(_run, "zero"), partial(_run, "random")

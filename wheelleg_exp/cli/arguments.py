@@ -40,8 +40,7 @@ class Parser(argparse.ArgumentParser):
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
         optional = [str(action.metavar) for action in words if str(action.metavar) not in wanted]
-        problem = _unknown_word(message, options) or _wrong_value(message, optional)
-        raise problem or UsageError(message, key=self.prog)
+        raise _unknown_word(message, options) or _wrong_value(message, optional) or UsageError(message, key=self.prog)
 
 
 def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
@@ -84,20 +83,15 @@ def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
     """Add Hydra overrides and ``--config-dir``, the arguments of every command that composes a config."""
-    parser.add_argument(
-        "overrides",
-        nargs="*",
-        metavar="OVERRIDE",
-        help="task=stand, env.rewards.alive.weight=2, ~env.events.push_robot, +reward@env.rewards=action_rate, ...",
-    )
+    text = "task=stand, env.rewards.alive.weight=2, ~env.events.push_robot, +reward@env.rewards=action_rate, ..."
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
     add_config_dir(parser)
 
 
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
-    parser.add_argument(
-        "--primary", metavar="NAME", help="the primary config (default: train, or pipeline if an override names one)"
-    )
+    text = "the primary config (default: train, or pipeline if an override names one)"
+    parser.add_argument("--primary", metavar="NAME", help=text)
 
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:
@@ -110,15 +104,10 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--config-dir``, which can be repeated."""
+    text = "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
+    text += "configs (repeatable); the project in the current folder is found without this option"
     parser.add_argument(
-        "--config-dir",
-        dest="config_dirs",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="DIR",
-        help="a folder of your own configs, a project, or the name of an installed project, searched after the stock "
-        "configs (repeatable); the project in the current folder is found without this option",
+        "--config-dir", dest="config_dirs", action="append", type=Path, default=[], metavar="DIR", help=text
     )
 
 

@@ -14,27 +14,12 @@ from wheelleg_exp.stop_request import StopRequest
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("source", metavar="IN", type=Path, help="USD (.usd, .usda, .usdc, .usdz) or URDF file")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT",
-        type=Path,
-        required=True,
-        help="MJCF file to write (.xml); next to it: the folder OUT's-stem_meshes, and OUT's-stem_scene.xml to view it",
-    )
-    parser.add_argument(
-        "--base",
-        choices=("auto", "floating", "fixed"),
-        default="auto",
-        help="auto: as authored; floating: drop the fixed joint to the world; fixed: no free joint",
-    )
-    parser.add_argument(
-        "--variant",
-        metavar="SET=NAME",
-        action="append",
-        default=[],
-        help="select a variant of a USD file instead of the authored one (repeatable)",
-    )
+    text = "MJCF file to write (.xml); next to it: the folder OUT's-stem_meshes, and OUT's-stem_scene.xml to view it"
+    parser.add_argument("-o", "--output", metavar="OUT", type=Path, required=True, help=text)
+    text = "auto: as authored; floating: drop the fixed joint to the world; fixed: no free joint"
+    parser.add_argument("--base", choices=("auto", "floating", "fixed"), default="auto", help=text)
+    text = "select a variant of a USD file instead of the authored one (repeatable)"
+    parser.add_argument("--variant", metavar="SET=NAME", action="append", default=[], help=text)
     add_json(parser)
 
 

@@ -23,29 +23,16 @@ REFERENCE = "reference"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    parser.add_argument(
-        "overrides",
-        nargs="*",
-        metavar="RUN|OVERRIDE",
-        help="runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
-        "of the runs' parameters: env.sim.dt=0.002",
-    )
+    text = "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
+    text += "of the runs' parameters: env.sim.dt=0.002"
+    parser.add_argument("overrides", nargs="*", metavar="RUN|OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
-    parser.add_argument(
-        "--against",
-        metavar="RUN",
-        action="append",
-        default=[],
-        help="compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed",
-    )
-    parser.add_argument(
-        "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too"
-    )
-    parser.add_argument(
-        "--kept",
-        action="store_true",
-        help="use a run's stored evaluation of this protocol, and evaluate only the other runs",
-    )
+    text = "compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed"
+    parser.add_argument("--against", metavar="RUN", action="append", default=[], help=text)
+    text = "evaluate the linear-quadratic reference controller too"
+    parser.add_argument("--reference", action="store_true", help=text)
+    text = "use a run's stored evaluation of this protocol, and evaluate only the other runs"
+    parser.add_argument("--kept", action="store_true", help=text)
     add_config_dir(parser)
     add_root(parser)
     add_json(parser)
@@ -113,26 +100,23 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
 
 
 def evaluated(
-    args: argparse.Namespace,
-    directory: RunDirectory,
-    checkpoint: Path,
-    overrides: Sequence[str],
-    display: ConsoleDisplay,
+    args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
     """Evaluate one run with the options of the command, or load its stored evaluation (``--kept``)."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:
         from wheelleg_exp.files import sha256
-        from wheelleg_exp.jobs.evaluate_policy import evaluation_settings, find_saved, load_evaluated
+        from wheelleg_exp.jobs import evaluate_policy as jobs
 
-        tree = evaluation_settings(directory, overrides, args.config_dirs)
-        folder = find_saved(directory, sha256(checkpoint), tree, overrides)
+        tree = jobs.evaluation_settings(run, overrides, args.config_dirs)
+        folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
         if folder is not None:
-            return load_evaluated(directory, checkpoint, folder)
+            found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
+            return jobs.Evaluated(run, checkpoint, folder, found, content)
     from wheelleg_exp.inspection.evaluation_plots import draw
 
-    return evaluate_run(directory, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
+    return evaluate_run(run, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
 
 
 def reference_of(

@@ -14,9 +14,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="DIR", help="the folder to create; by default exported/bundle of the run"
-    )
+    text = "the folder to create; by default exported/bundle of the run"
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=text)
     add_root(parser)
     add_json(parser)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -35,30 +35,22 @@ class Inspected:
     selection: Selection
     recording_id: str | None = None
 
-    @property
-    def path(self) -> Path:
-        """The file of the recording."""
-        return self.target.path
-
     @cached_property
     def recording(self) -> Recording:
         """The recording, which is opened on first use."""
         from wheelleg_exp.recording.reading.recording_reader import Recording
 
-        return Recording(self.path, recording_id=self.recording_id)
+        return Recording(self.target.path, recording_id=self.recording_id)
 
 
 @dataclass(frozen=True)
 class Result:
-    """The result of an action: its JSON document, a function that prints the result as text, and its exit status.
-
-    ``wheelleg inspect`` returns the highest exit status of its actions, and prints ``notes`` on standard error.
-    """
+    """The result of an action: its JSON document, a function that prints the result as text, and its exit status."""
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK
-    notes: tuple[str, ...] = ()
+    status: int = EXIT_OK  # the command returns the highest status of its actions
+    notes: tuple[str, ...] = ()  # printed on standard error
 
 
 @dataclass(frozen=True)
@@ -79,48 +71,31 @@ def configure(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("selection of rows and columns")
     group.add_argument("--env", type=int, metavar="N", help="use only the rows of this environment")
     group.add_argument("--iteration", metavar="N|A-B", help="use only these training iterations")
-    group.add_argument(
-        "--from", dest="begin", metavar="TIME", help="use rows from this simulated time (2.5s) or step (150steps)"
-    )
+    text = "use rows from this simulated time (2.5s) or step (150steps)"
+    group.add_argument("--from", dest="begin", metavar="TIME", help=text)
     group.add_argument("--to", dest="end", metavar="TIME", help="use rows up to this simulated time or step")
-    group.add_argument(
-        "--term",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="a recorded number, such as rewards.base_height (repeatable)",
-    )
+    text = "a recorded number, such as rewards.base_height (repeatable)"
+    group.add_argument("--term", action="append", default=[], metavar="NAME", help=text)
     group.add_argument("-o", "--output", type=Path, metavar="PATH", help="the file or folder to write")
-    _add_reading_options(parser)
-    _add_picture_options(parser)
-    add_json(parser)
-
-
-def _add_reading_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--repair", action="store_true", help="write a repaired copy of a truncated recording")
     add("--summary", action="store_true", help="print the summary in addition to other output")
     add("--names", action="store_true", help="print the names of all recorded numbers")
     add("--stats", action="store_true", help="print the statistics of each --term")
-    add(
-        "--where",
-        metavar="CONDITION",
-        help="print the times at which a condition is true: 'terminations.base_contact', 'base.pitch > 0.3'",
-    )
+    text = "print the times at which a condition is true: 'terminations.base_contact', 'base.pitch > 0.3'"
+    add("--where", metavar="CONDITION", help=text)
     add("--around", metavar="LENGTH", help="with --where: print also the rows around each time: 0.5s, 200ms, 30steps")
     add("--limit", type=_count, metavar="N", help="the most lines to print (default: 10)")
     add("--compare", metavar="RUN|FILE", help="another recording; exit status 1 if they differ")
+    _add_picture_options(parser)
+    add_json(parser)
 
 
 def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; with --compare both "
-        "recordings",
-    )
+    text = "draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; "
+    text += "with --compare both recordings"
+    add("--plot", type=Path, metavar="FILE", help=text)
     add("--export", metavar="KIND", help="write the numbers as parquet or csv: -o FOLDER, with --term -o FILE")
     add("--screenshot", type=Path, metavar="FILE", help="draw the robot into a .png, .jpg or .webp")
     add("--at", metavar="WHEN", help="a simulated time (1.5s) or step (90steps), or a term: when it is first not zero")
@@ -149,7 +124,14 @@ def run(args: argparse.Namespace) -> int:
     default = "stats" if args.term else "summary"
     chosen = [action for action in ACTIONS if _is_given(args, action.name)]
     chosen = chosen or [action for action in ACTIONS if action.name == default]
-    _require_used(args, chosen)
+    # Raise UsageError for an option that no chosen action reads.
+    used = {option for action in chosen for option in action.options}
+    for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
+        if option not in used and _is_given(args, option):
+            word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
+            users = [f"--{action.name}" for action in ACTIONS if option in action.options]
+            message = "the option has no effect on the chosen actions"
+            raise UsageError(message, key=word, expected="also " + " or ".join(users))
     target = find_target(args.recording, args.root, play=args.play)
     inspected = Inspected(target, _selection_of(args), args.id)
     results = {}
@@ -166,18 +148,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _is_given(args: argparse.Namespace, option: str) -> bool:
     return getattr(args, option) not in (None, False, [])
-
-
-def _require_used(args: argparse.Namespace, chosen: Sequence[Action]) -> None:
-    """Raise UsageError for an option that no chosen action reads."""
-    used = {option for action in chosen for option in action.options}
-    for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
-        if option not in used and _is_given(args, option):
-            word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
-            users = [f"--{action.name}" for action in ACTIONS if option in action.options]
-            raise UsageError(
-                "the option has no effect on the chosen actions", key=word, expected="also " + " or ".join(users)
-            )
 
 
 def _selection_of(args: argparse.Namespace) -> Selection:
@@ -271,7 +241,7 @@ def _repair(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.recording.reading.recording_repair import repair
 
     with inspected.target.resting():
-        done = repair(inspected.path, args.output)
+        done = repair(inspected.target.path, args.output)
     return Result({**asdict(done), "health": done.health.as_dict()}, lambda: print_repaired(done))
 
 
@@ -303,7 +273,7 @@ def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
             return recording_plots.terms_figure(inspected.recording, args.term, selection=chosen)
         return recording_plots.default_page(inspected.recording, selection=chosen)
     recordings = (inspected.recording, _other_recording(args))
-    paths = [path.resolve() for path in (inspected.path, recordings[1].path)]
+    paths = [path.resolve() for path in (inspected.target.path, recordings[1].path)]
     names = [path.stem if path.stem != "recording" else path.parent.name for path in paths]
     if names[0] == names[1]:
         names = [f"{name} ({i})" for i, name in enumerate(names, start=1)]
@@ -338,15 +308,11 @@ def _screenshot(args: argparse.Namespace, inspected: Inspected) -> Result:
         from wheelleg_exp.inspection.rerun_viewer import viewer_screenshot
 
         width, height = _size(args, 1600, 900)
-        viewer_screenshot(inspected.path, args.screenshot, time_s=time_s, width=width, height=height)
+        viewer_screenshot(inspected.target.path, args.screenshot, time_s=time_s, width=width, height=height)
     else:
         recording_pictures.save(shown, row, args.screenshot, *_size(args, 1280, 720))
-    facts = {
-        "time_s": time_s,
-        "step": int(shown.motion.step[row]),
-        "iteration": shown.motion.iteration_at(row),
-        "env": shown.source.env_id,
-    }
+    facts: dict[str, Any] = {"time_s": time_s, "step": int(shown.motion.step[row])}
+    facts |= {"iteration": shown.motion.iteration_at(row), "env": shown.source.env_id}
     return _written(args.screenshot, facts, f" ({_environment(shown.env_id)}t = {time_s:.3f} s)")
 
 

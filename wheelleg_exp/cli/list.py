@@ -42,15 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(_LISTS) + "}", help="what to list")
     parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
     of_runs = parser.add_argument_group("list runs")
-    of_runs.add_argument(
-        "--filter",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="CONDITION",
-        help="only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
-        "agent.algorithm.gamma=0.99",
-    )
+    text = "only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
+    text += "agent.algorithm.gamma=0.99"
+    of_runs.add_argument("--filter", nargs="+", action="extend", default=[], metavar="CONDITION", help=text)
     of_runs.add_argument("--sort", metavar="KEY", help="sort by a column or a key of the config, the largest first")
     of_runs.add_argument("--reverse", action="store_true", help="list the smallest value, or the oldest run, first")
     of_runs.add_argument("--sweep", metavar="SWEEP", help="only the runs of a sweep ('latest'), with their differences")
@@ -132,8 +126,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
     # A group has the name of its section without the plural: 'reward' of 'rewards'. Both names are accepted.
-    names = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}
-    section = names.get(args.group)
+    section = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
     stock = catalog.terms(group, args.config_dirs) if section is None or group in known else []
@@ -178,7 +171,14 @@ def _runs(args: argparse.Namespace) -> Listed:
     folder = _runs_folder(args.root)
     every = run_list.list_runs(folder)
     if args.sweep is not None:
-        every = _of_sweep(every, args.sweep, folder)
+        index = run_list.find_sweep(args.sweep, folder)
+        if index is None:
+            known = [sweep.id for sweep in run_list.list_sweeps(folder)]
+            expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
+            nearest = nearest_name(args.sweep, known)
+            raise WheellegError(f"there is no sweep '{args.sweep}'", key="--sweep", expected=expected, nearest=nearest)
+        members = run_list.runs_of(index)
+        every = [run for run in every if run.path.resolve() in members]
     found = run_list.filter_runs(every, args.filter)
     if args.sort is not None:
         found = run_list.sort_runs(found, args.sort, reverse=args.reverse)
@@ -202,17 +202,6 @@ def _runs(args: argparse.Namespace) -> Listed:
     used = [i for i, name in enumerate(columns) if name not in optional or any(row[i] is not None for row in rows)]
     columns, rows = [columns[i] for i in used], [[row[i] for i in used] for row in rows]
     return Listed(columns, rows, documents, f"no run of {len(every)} matches" if args.filter else "")
-
-
-def _of_sweep(runs: list[RunSummary], name: str, root: Path) -> list[RunSummary]:
-    index = run_list.find_sweep(name, root)
-    if index is None:
-        known = [sweep.id for sweep in run_list.list_sweeps(root)]
-        expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
-        nearest = nearest_name(name, known)
-        raise WheellegError(f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest)
-    members = run_list.runs_of(index)
-    return [run for run in runs if run.path.resolve() in members]
 
 
 def _short(keys: Sequence[str]) -> list[str]:
@@ -304,12 +293,5 @@ def _duration(seconds: float | None) -> str | None:
     return f"{minutes}m{seconds:02}s" if minutes else f"{seconds}s"
 
 
-_LISTS = {
-    "tasks": _tasks,
-    "terms": _terms,
-    "groups": _groups,
-    "options": _options,
-    "pipelines": _pipelines,
-    "runs": _runs,
-    "sweeps": _sweeps,
-}
+_LISTS = {"tasks": _tasks, "terms": _terms, "groups": _groups, "options": _options}
+_LISTS |= {"pipelines": _pipelines, "runs": _runs, "sweeps": _sweeps}

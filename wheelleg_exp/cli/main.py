@@ -35,16 +35,12 @@ from wheelleg_exp.user_exceptions import in_words
 
 @dataclass(frozen=True)
 class Command:
-    """One command: a module in ``cli`` with ``configure(parser)``, and the text in ``wheelleg --help``.
-
-    The attribute ``run`` names the function that runs the command and returns its exit status. The attribute
-    ``project`` is true if the command reads the user's project in the current folder.
-    """
+    """One command: a module in ``cli`` with ``configure(parser)``, and the text in ``wheelleg --help``."""
 
     module: str
     help: str
-    run: str = "run"
-    project: bool = True
+    run: str = "run"  # the function that runs the command and returns its exit status
+    project: bool = True  # whether the command reads the project in the current folder
 
 
 COMMANDS: dict[str, Command] = {
@@ -130,10 +126,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Add the configs and terms of the project in the current folder.
-
-    A training trusts the code in the folders of ``--config-dir``.
-    """
+    """Add configs and terms of the current folder's project; a training trusts code in ``--config-dir``."""
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):
@@ -174,10 +167,7 @@ def _failed(message: str, status: int, debug: bool) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Inside the block, treat the signals SIGTERM and SIGHUP as Ctrl-C.
-
-    Only the main thread can set signal handlers.
-    """
+    """Treat SIGTERM and SIGHUP as Ctrl-C in the block. Only the main thread can set signal handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -13,11 +13,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("place", metavar="NAME", type=Path, help="the project's name, or a new folder that ends in it")
     parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot (default: the stock robot)")
-    parser.add_argument(
-        "--allow-missing",
-        action="store_true",
-        help="create the project although files of the robot's colliders are missing",
-    )
+    text = "create the project although files of the robot's colliders are missing"
+    parser.add_argument("--allow-missing", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -22,14 +22,12 @@ _PORT = 8080
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
-    parser.add_argument(
-        "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
-    )
+    text = "changes for this play: env.num_envs=16, seed=7"
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
-    parser.add_argument(
-        "--script", type=Path, metavar="FILE", help="drive the robot by a list of commands (docs/drive.md)"
-    )
+    text = "drive the robot by a list of commands (docs/drive.md)"
+    parser.add_argument("--script", type=Path, metavar="FILE", help=text)
     parser.add_argument("--scene", metavar="NAME", help="the ground to drive on (default: the ground of the run)")
     parser.add_argument("--port", type=int, help=f"port of the page, on this machine alone (default: {_PORT})")
     add_root(parser)
@@ -46,8 +44,7 @@ def run(args: argparse.Namespace) -> int:
         return _run_drive(args, directory, checkpoint)
     for option, value in (("--scene", args.scene), ("--port", args.port)):
         if value is not None:
-            message = "the option applies only to driving"
-            raise UsageError(message, key=option, expected="also --drive or --script FILE")
+            raise UsageError("the option applies only to driving", key=option, expected="also --drive or --script FILE")
 
     from wheelleg_exp.cli.printing.metric_tables import print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay

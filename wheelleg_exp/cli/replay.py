@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from wheelleg_exp.cli.arguments import add_json, print_json
@@ -17,26 +18,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "run's patch, with all your rights: replay only runs from people whose code you would run."
     )
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    text = "a clone that contains the run's commit (repeatable); "
+    text += "by default the recorded folder, then the current checkout"
     parser.add_argument(
-        "--repository",
-        dest="repositories",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="DIR",
-        help="a clone that contains the run's commit (repeatable); by default the recorded folder, then the current "
-        "checkout",
+        "--repository", dest="repositories", action="append", type=Path, default=[], metavar="DIR", help=text
     )
-    parser.add_argument(
-        "--iterations", type=int, metavar="N", help="train N iterations and compare these; by default all"
-    )
+    text = "train N iterations and compare these; by default all"
+    parser.add_argument("--iterations", type=int, metavar="N", help=text)
     parser.add_argument("--keep", action="store_true", help="do not delete the restored source, and print its path")
-    parser.add_argument(
-        "--root",
-        type=Path,
-        default=Path("runs"),
-        help="the folder of the runs; the replay is written to its subfolder replays/ (default: runs)",
-    )
+    text = "the folder of the runs; the replay is written to its subfolder replays/ (default: runs)"
+    parser.add_argument("--root", type=Path, default=Path("runs"), help=text)
     add_json(parser)
 
 
@@ -52,17 +43,9 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
         from wheelleg_exp.jobs.replay.replay_run import replay
 
+        again = partial(replay, repositories=args.repositories, iterations=args.iterations, keep=args.keep)
         with ConsoleDisplay() as display:
-            found = replay(
-                directory,
-                args.command,
-                display,
-                stop,
-                root=args.root,
-                repositories=args.repositories,
-                iterations=args.iterations,
-                keep=args.keep,
-            )
+            found = again(directory, args.command, display, stop, root=args.root)
     status = EXIT_FINDING if found.comparison.verdict == "different" else EXIT_OK
     if args.json:
         print_json(found.as_dict())

@@ -12,19 +12,10 @@ from wheelleg_exp.paths import show_file
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "run",
-        nargs="+",
-        metavar="RUN",
-        help="a run directory, its id, 'latest', the folder of an agent's run, or a sweep; several are compared",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="the file to write (default: report.html in the run's or sweep's folder; comparison.html for several)",
-    )
+    text = "a run directory, its id, 'latest', the folder of an agent's run, or a sweep; several are compared"
+    parser.add_argument("run", nargs="+", metavar="RUN", help=text)
+    text = "the file to write (default: report.html in the run's or sweep's folder; comparison.html for several)"
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=text)
     add_root(parser)
     parser.add_argument("--no-pictures", action="store_true", help="leave out the pictures of the robot")
     add_json(parser)

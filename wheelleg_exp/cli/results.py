@@ -18,23 +18,16 @@ FOLDER = Path("docs/results")
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("name", metavar="NAME", help="the name of the result and of its page")
-    parser.add_argument(
-        "runs",
-        nargs="*",
-        metavar="RUN|OVERRIDE",
-        help="runs that differ by their seed, and overrides such as protocol=walk; with --again: names of more "
-        "results, whose common runs are trained once",
-    )
-    parser.add_argument(
-        "--into", type=Path, default=FOLDER, metavar="DIR", help=f"the folder of the result (default: {FOLDER})"
-    )
-    parser.add_argument(
-        "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too, and compare"
-    )
+    text = "runs that differ by their seed, and overrides such as protocol=walk; with --again: names of more "
+    text += "results, whose common runs are trained once"
+    parser.add_argument("runs", nargs="*", metavar="RUN|OVERRIDE", help=text)
+    text = f"the folder of the result (default: {FOLDER})"
+    parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=text)
+    text = "evaluate the linear-quadratic reference controller too, and compare"
+    parser.add_argument("--reference", action="store_true", help=text)
     parser.add_argument("--kept", action="store_true", help="use a run's stored evaluation of this protocol")
-    parser.add_argument(
-        "--again", action="store_true", help="re-run the recorded trainings and evaluations, and compare bit by bit"
-    )
+    text = "re-run the recorded trainings and evaluations, and compare bit by bit"
+    parser.add_argument("--again", action="store_true", help=text)
     add_config_dir(parser)
     add_root(parser)
 

@@ -19,15 +19,10 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "run", metavar="RUN", help="a run directory, its id, or 'latest'; or the folder or id of a pipeline"
-    )
-    parser.add_argument(
-        "overrides",
-        nargs="*",
-        metavar="OVERRIDE",
-        help="changes for the remaining training: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ...",
-    )
+    text = "a run directory, its id, or 'latest'; or the folder or id of a pipeline"
+    parser.add_argument("run", metavar="RUN", help=text)
+    text = "changes for the remaining training: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ..."
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)

@@ -24,13 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
     add_json(parser)
-    parser.add_argument(
-        "-m",
-        "--multirun",
-        action="store_true",
-        help="train every combination of several values: seed=1,2,3 env.rewards.alive.weight=choice(1,2) "
-        "[hydra/launcher=joblib hydra.launcher.n_jobs=2]",
-    )
+    text = "train every combination of several values: seed=1,2,3 env.rewards.alive.weight=choice(1,2) "
+    text += "[hydra/launcher=joblib hydra.launcher.n_jobs=2]"
+    parser.add_argument("-m", "--multirun", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -99,10 +95,7 @@ def _digests(composed: Composed) -> dict[str, str]:
 
 
 def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
-    """Train a prepared run and return its results, or None if the training was interrupted.
-
-    If the training stops early, print the command that resumes the run.
-    """
+    """Train a prepared run; return its results, or print the command that resumes it and return None."""
     from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
 

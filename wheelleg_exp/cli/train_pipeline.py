@@ -109,6 +109,5 @@ def _print_result(index: PipelineIndex, status: PipelineStatus, again: str) -> N
             print(f"      {tool('wheelleg')} evaluate {shown(last)}")
         return
     failed = next(phase for phase in index.phases if phase["status"] == "failed")
-    most = int(index.data["config"]["phases"][failed["name"]]["max_iterations"])
-    more = 2 * max(most, int(failed["trained"]))
+    more = 2 * max(int(index.data["config"]["phases"][failed["name"]]["max_iterations"]), int(failed["trained"]))
     print(f"next: {again} pipeline.phases.{failed['name']}.max_iterations={more}")

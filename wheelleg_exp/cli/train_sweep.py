@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
-
 _MOST_SHOWN = 3
 _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
 
@@ -96,12 +95,9 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
 
     from wheelleg_exp.run.run_index import SweepIndex
 
-    index = SweepIndex.create(
-        sweep.jobs[0].config["run"]["root"],
-        command=command,
-        launcher={"name": sweep.launcher, "at_once": at_once},
-        jobs=[(job.overrides, job.swept) for job in sweep.jobs],
-    )
+    root, launcher = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
+    jobs = [(job.overrides, job.swept) for job in sweep.jobs]
+    index = SweepIndex.create(root, command=command, launcher=launcher, jobs=jobs)
     sweep.multirun.hydra.sweep.dir = str(index.folder)
     index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
     return index
@@ -125,10 +121,8 @@ def _crowded(sweep: Sweep, at_once: int) -> str | None:
     if at_once == 1 or at_once * threads <= cores:
         return None
     each = max(1, cores // at_once)
-    return (
-        f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
-        f"env.sim.nthread={each} is faster and gives the same numbers"
-    )
+    text = f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
+    return text + f"env.sim.nthread={each} is faster and gives the same numbers"
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:

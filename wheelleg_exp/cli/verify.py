@@ -33,16 +33,14 @@ def run(args: argparse.Namespace) -> int:
             message = "the option needs two runs, but only one was given"
             raise UsageError(message, key=option, expected="wheelleg verify A B")
     if args.iterations is not None and args.iterations < 1:
-        raise UsageError(
-            "no iteration is selected for the comparison", key="--iterations", expected="a whole number above 0"
-        )
+        message = "no iteration is selected for the comparison"
+        raise UsageError(message, key="--iterations", expected="a whole number above 0")
     one = RunDirectory.open(args.a, args.root, odd=args.b is None)
     if args.b is None:
         findings = verify_run(one)
         _print(args.json, findings)
         return EXIT_OK if findings.is_sound else EXIT_FINDING
-    other = RunDirectory.open(args.b, args.root)
-    comparison = compare_runs(one, other, iterations=args.iterations, common=args.common)
+    comparison = compare_runs(one, RunDirectory.open(args.b, args.root), iterations=args.iterations, common=args.common)
     _print(args.json, comparison)
     return EXIT_FINDING if comparison.verdict == "different" else EXIT_OK
 

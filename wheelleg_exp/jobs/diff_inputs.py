@@ -84,11 +84,10 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
     try:
         return RunDirectory.open(name, root)
     except RunDirectoryError as error:
+        message = f"neither a task nor a run: {error.message}"
+        expected = f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'"
         raise RunDirectoryError(
-            f"neither a task nor a run: {error.message}",
-            key=name,
-            expected=f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'",
-            nearest=nearest_name(name, tasks) or error.nearest,
+            message, key=name, expected=expected, nearest=nearest_name(name, tasks) or error.nearest
         ) from error
 
 
@@ -105,8 +104,7 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
 
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     env, agent = load_params(run)
-    sections = _recorded_sections(run)
-    tree = apply_overrides({**sections, "env": env, "agent": agent}, overrides)
+    tree = apply_overrides({**_recorded_sections(run), "env": env, "agent": agent}, overrides)
     typed = [*recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:

@@ -109,10 +109,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The result of an evaluation.
-
-    ``checkpoint`` is None for the reference controller. ``content`` is the content of ``evaluation.json``.
-    """
+    """An evaluation; ``content`` is ``evaluation.json``, ``checkpoint`` is None for the reference controller."""
 
     run: RunDirectory
     checkpoint: Path | None
@@ -171,7 +168,13 @@ def _save(
 ) -> Path:
     """Write the evaluation into the run directory, atomically, and return the folder."""
     with dated_folder(run.evaluation) as folder:
-        write_text(folder / EPISODES, episodes_text(found.episodes))
+        # Return the episodes as CSV with one row per episode, in Python's number format, which preserves every bit.
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(found.episodes)
+        for row in zip(*(column.tolist() for column in found.episodes.values()), strict=True):
+            writer.writerow(_cell(value) for value in row)
+        write_text(folder / EPISODES, file.getvalue())
         write_json(folder / RESULT, content)
         files = [folder / RESULT, folder / EPISODES, *([] if draw is None else draw(found, folder))]
         keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
@@ -202,16 +205,6 @@ def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
         return act
 
     return make
-
-
-def episodes_text(episodes: Mapping[str, Any]) -> str:
-    """Return the episodes as CSV with one row per episode, in Python's number format, which preserves every bit."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(episodes)
-    for row in zip(*(column.tolist() for column in episodes.values()), strict=True):
-        writer.writerow(_cell(value) for value in row)
-    return file.getvalue()
 
 
 def _cell(value: Any) -> str:
@@ -272,11 +265,6 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
     return None
 
 
-def load_evaluated(run: RunDirectory, checkpoint: Path, folder: Path) -> Evaluated:
-    """Return a saved evaluation as ``Evaluated``."""
-    return Evaluated(run, checkpoint, folder, read_evaluation(folder), read_content(folder))
-
-
 def _figure(value: Mapping[str, Any]) -> Figure:
     numbers = {key: float("nan") if value[key] is None else float(value[key]) for key in ("value", "low", "high")}
     return Figure(**numbers, episodes=value["episodes"], unit=value["unit"], better=value["better"])
@@ -295,18 +283,14 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """The result of a comparison: every metric over the runs, and the differences from the other side.
-
-    If no other method is compared, ``differences`` and ``verdict`` are empty. ``content`` is the content of
-    ``comparison.json``.
-    """
+    """The result of a comparison: every metric over the runs, and the differences from the other side."""
 
     folder: Path
     seeds: list[OverSeeds]
-    differences: list[Difference]
-    verdict: str
+    differences: list[Difference]  # empty without another method
+    verdict: str  # empty without another method
     push_verdict: str
-    content: dict[str, Any]
+    content: dict[str, Any]  # the content of ``comparison.json``
 
 
 def compare(

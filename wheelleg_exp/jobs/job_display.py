@@ -1,11 +1,8 @@
-"""Displays of a job's progress: the interface, one that shows nothing, and one that sends events to a parent process.
-
-The modules of the commands define the displays for users.
-"""
+"""Displays of a job's progress: the interface, a silent one, and one that sends events to a parent process."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.child_process import EventPipe
 
@@ -13,8 +10,8 @@ if TYPE_CHECKING:
     from wheelleg_exp.rl.trainer import Iteration
 
 
-class Display(Protocol):
-    """Receives the progress and the results of a job."""
+class Display:
+    """Receives the progress and the results of a job. The methods of this base class show nothing."""
 
     def environment(self, description: str) -> None:
         """Show the tables of the environment's managers."""
@@ -29,20 +26,8 @@ class Display(Protocol):
         """Show how many steps of a rollout are done."""
 
 
-class SilentDisplay:
+class SilentDisplay(Display):
     """A display that shows nothing."""
-
-    def environment(self, description: str) -> None:
-        """Show nothing."""
-
-    def note(self, text: str) -> None:
-        """Show nothing."""
-
-    def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show nothing."""
-
-    def steps(self, done: int, total: int) -> None:
-        """Show nothing."""
 
 
 class PipeDisplay(SilentDisplay):

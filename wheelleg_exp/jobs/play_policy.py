@@ -52,32 +52,23 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A trained policy, and an environment in which the policy can act.
-
-    ``tree`` holds ``env`` and ``agent`` of the run and the settings of ``configs/play.yaml``, with the overrides.
-    ``policy`` returns the mean action. ``about`` holds the name and the sha256 of the checkpoint.
-    """
+    """A trained policy, and an environment in which the policy can act."""
 
     run: RunDirectory
     checkpoint: Path
-    tree: Tree
+    tree: Tree  # the run's ``env`` and ``agent``, and the settings of ``configs/play.yaml``, with overrides
     adapter: RslRlVecEnv
-    policy: Any
-    about: dict[str, str]
+    policy: Any  # returns the mean action
+    about: dict[str, str]  # the name and the sha256 of the checkpoint
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
         """Return the recording of a play or a drive."""
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
-        task = self.run.manifest().data.get("task")
-        return EpisodeRecording(
-            folder / "recording.rrd",
-            self.adapter.env,
-            self.tree["recording"],
-            purpose="play",
-            name=folder.name,
-            about={"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about},
-            documents=documents | {"checkpoint": fenced(dump_json(self.about), "json")},
-        )
+        task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
+        about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
+        options, env = self.tree["recording"], self.adapter.env
+        documents |= {"checkpoint": fenced(dump_json(self.about), "json")}
+        return EpisodeRecording(path, env, options, purpose="play", name=folder.name, about=about, documents=documents)
 
 
 def prepare_policy(
@@ -135,10 +126,7 @@ class Played:
 def play(
     run: RunDirectory, checkpoint: Path | None, overrides: Sequence[str], command: Sequence[str], display: Display
 ) -> Played:
-    """Play the mean action of a run's policy for one episode of each environment, with the task's own events.
-
-    Without ``checkpoint``, play the last checkpoint.
-    """
+    """Play the mean action of a policy, by default of the last checkpoint, for one episode of each environment."""
     prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
     settle_s = float(tree["play"]["settle_s"])

@@ -30,16 +30,11 @@ _COMMAND = ("wheelleg", "results")
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The result of a reproduction.
+    """The result of a reproduction."""
 
-    ``differences`` names the numbers that differ from the record; empty if all numbers are bitwise equal. ``machine``
-    contains the differences in hardware, versions, and threads that may change bits. ``other_code`` is true if the
-    source files differ from the source files of the recorded trainings.
-    """
-
-    differences: list[str]
-    machine: list[FactDifference]
-    other_code: bool
+    differences: list[str]  # numbers that differ from the record; empty if all are bitwise equal
+    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change bits
+    other_code: bool  # whether the source files differ from those of the recorded trainings
 
     @property
     def verdict(self) -> str:
@@ -167,13 +162,9 @@ def _trained_run(
 
 
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
-    """Train a recorded recipe in a child process, and return the run directory.
-
-    Recorded words are overrides, never options.
-    """
+    """Train a recorded recipe, whose words are overrides, in a child process; return the run directory."""
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
-    folders = [str(folder) for folder in config_dirs]
-    request = JobRequest("train", words, folders, ["wheelleg", "train", *words], digest)
+    request = JobRequest("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
     with run_request(request, StopRequest()) as events:
         (path,) = [event["path"] for event in events if event["event"] == "run"]
     return str(path)

@@ -43,11 +43,8 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     about = record["about"]
     profile = f"robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
-    yield (
-        f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
-        f"{profile}physics step {about['physics_dt_s']:.6g} s, "
-        f"control step {about['step_dt_s']:.6g} s."
-    )
+    text = f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
+    yield f"{text}{profile}physics step {about['physics_dt_s']:.6g} s, control step {about['step_dt_s']:.6g} s."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
@@ -135,25 +132,19 @@ FORMAT = 2
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
-_LENGTH = "agent.max_iterations="
-_EXPECTED = "what wheelleg results has written"
+_LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # These overrides set folders, not the training.
 
 
 def write_results(
-    name: str,
-    folder: Path,
-    compared: Compared,
-    runs: Sequence[Evaluated],
-    reference: Evaluated | None,
-    words: Sequence[str],
+    name: str, folder: Path, found: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: list[str]
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
     The files replace an earlier result with this name, whose manifests are removed. ``words`` are the overrides that
     were given to the evaluations.
     """
-    record = build_record(name, compared, runs, reference, words)
+    record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
     earlier = earlier_manifests(name, folder)
@@ -177,9 +168,8 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
     try:
         found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     except (LookupError, TypeError) as error:
-        raise RunDirectoryError(
-            "the record names no runs", key=str(path), expected=f"{_EXPECTED}, or no such file"
-        ) from error
+        message = "the record names no runs"
+        raise RunDirectoryError(message, key=str(path), expected=f"{_EXPECTED}, or no such file") from error
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
 
@@ -225,9 +215,8 @@ def read_record(path: Path) -> dict[str, Any]:
         with for_people(path, "read"):
             record = json_value(path.read_bytes())
     except Unreadable as error:
-        raise RunDirectoryError(
-            f"the file is damaged: {error.problem}", key=str(path), expected="a result's record"
-        ) from error
+        message = f"the file is damaged: {error.problem}"
+        raise RunDirectoryError(message, key=str(path), expected="a result's record") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("the file is not a result record", key=str(path), expected=_EXPECTED)
     return record
@@ -244,9 +233,8 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
     record = read_record(path)
     try:
         if record["name"] != name:
-            raise RunDirectoryError(
-                f"the record is of '{record['name']}'", key=str(path), expected="a record of its own name"
-            )
+            message = f"the record is of '{record['name']}'"
+            raise RunDirectoryError(message, key=str(path), expected="a record of its own name")
         if not record["runs"]:
             raise RunDirectoryError("the record names no runs", key=str(path), expected=_EXPECTED)
         trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
@@ -267,11 +255,8 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
     """Raise RunDirectoryError unless the page shows the content of the record."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
-        raise RunDirectoryError(
-            "the page does not show its record",
-            key=str(path),
-            expected="the page that wheelleg results wrote: only one of page and record was changed",
-        )
+        expected = "the page that wheelleg results wrote: only one of page and record was changed"
+        raise RunDirectoryError("the page does not show its record", key=str(path), expected=expected)
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:
@@ -285,24 +270,17 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
-        raise RunDirectoryError(
-            "the run was not trained in one go",
-            key=run.id,
-            expected="a finished run whose resumes changed nothing but its length or the machine",
-        )
+        expected = "a finished run whose resumes changed nothing but its length or the machine"
+        raise RunDirectoryError("the run was not trained in one go", key=run.id, expected=expected)
     if (run.asset / TEACHER).is_file():
-        raise RunDirectoryError(
-            "the run learned from another run's policy", key=run.id, expected="a run that its own commands reproduce"
-        )
+        message = "the run learned from another run's policy"
+        raise RunDirectoryError(message, key=run.id, expected="a run that its own commands reproduce")
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
         overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
-    found: dict[str, Any] = {
-        "overrides": [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)],
-        "begins_with": None,
-        "iteration": None,
-    }
+    words = [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)]
+    found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
     began = data.get("init_from")
     if isinstance(began, Mapping):
         parent = RunDirectory.open(str(began["run"]), run.root)
@@ -320,11 +298,9 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
     first, *others = (_method(recipe(run)) for run in runs)
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
-            raise RunDirectoryError(
-                f"the run was trained differently from {runs[0].id}: {_describe_difference(other, first)}",
-                key=run.id,
-                expected="runs that differ only in their seed (see wheelleg diff)",
-            )
+            message = f"the run was trained differently from {runs[0].id}: {_describe_difference(other, first)}"
+            expected = "runs that differ only in their seed (see wheelleg diff)"
+            raise RunDirectoryError(message, key=run.id, expected=expected)
 
 
 def _method(made: Mapping[str, Any]) -> dict[str, Any]:
@@ -335,11 +311,8 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return a text about how the commands of two trainings, or of their initial policies' trainings, differ."""
     words = set(one["overrides"]), set(other["overrides"])
-    parts = [
-        f"{side} {word}"
-        for side, mine, its in (("with", *words), ("without", *words[::-1]))
-        for word in sorted(mine - its)
-    ]
+    sides = (("with", *words), ("without", *words[::-1]))
+    parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]
     if parts:
         return ", ".join(parts)
     if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:

@@ -19,25 +19,20 @@ from wheelleg_exp.sim.sensors import ContactSensor
 
 @dataclass(frozen=True)
 class StandFigures:
-    """Metrics of standing, over the first episode of each environment; see ``definitions.rollout``.
-
-    ``survival`` is the fraction of the ended episodes that reached the time-out. Height and pitch are computed over
-    ``settled_steps``, after the first ``settle_s`` of each episode; the pitch is measured against upright. ``ended_by``
-    counts an episode that two terminations ended for their combination.
-    """
+    """Metrics of standing, over the first episode of each environment; see ``definitions.rollout``."""
 
     episodes: int
     unfinished: int
-    survival: float | None
-    settle_s: float
+    survival: float | None  # fraction of the ended episodes that reached the time-out
+    settle_s: float  # height and pitch exclude this first part of each episode
     settled_episodes: int
     settled_steps: int
     height_rmse_m: float | None
     height_mean_m: float
-    pitch_rms_deg: float
+    pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]
+    ended_by: dict[str, int]  # an episode that two terminations ended counts for their combination
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -52,10 +47,7 @@ class StandFigures:
 
 
 class StandMeter:
-    """Measures standing over the first episode of each of the N environments.
-
-    Height and pitch exclude the first ``settle_s`` of each episode.
-    """
+    """Measures standing over the first episode of N environments; height and pitch from ``settle_s`` on."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -114,17 +106,13 @@ class StandMeter:
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """Contact forces of one link, N: the normal force at the end of each step between landing and tipping over.
-
-    ``contact_share`` is the fraction of control steps with contact. ``steps`` is the sum of control steps over the
-    environments.
-    """
+    """Contact forces of one link, N: the normal force at the end of each step between landing and tipping over."""
 
     body: str
     mean_n: float
     max_n: float
-    contact_share: float
-    steps: int
+    contact_share: float  # fraction of control steps with contact
+    steps: int  # control steps, summed over the environments
 
 
 class ContactMeter:
@@ -181,18 +169,15 @@ DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """Metrics of motion, over the first episode of each environment; see ``definitions.rollout``.
-
-    Torque metrics are by actuator group. ``at_limit`` is the fraction of physics steps at the effort limit.
-    """
+    """Metrics of motion, over the first episode of each environment; see ``definitions.rollout``."""
 
     drift_m: float | None
     yaw_drift_deg: float | None
     action_rate_per_s: float | None
     power_net_w: float | None
-    torque_rms_nm: dict[str, float]
-    at_limit: dict[str, float]
-    sign_changes_per_s: dict[str, float]
+    torque_rms_nm: dict[str, float]  # by actuator group
+    at_limit: dict[str, float]  # by actuator group: fraction of physics steps at the effort limit
+    sign_changes_per_s: dict[str, float]  # by actuator group
 
     def as_dict(self) -> dict[str, Any]:
         """Return the metrics as plain values."""
@@ -200,10 +185,7 @@ class MotionFigures:
 
 
 class MotionMeter:
-    """Measures motion over the first episode of each of the N environments.
-
-    All metrics exclude the first ``settle_s`` of each episode.
-    """
+    """Measures motion over the first episode of each of the N environments, from ``settle_s`` on."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt
@@ -244,8 +226,7 @@ class MotionMeter:
         self._work += torch.where(now, self._effort.net.double(), 0.0)
         both = now & self._before
         action = env.action_manager
-        jump = (action.action - action.prev_action).abs().mean(dim=1)
-        self._changed += torch.where(both, jump, 0.0)
+        self._changed += torch.where(both, (action.action - action.prev_action).abs().mean(dim=1), 0.0)
         self._pairs += both
         self._steps += now
         self._before, self._settled = now, self._settled | now

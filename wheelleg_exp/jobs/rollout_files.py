@@ -42,10 +42,7 @@ def fenced(text: str, language: str) -> str:
 
 
 def run_documents(directory: RunDirectory) -> dict[str, str]:
-    """Return the documents of a run directory: manifest, source state, command line, config.
-
-    Missing and unreadable files are skipped.
-    """
+    """Return the readable documents of a run directory: manifest, source state, command line, config."""
     found = {}
     files = (("manifest", MANIFEST_NAME, "json"), ("git", "source/git.json", "json"), ("config", CONFIG, "yaml"))
     for title, name, language in files:
@@ -77,10 +74,7 @@ def _command(manifest: str) -> list[str]:
 
 
 class ObservingRecording:
-    """Records every control step while entered, and can show the recording live in a viewer.
-
-    ``notes`` are warnings about the recording.
-    """
+    """Records every control step while entered, optionally live in a viewer; ``notes`` are its warnings."""
 
     def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
         self._env, self._recorder, self._is_live = env, recorder, live
@@ -131,15 +125,9 @@ class EpisodeRecording(ObservingRecording):
         about: Mapping[str, Any],
         documents: Mapping[str, str],
     ) -> None:
+        ids, every = options["env_ids"], max(round(1.0 / env.step_dt), 1)
         recorder = Recorder(
-            path,
-            env,
-            recording_id=name,
-            name=name,
-            env_ids=options["env_ids"],
-            purpose=purpose,
-            about=about,
-            flush_every=max(round(1.0 / env.step_dt), 1),
+            path, env, recording_id=name, name=name, env_ids=ids, purpose=purpose, about=about, flush_every=every
         )
         for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
             recorder.document(title, text)
@@ -166,10 +154,8 @@ class EpisodeRecording(ObservingRecording):
 
     def _warning(self) -> str:
         room = f"at least {self._frames} steps fit" if self._frames else "maybe no step fits"
-        return (
-            f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
-            f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
-        )
+        text = f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
+        return text + f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
 
 
 _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
@@ -177,10 +163,7 @@ _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
 
 @contextmanager
 def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
-    """Yield a new folder that is named after the current time.
-
-    An error or interrupt removes the folder, so that no unfinished folder looks finished.
-    """
+    """Yield a new folder named after the current time; an error or interrupt removes the unfinished folder."""
     folder = create_exclusively(parent, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + suffix)
     try:
         with while_running():
@@ -198,10 +181,7 @@ def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
 
 
 def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
-    """Write the episodes that ended since the last call, one file for each group; return the files.
-
-    Each group except ``episodes`` has a subfolder of ``folder``.
-    """
+    """Write the episodes since the last call, one file per group in its subfolder (``episodes``: in ``folder``)."""
     return _write_groups(folder, env, f"{iteration:06d}.npz")
 
 

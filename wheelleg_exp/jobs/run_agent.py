@@ -33,25 +33,17 @@ UPRIGHT_RAD = 0.2
 
 @dataclass(frozen=True)
 class AgentRun:
-    """The result of a rollout with zero or random actions.
-
-    ``contacts`` contains the contact forces of each link while the robot stood, by sensor. ``figures`` contains the
-    durations and terminations of the first episodes. ``failures`` lists the episodes that ended because a number was
-    not finite.
-    """
+    """The result of a rollout with zero or random actions."""
 
     folder: Path
     recording: Path | None
-    contacts: dict[str, list[ContactFigures]]
-    figures: StandFigures
-    failures: FailureCount
+    contacts: dict[str, list[ContactFigures]]  # forces of each link while the robot stood, by sensor
+    figures: StandFigures  # durations and terminations of the first episodes
+    failures: FailureCount  # episodes that ended because a number was not finite
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
-    """Run zero actions or uniform random actions in [-1, 1], and record the rollout.
-
-    ``steps`` counts control steps; None means one episode.
-    """
+    """Run zero or uniform random actions in [-1, 1] for ``steps`` (None: one episode), and record the rollout."""
     config = composed.config
     with composed.placing():
         require_recorded(config)
@@ -69,14 +61,10 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         options = config["recording"]
         recording = None
         if options["enabled"]:
+            about = {"run_id": directory.id, "task": config["task"]["name"], "agent": kind}
+            title, documents = f"{directory.id} {kind} agent", config_document(config)
             recording = EpisodeRecording(
-                directory.recording,
-                env,
-                options,
-                purpose="play",
-                name=f"{directory.id} {kind} agent",
-                about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
-                documents=config_document(config),
+                directory.recording, env, options, purpose="play", name=title, about=about, documents=documents
             )
             recording.warn(display.note)
         with recording or nullcontext():

@@ -1,7 +1,4 @@
-"""Run each job of a sweep in a child process, and update the index of the sweep.
-
-A launcher starts the jobs: on this machine, or through a queue (see ``sweep_queue``).
-"""
+"""Run each job of a sweep in a child process, here or in a queue (``sweep_queue``), and update the sweep's index."""
 
 from __future__ import annotations
 
@@ -21,15 +18,11 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.stop_request import StopRequest
 
-_WAIT_S = 0.2
-_PATIENCE_S = 10.0
+_WAIT_S, _PATIENCE_S = 0.2, 10.0
 
 
 class Job(Protocol):
-    """A job that was started.
-
-    ``ended`` is the last event of the job; None while the job runs, and if the job died.
-    """
+    """A job that was started. ``ended`` is the last event of the job; None while the job runs, and if the job died."""
 
     ended: Event | None
 
@@ -124,8 +117,7 @@ class SweepRunner:
         self._at_once = at_once
         if at_once > 1:
             share_cores()
-        self._display = display
-        self._stop = stop
+        self._display, self._stop = display, stop
         self._launcher: Launcher = launcher or LocalLauncher()
         self._running: dict[Job, dict[str, Any]] = {}
 
@@ -191,10 +183,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record the ended jobs in the index of the sweep.
-
-        A job that was removed from its queue before the start counts as waiting.
-        """
+        """Record ended jobs in the sweep's index; a job that left its queue before its start counts as waiting."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)

@@ -23,8 +23,7 @@ from wheelleg_exp.run.file_inventory import is_inside
 from wheelleg_exp.run.run_config import ROBOT, recorded_robot
 from wheelleg_exp.run.run_directory import RunDirectory
 
-MJCF = "robot.xml"
-REPORT = "report.json"
+MJCF, REPORT = "robot.xml", "report.json"
 _FORBIDDEN_TAGS = {
     *("include", "model", "attach", "extension", "plugin"),
     *("replicate", "composite", "flexcomp", "hfield", "texture", "skin", "size"),
@@ -46,16 +45,13 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
-    """Return the path of the MJCF in a run directory.
-
-    Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load libraries,
-    or allocate any amount of memory.
-    """
+    """Return the path of the MJCF in a run directory."""
+    # Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load
+    # libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
-        raise RunDirectoryError(
-            "the run directory contains no MJCF of the robot", key=str(path), expected="the MJCF that it was trained on"
-        )
+        message = "the run directory contains no MJCF of the robot"
+        raise RunDirectoryError(message, key=str(path), expected="the MJCF that it was trained on")
     try:
         elements = list(ElementTree.fromstring(read_bytes(path)).iter())
     except ElementTree.ParseError as error:
@@ -65,9 +61,8 @@ def saved_mjcf(directory: RunDirectory) -> Path:
             raise RunDirectoryError(f"the file holds <{element.tag}>, which no conversion writes", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
-                raise RunDirectoryError(
-                    f"the file names {value!r}, outside its folder", key=str(path), expected="files in its folder"
-                )
+                message = f"the file names {value!r}, outside its folder"
+                raise RunDirectoryError(message, key=str(path), expected="files in its folder")
     return path
 
 
@@ -107,12 +102,8 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """Raise ConfigError if overrides changed the robot of a run.
-
-    ``rule`` is the violated rule, for the error message.
-    """
+    """Raise ConfigError, with the violated ``rule``, if overrides changed the robot of a run."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
-            raise ConfigError(
-                rule, key=f"env.robot.{key}", expected="the run's own value; another robot needs a new run"
-            )
+            expected = "the run's own value; another robot needs a new run"
+            raise ConfigError(rule, key=f"env.robot.{key}", expected=expected)

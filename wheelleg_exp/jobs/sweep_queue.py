@@ -59,10 +59,7 @@ class QueueWorker:
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Stop the job with a checkpoint when its time is over (submitit calls this method).
-
-        The queue does not restart the job.
-        """
+        """Stop the job with a checkpoint when its time is over; submitit calls this method. No restart follows."""
         del folder
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
@@ -125,13 +122,9 @@ class QueuedJob:
         self.ticket: Ticket | None = None
         self.ended: Event | None = None
         self._read, self._began, self._stopped = 0, False, False
-        facts = {
-            "line": request.line().decode().rstrip("\n"),
-            "path": [str(Path(entry).absolute()) for entry in _PATH],
-            "working_directory": str(Path.cwd()),
-            "variables": variables(),
-        }
-        write_json(self.folder / REQUEST, facts)
+        path = [str(Path(entry).absolute()) for entry in _PATH]
+        facts = {"line": request.line().decode().rstrip("\n"), "path": path, "working_directory": str(Path.cwd())}
+        write_json(self.folder / REQUEST, {**facts, "variables": variables()})
 
     def events(self) -> Iterator[Event]:
         """Yield the events of the job since the last call."""
@@ -155,9 +148,7 @@ class QueuedJob:
 
     def over(self) -> bool:
         """Return whether the job ended, left the queue, or was stopped before it was submitted."""
-        if self.ticket is None:
-            return self._stopped
-        return self.ended is not None or self.ticket.gone()
+        return self._stopped if self.ticket is None else self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
         """Ask the job to stop at its next whole iteration; remove a waiting job from the queue."""
@@ -241,18 +232,13 @@ class SubmititLauncher(Queue):
         own = {f"{cluster}_{key}": settings[key] for key in _EXECUTOR_SETTINGS if key in settings}
         try:
             self._executor = submitit.AutoExecutor(folder=settings["submitit_folder"], cluster=cluster, **own)
-            parameters = {
-                key if key in _SHARED_SETTINGS else f"{cluster}_{key}": value
-                for key, value in settings.items()
-                if key not in _OTHER_SETTINGS
-            }
-            self._executor.update_parameters(**parameters)
+            keys = {key: key if key in _SHARED_SETTINGS else f"{cluster}_{key}" for key in settings}
+            chosen = {keys[key]: value for key, value in settings.items() if key not in _OTHER_SETTINGS}
+            self._executor.update_parameters(**chosen)
         except (RuntimeError, TypeError, ValueError, NameError, AssertionError) as error:
-            raise ConfigError(
-                f"submitit refuses it: {_one_line(error)[:300]}",
-                key="hydra.launcher",
-                expected="settings of hydra-submitit-launcher, on a machine that has what they ask for",
-            ) from error
+            message = f"submitit refuses it: {_one_line(error)[:300]}"
+            expected = "settings of hydra-submitit-launcher, on a machine that has what they ask for"
+            raise ConfigError(message, key="hydra.launcher", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
         """Submit all jobs as one array."""
@@ -260,11 +246,9 @@ class SubmititLauncher(Queue):
             with self._executor.batch():
                 found = [self._executor.submit(QueueWorker(), str(job.folder)) for job in jobs]
         except self._errors as error:
-            raise ConfigError(
-                f"the queue did not take the jobs: {_one_line(error)[-300:]}",
-                key="hydra.launcher",
-                expected="a partition, times and memory that the cluster has",
-            ) from error
+            message = f"the queue did not take the jobs: {_one_line(error)[-300:]}"
+            expected = "a partition, times and memory that the cluster has"
+            raise ConfigError(message, key="hydra.launcher", expected=expected) from error
         return [_SubmititTicket(each) for each in found]
 
 
@@ -307,11 +291,9 @@ class RayLauncher(Queue):
             options = {"max_retries": 0, **chosen["remote"]}  # A job that dies is reported, not restarted.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"Ray refuses it: {_one_line(error)[:300]}",
-                key="hydra.launcher.ray",
-                expected="init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus",
-            ) from error
+            message = f"Ray refuses it: {_one_line(error)[:300]}"
+            expected = "init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus"
+            raise ConfigError(message, key="hydra.launcher.ray", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
         """Submit each job as a Ray task."""
@@ -349,10 +331,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher that Hydra's group ``hydra/launcher`` names.
-
-    All machines must see the folder of the sweep.
-    """
+    """Return the launcher of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -18,21 +18,8 @@ from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
 # MKL numbers its code branches (mkl_types.h, MKL_CBWR_*).
-_BRANCHES = {
-    1: "off",
-    2: "auto",
-    3: "compatible",
-    4: "sse2",
-    6: "ssse3",
-    7: "sse4_1",
-    8: "sse4_2",
-    9: "avx",
-    10: "avx2",
-    11: "avx512_mic",
-    12: "avx512",
-    13: "avx512_mic_e1",
-    14: "avx512_e1",
-}
+_NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
+_BRANCHES = dict(enumerate(_NAMES.split(), start=1))
 _in_time: list[bool] = []  # One late call of prepare_threads marks the process for its lifetime.
 
 _STRICT = 0x10000
@@ -54,9 +41,8 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
     _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import.
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
-    reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(
-        agent, samples, wanted
-    )
+    reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
+    reasons += _uneven_activations(agent, samples, wanted)
     return {
         "torch": torch.get_num_threads(),
         "interop": torch.get_num_interop_threads(),
@@ -138,35 +124,25 @@ def _libraries() -> list[str]:
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
     """Return the number of samples over which the PPO update computes a mean."""
-    algorithm = agent.get("algorithm") or {}
-    return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
+    return (samples or 0) // max(1, int((agent.get("algorithm") or {}).get("num_mini_batches", 1)))
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
-    """Return a warning about activations whose rounding depends on the number of threads.
-
-    torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are computed
-    by scalar code, which rounds differently.
-    """
+    """Return a warning about activations whose rounding depends on the number of threads."""
+    # torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are
+    # computed by scalar code, which rounds differently.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
-    layers = {
-        int(width)
-        for role in ROLES
-        for section in [agent.get(role) or {}]
-        if str(section.get("activation", "elu")) == "elu"
-        for width in section.get("hidden_dims") or ()
-    }
-    uneven = [
-        f"{rows} x {width}" for rows in sorted(batches) for width in sorted(layers) if _splits(rows * width, threads)
-    ]
+    sections = [agent.get(role) or {} for role in ROLES]
+    elus = [section for section in sections if str(section.get("activation", "elu")) == "elu"]
+    layers = {int(width) for section in elus for width in section.get("hidden_dims") or ()}
+    pairs = [(rows, width) for rows in sorted(batches) for width in sorted(layers)]
+    uneven = [f"{rows} x {width}" for rows, width in pairs if _splits(rows * width, threads)]
     if not uneven:
         return []
-    return [
-        f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end within a vector; "
-        "1, 2, 4 or 8 threads and a multiple of 32 environments do not"
-    ]
+    text = f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end "
+    return [text + "within a vector; 1, 2, 4 or 8 threads and a multiple of 32 environments do not"]
 
 
 def _splits(numbers: int, threads: int) -> bool:
@@ -184,13 +160,10 @@ def _thread_dependence(mkl: Mapping[str, Any] | None, device: str, largest_mean:
     elif not mkl["strict"] or mkl["branch"] in _THREADED_BRANCHES:
         variable = os.environ.get("MKL_CBWR", "not set")
         state = f"{mkl['branch']}{', strict' if mkl['strict'] else ', not strict'}"
-        reasons.append(
-            f"MKL is not in its repeatable mode (it is {state}; MKL_CBWR is {variable}; it must be AVX2,STRICT or the "
-            "like before torch multiplies its first matrices)"
-        )
+        need = "it must be AVX2,STRICT or the like before torch multiplies its first matrices"
+        reasons.append(f"MKL is not in its repeatable mode (it is {state}; MKL_CBWR is {variable}; {need})")
     if largest_mean > SPLIT_ABOVE:
-        reasons.append(
-            f"torch adds up more than {SPLIT_ABOVE} numbers in parts, one a thread, and a minibatch has {largest_mean} "
-            "samples; a higher agent.algorithm.num_mini_batches makes it smaller"
-        )
+        hint = "a higher agent.algorithm.num_mini_batches makes it smaller"
+        size = f"a minibatch has {largest_mean} samples; {hint}"
+        reasons.append(f"torch adds up more than {SPLIT_ABOVE} numbers in parts, one a thread, and {size}")
     return reasons

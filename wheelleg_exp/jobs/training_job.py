@@ -1,7 +1,4 @@
-"""Train, resume, or evaluate in a child process: the request, the process that serves it, and its parent's side.
-
-Each job of a sweep and each step of a pipeline is such a process.
-"""
+"""Train, resume, or evaluate in a child process (a job of a sweep, a step of a pipeline): request and both sides."""
 
 from __future__ import annotations
 
@@ -29,20 +26,16 @@ _BOOT = (
 
 @dataclass(frozen=True)
 class JobRequest:
-    """A request to train a new run, or to resume or evaluate a run.
-
-    ``command`` is the equivalent command line, for the manifest. ``digest`` is the digest of the checked
-    config of a training, and ``root`` the folder of all runs.
-    """
+    """A request to train a new run, or to resume or evaluate a run."""
 
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]
-    digest: str = ""
+    command: list[str]  # the equivalent command line, for the manifest
+    digest: str = ""  # of the checked config of a training
     run: str = ""
     checkpoint: str = ""
-    root: str = "runs"
+    root: str = "runs"  # the folder of all runs
 
     def line(self) -> bytes:
         """Return the request as one line of JSON."""
@@ -50,10 +43,7 @@ class JobRequest:
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that serves a job, with this Python interpreter.
-
-    ``path`` is the import path of the child process, by default ``sys.path``.
-    """
+    """Return the command of a child process that serves a job; ``path`` is its import path (default ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
@@ -81,10 +71,8 @@ def _train(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     folders = with_current([Path(folder) for folder in request.config_dirs])
     composed = compose_valid(request.overrides, config_dirs=folders)
     if digest_of(composed) != request.digest:
-        raise ConfigError(
-            "the config files have changed since the sweep was checked",
-            expected="files that do not change until the last job has started",
-        )
+        message = "the config files have changed since the sweep was checked"
+        raise ConfigError(message, expected="files that do not change until the last job has started")
 
     from wheelleg_exp.jobs.train.prepare_training import prepare
     from wheelleg_exp.jobs.train.run_training import run
@@ -120,19 +108,12 @@ def _evaluate(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     from wheelleg_exp.packages import with_current
     from wheelleg_exp.run.run_directory import RunDirectory
 
-    run = RunDirectory.open(request.run, request.root)
-
-    def check_stop(_test: str, _done: int, _total: int) -> None:
-        stop.check()
-
-    folders = with_current([Path(folder) for folder in request.config_dirs])
-    made = evaluate_run(run, run.inside(request.checkpoint), request.overrides, request.command, check_stop, folders)
-    pipe.send(
-        "evaluated",
-        folder=made.folder.relative_to(run.path).as_posix(),
-        metrics={name: figure["value"] for name, figure in made.content["metrics"].items()},
-        scenarios_sha256=made.content["scenarios_sha256"],
-    )
+    run, folders = RunDirectory.open(request.run, request.root), [Path(folder) for folder in request.config_dirs]
+    words, checkpoint = request.overrides, run.inside(request.checkpoint)
+    made = evaluate_run(run, checkpoint, words, request.command, lambda *_: stop.check(), with_current(folders))
+    metrics = {name: figure["value"] for name, figure in made.content["metrics"].items()}
+    folder, scenarios = made.folder.relative_to(run.path).as_posix(), made.content["scenarios_sha256"]
+    pipe.send("evaluated", folder=folder, metrics=metrics, scenarios_sha256=scenarios)
 
 
 if __name__ == "__main__":

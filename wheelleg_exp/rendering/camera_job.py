@@ -22,17 +22,14 @@ _HIDDEN = 5  # MuJoCo does not draw this geom group.
 
 @dataclass(frozen=True)
 class CameraOrder:
-    """A camera of a compiled scene to draw, with the picture's size, px, and the clipping range along its axis, m.
-
-    A layer has colours, distances along the camera's axis, m (inf without a surface), or geom ids (-1 without a geom).
-    """
+    """A camera of a compiled scene to draw, with the picture's size, px, and the clipping range along its axis, m."""
 
     model: Any
     camera: str
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]
+    layers: Sequence[Layer]  # colours, distances along the axis, m (inf: no surface), or geom ids (-1: none)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,4 @@
-"""Pictures of running simulations and of camera sensors.
-
-All pictures are drawn from copied positions, so that drawing never changes the simulation.
-"""
+"""Pictures of running simulations and camera sensors, drawn from copied positions, so nothing changes them."""
 
 from __future__ import annotations
 
@@ -59,10 +56,7 @@ class LivePictures:
 
 
 class CameraPictures:
-    """Draws the pictures of one camera of a compiled scene (see ``CameraOrder``).
-
-    The drawing process starts with the first picture and stops when this object is deleted.
-    """
+    """Draws one camera's pictures (see ``CameraOrder``) in a process from the first picture until deletion."""
 
     def __init__(
         self,
@@ -85,8 +79,7 @@ class CameraPictures:
         order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]
         pixels = order.width * order.height
         row = np.dtype([(layer, kind, (pixels * channels,)) for layer, channels, kind in forms])
-        data = self._worker.ask(Poses(qpos.double().cpu().numpy()), row.itemsize * len(qpos))
-        rows = np.frombuffer(data, dtype=row)
+        rows = np.frombuffer(self._worker.ask(Poses(qpos.double().cpu().numpy()), row.itemsize * len(qpos)), dtype=row)
         size = (len(qpos), order.height, order.width)
         return {
             layer: torch.from_numpy(rows[layer].copy()).reshape(*size, channels).to(qpos.device)

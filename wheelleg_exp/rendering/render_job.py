@@ -1,7 +1,4 @@
-"""Draw views of a scene in a worker process.
-
-Drawing needs its own process: a graphics driver may abort it, and MuJoCo chooses its backend when imported.
-"""
+"""Draw views of a scene in a worker process, which a graphics driver may abort; MuJoCo's backend is set at import."""
 
 from __future__ import annotations
 

@@ -19,21 +19,16 @@ FAR = 1e6  # m; objects beyond this distance are not drawn
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh.
-
-    ``size`` has half edges of a box, m, or the radius and half length of a cylinder or capsule; a mesh has an empty
-    ``size``. ``quat`` is wxyz, ``rgba`` is 0 to 1. A mesh has vertices (n, 3), m, triangles ``faces`` (m, 3), and
-    normals (n, 3) or None.
-    """
+    """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    size: tuple[float, ...]
+    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; empty for a mesh
     pos: tuple[float, ...]
-    quat: tuple[float, ...]
-    rgba: tuple[float, ...]
-    vertices: NDArray[np.float64] | None = None
-    faces: NDArray[np.int64] | None = None
-    normals: NDArray[np.float64] | None = None
+    quat: tuple[float, ...]  # wxyz
+    rgba: tuple[float, ...]  # 0 to 1
+    vertices: NDArray[np.float64] | None = None  # of a mesh, (n, 3), m
+    faces: NDArray[np.int64] | None = None  # triangles (m, 3)
+    normals: NDArray[np.float64] | None = None  # (n, 3)
 
     def corners(self) -> Array:
         """Return the corners of a box around the shape, (n, 3), m, in the body's frame."""
@@ -69,26 +64,19 @@ class Ground:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene to draw: the shapes of each moving body by name, the ``fixed`` shapes, and the ground, if any.
-
-    The camera follows the body ``root``; ``size`` is the approximate height of the robot, m.
-    """
+    """A scene to draw: the shapes of each moving body by name, the ``fixed`` shapes, and the ground, if any."""
 
     bodies: Mapping[str, Sequence[Shape]]
     fixed: Sequence[Shape]
     ground: Ground | None
-    root: int
-    size: float
+    root: int  # the body that the camera follows
+    size: float  # approximate height of the robot, m
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
     """Return points (n, 3), m, that enclose the robot, for poses (B, 3) and (B, 4) of the bodies."""
-    found = [
-        rotated(quat[b], np.concatenate([shape.corners() for shape in shapes])) + pos[b]
-        for b, shapes in enumerate(scene.bodies.values())
-        if shapes
-    ]
-    return np.concatenate(found)
+    corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
+    return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
 AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as in MuJoCo's camera
@@ -100,8 +88,7 @@ def camera_distance(cloud: Array, aspect: float) -> float:
     """Return the camera's distance at which points around the origin fill the robot's share of the picture."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
-    wide = tall * aspect
-    return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / wide, np.abs(cloud @ up) / tall)))
+    return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / (tall * aspect), np.abs(cloud @ up) / tall)))
 
 
 def camera_axes() -> tuple[Array, Array, Array]:

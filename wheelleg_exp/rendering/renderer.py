@@ -22,11 +22,9 @@ def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
     """Return the error for more environments than a camera's ``max_num_envs``, or None."""
     if num_envs <= limit:
         return None
-    return ConfigError(
-        f"{num_envs} environments would be drawn one after another at every reading",
-        key=f"{sensor_key}.max_num_envs",
-        expected=f"env.num_envs at most {limit}, or a higher limit here; a RayCasterCamera is fast for many",
-    )
+    message = f"{num_envs} environments would be drawn one after another at every reading"
+    expected = f"env.num_envs at most {limit}, or a higher limit here; a RayCasterCamera is fast for many"
+    return ConfigError(message, key=f"{sensor_key}.max_num_envs", expected=expected)
 
 
 BACKENDS = ("egl", "osmesa")
@@ -64,8 +62,7 @@ class Drawing:
 
     def draw(self, view: View) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3); SimulationFailure if the graphics driver failed."""
-        data = self._worker.ask(view, int(np.prod(self._size)))
-        return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
+        return np.frombuffer(self._worker.ask(view, int(np.prod(self._size))), dtype=np.uint8).reshape(self._size)
 
 
 @contextmanager

@@ -16,12 +16,9 @@ from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
 VISUAL_GROUP = 2  # By MuJoCo's convention, this group contains visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SOLIDS = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
-}
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # how many sizes a solid has
+_KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
+_SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _TILES_PER_HEIGHT = 2.0
 
@@ -46,8 +43,7 @@ def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
 
 
 def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
-    found = (shape_of(model, geom) for geom in body_geoms(model, body)[0])
-    return [shape for shape in found if shape is not None]
+    return [shape for shape in (shape_of(model, geom) for geom in body_geoms(model, body)[0]) if shape is not None]
 
 
 def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
@@ -79,10 +75,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to draw, and its colliders if the colliders differ from the geoms to draw.
-
-    A body without geoms in the visual group is drawn by its colliders.
-    """
+    """Return a body's geoms to draw (its visual group, else its colliders), and its colliders if they differ."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -151,7 +144,12 @@ class Kinematics:
     def height(self, root: int, qpos: Array) -> float:
         """Return the height of the robot with the root body ``root`` at ``qpos``, m; at least 0.01."""
         self.update(qpos)
-        below = np.flatnonzero(np.isin(self._model.geom_bodyid, tree_bodies(self._model, root))).tolist()
+        # Return the body ``root`` and all bodies below it.
+        bodies = [root]
+        for body in range(root + 1, self._model.nbody):
+            if int(self._model.body_parentid[body]) in bodies:
+                bodies.append(body)
+        below = np.flatnonzero(np.isin(self._model.geom_bodyid, bodies)).tolist()
         geoms = [g for g in below if not is_plane(self._model, g)]
         if not geoms:
             return 0.1
@@ -159,26 +157,10 @@ class Kinematics:
         return max(float((centre + radius).max() - (centre - radius).min()), 0.01)
 
 
-def tree_bodies(model: mujoco.MjModel, root: int) -> list[int]:
-    """Return the body ``root`` and all bodies below it."""
-    bodies = [root]
-    for body in range(root + 1, model.nbody):
-        if int(model.body_parentid[body]) in bodies:
-            bodies.append(body)
-    return bodies
-
-
 RIG = "rig"
 _FINE_SHADOWS_FROM = 800  # px
 _FLOOR_LIGHT, _FLOOR_DARK = (0.80, 0.815, 0.83), (0.70, 0.725, 0.75)
 _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
-_KINDS = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
-}
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
@@ -262,12 +244,9 @@ def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
     a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)
     if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
         return False
-    mesh = spec.add_mesh(
-        name=name,
-        uservert=shape.vertices.ravel(),
-        userface=shape.faces.ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
+    vertices, faces = shape.vertices.ravel(), shape.faces.ravel()
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    mesh = spec.add_mesh(name=name, uservert=vertices, userface=faces, inertia=shell)
     if shape.normals is not None:
         mesh.usernormal = shape.normals.ravel()
     return True

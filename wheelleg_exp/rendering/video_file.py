@@ -56,10 +56,7 @@ def write(
 
 
 def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return a video stream and its codec's name.
-
-    The codec is H.264, or MPEG-4 if PyAV has no H.264 encoder.
-    """
+    """Return a video stream and its codec's name. The codec is H.264, or MPEG-4 if PyAV has no H.264 encoder."""
     import av
 
     for codec in _CODECS:

@@ -13,12 +13,8 @@ from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # A card is green from 95 % survival and yellow from 50 %.
-_TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
-
-
-def tone(subject: Subject) -> Tone:
-    """Return the colour tone in which the report shows a run's status."""
-    return _TONES.get(subject.status, "")
+# The colour tone in which the report shows the status of a run.
+TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def played(subject: Subject) -> dict[str, Any]:
@@ -54,10 +50,8 @@ def done(subject: Subject) -> int:
 
 
 def seconds(subject: Subject) -> float | None:
-    """Return the duration of the training, s, from its results or from its start and end.
-
-    The time between a stop and a resume is unknown, so the duration of a resumed run is None.
-    """
+    """Return the duration of the training, s, from its results or from its start and end."""
+    # The time between a stop and a resume is unknown, so the duration of a resumed run is None.
     if subject.manifest.get("resumes"):
         return None
     kept = (subject.manifest.get("results") or {}).get("seconds")
@@ -87,10 +81,8 @@ def time_outs(subject: Subject) -> list[str]:
 
 
 def reached_end(subject: Subject) -> float | None:
-    """Return the share of environments whose last training episode reached the time-out and did not fail.
-
-    Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
-    """
+    """Return the share of environments whose last training episode reached the time-out and did not fail."""
+    # Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
         survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]
@@ -227,7 +219,6 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
     robot = f"{asset} ({profile})" if asset and profile else str(asset or choices.get("robot") or "")
     seeds = manifest.get("seeds") or [subject.config.get("seed")]
     envs, step = subject.setting("env.num_envs"), subject.step_s
-    hardware = manifest.get("hardware") or {}
     rows = [
         ("Task", subject.task),
         ("Robot", robot),
@@ -236,7 +227,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
         ("Seed", ", ".join(str(seed) for seed in seeds if seed is not None)),
         ("Started", moment(manifest["started"]) if manifest.get("started") else ""),
         ("Ended", moment(manifest["ended"]) if manifest.get("ended") else ""),
-        ("Machine", str(hardware.get("cpu") or "")),
+        ("Machine", str((manifest.get("hardware") or {}).get("cpu") or "")),
     ]
     return [(name, value) for name, value in rows if value]
 

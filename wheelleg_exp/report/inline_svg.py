@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from wheelleg_exp.inspection.plot_style import Panel
 
-
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _SHAPES = """
     svg g defs clipPath path rect circle ellipse line polyline polygon text tspan title desc use marker symbol

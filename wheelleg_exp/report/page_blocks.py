@@ -22,15 +22,12 @@ class Card:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table; ``bar`` is a share in -1 … 1 that is drawn as a bar behind the text, or None.
-
-    ``number`` aligns the text to the right, with digits of equal width. ``code`` marks code and digests.
-    """
+    """One cell of a table."""
 
     text: str
-    number: bool = False
-    code: bool = False
-    bar: float | None = None
+    number: bool = False  # aligned to the right, with digits of equal width
+    code: bool = False  # marks code and digests
+    bar: float | None = None  # a share in -1 … 1, drawn as a bar behind the text
     tone: Tone = ""
 
 
@@ -73,15 +70,12 @@ class Facts:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a report page; the first cell of a row is the heading of the row.
-
-    ``titled`` is false if the table's title is hidden, because a heading above the table replaces the title.
-    """
+    """A table of a report page; the first cell of a row is the heading of the row."""
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True
+    titled: bool = True  # false if a heading above the table replaces the title
 
 
 @dataclass(frozen=True)

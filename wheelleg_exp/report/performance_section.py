@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.recording_summary import Summary
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
-
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
 _HIGH, _FULL = 0.01, 0.1  # A cell is yellow or red from 1 % or 10 % of the time at the effort limit.
@@ -81,13 +80,8 @@ def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
 def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
     touched = [force for force in forces if force.contact_share > 0]
     rows = [
-        [
-            Cell(force.body, code=True),
-            Cell(number(force.mean_n), number=True),
-            Cell(number(force.largest_n), number=True),
-            Cell(percent(force.contact_share), bar=force.contact_share),
-        ]
-        for force in touched
+        [Cell(f.body, code=True), *_numbers(f.mean_n, f.largest_n), Cell(percent(f.contact_share), bar=f.contact_share)]
+        for f in touched
     ]
     columns = ("Body", *map(capital, recorded_headings("contact forces", "mean_n", "largest_n", "contact_share")))
     what = "mean and contact at the end of steps, largest in the sensor's history"
@@ -95,18 +89,16 @@ def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
 
 
 def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
-    rows = [
-        [
-            Cell(use.joint, code=True),
-            Cell(number(use.rms), number=True),
-            Cell(number(use.largest), number=True),
-            Cell(exact(use.limit), number=True),
-            _saturated(use.saturated_share),
-        ]
-        for use in efforts
-    ]
+    rows = []
+    for use in efforts:
+        ends = [Cell(exact(use.limit), number=True), _saturated(use.saturated_share)]
+        rows.append([Cell(use.joint, code=True), *_numbers(use.rms, use.largest), *ends])
     columns = ("Joint", *map(capital, recorded_headings("efforts")))
     return [Table("Efforts of the joints", columns, rows)] if rows else []
+
+
+def _numbers(*values: float) -> list[Cell]:
+    return [Cell(number(value), number=True) for value in values]
 
 
 def _saturated(share: float | None) -> Cell:
@@ -224,8 +216,7 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
     steps, settled = figures.get("settled_steps"), figures.get("settled_episodes")
     if key in ("drift_m", "yaw_drift_deg"):
         return counted(settled, "episode") if isinstance(settled, int) else ""
-    is_settled = key.startswith(("height_", "pitch_")) or key in MOTION
-    if is_settled and isinstance(steps, int) and isinstance(settled, int):
+    if (key.startswith(("height_", "pitch_")) or key in MOTION) and isinstance(steps, int) and isinstance(settled, int):
         return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
     return ""
 
@@ -241,8 +232,7 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
     ]
     # Old plays count an episode once for each termination term that ended the episode.
     twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
-    title = f"How its {counted(count, 'ended episode')} ended{twice}"
-    return [Table(title, ("Ended by", "Episodes", "Share"), rows)]
+    return [Table(f"How its {counted(count, 'ended episode')} ended{twice}", ("Ended by", "Episodes", "Share"), rows)]
 
 
 def _plays(subject: Subject) -> list[Block]:
@@ -289,15 +279,8 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
-_TITLES = {
-    "stand": "Standing",
-    "walk": "Following commands",
-    "steps": "Steps of the command",
-    "push": "Pushes",
-    "terrain": "Rough ground",
-    "strip": "Onto rough ground and off it",
-    "robust": "A changed world",
-}
+_TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
+_TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
 _SHOWN_FIRST = 12  # The less important metrics of a test are in a collapsed block.
 
 
@@ -370,11 +353,8 @@ def _row(name: str, figure: Mapping[str, Any], reference: Mapping[str, Any] | No
     ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
     value = _scaled_figure(figure.get("value"), factor)
     shown = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
-    cells = [
-        Cell(capital(spoken(name.partition("/")[2]))),
-        Cell(shown, number=True),
-        Cell("–" if "–" in ends else " to ".join(ends), number=True),
-    ]
+    interval = Cell("–" if "–" in ends else " to ".join(ends), number=True)
+    cells = [Cell(capital(spoken(name.partition("/")[2]))), Cell(shown, number=True), interval]
     return cells if reference is None else [*cells, Cell(_scaled_figure(reference.get(name), factor), number=True)]
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.inspection.recording_pictures import Scenery
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
-
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
 _FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the last, and the play's episode.
@@ -32,16 +31,13 @@ _FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the las
 
 @dataclass(frozen=True)
 class Episode:
-    """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it.
-
-    ``is_whole`` is true if the episode was recorded from its start to its end.
-    """
+    """A recorded episode: the simulated time of its first and last row, s, and the terminations that ended it."""
 
     start: float
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool
+    is_whole: bool  # recorded from its start to its end
 
     @property
     def seconds(self) -> float:
@@ -51,13 +47,10 @@ class Episode:
 
 @dataclass
 class Look:
-    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read.
-
-    ``pictures`` is true if the report shows pictures of the robot.
-    """
+    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read."""
 
     subject: Subject
-    pictures: bool = True
+    pictures: bool = True  # whether the report shows pictures of the robot
     _missing: str | None = field(default=None, init=False)
     _sceneries: dict[Path, Scenery] = field(default_factory=dict, init=False)
 
@@ -93,11 +86,8 @@ class Look:
             return []
         if isinstance(recording, WheellegError):
             return [Note(f"The recording cannot be shown: {recording}.")]
-        return [
-            *health(recording),
-            *self._strip(recording, _PLAY, "The agent" if self.subject.status == AGENT else "The play"),
-            *standing.motion(recording),
-        ]
+        label = "The agent" if self.subject.status == AGENT else "The play"
+        return [*health(recording), *self._strip(recording, _PLAY, label), *standing.motion(recording)]
 
     def of_training(self) -> list[Block]:
         """Return the pictures of the first and the last recorded training episode."""
@@ -173,12 +163,10 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode that the pictures show, and the sample of this episode.
-
-    ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the page
-    lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without complete
-    episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
-    """
+    """Return the episode that the pictures show, and the sample of this episode."""
+    # ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the
+    # page lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without
+    # complete episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):

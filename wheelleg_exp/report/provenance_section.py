@@ -23,7 +23,6 @@ from wheelleg_exp.run.source_snapshot import source_entries
 if TYPE_CHECKING:
     from wheelleg_exp.verify import Check, RunFindings
 
-
 _LISTED, _FINDINGS = 40, 200
 _THREADS = {
     "torch": "Threads of torch",
@@ -140,8 +139,7 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
         if key in numerics:
             value = numerics[key]
             rows.append((name, ("yes" if value else "no") if isinstance(value, bool) else brief(value)))
-    libraries = numerics.get("libraries") or []
-    return [*rows, *(("Library", str(line)) for line in libraries if isinstance(line, str))]
+    return [*rows, *(("Library", str(line)) for line in numerics.get("libraries") or [] if isinstance(line, str))]
 
 
 def robot(subject: Subject) -> list[Block]:
@@ -187,18 +185,15 @@ def resumes(subject: Subject) -> list[Block]:
         ]
         for entry in entries
     ]
-    columns = ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped")
-    return [Table("Resumes", columns, rows)]
+    return [Table("Resumes", ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped"), rows)]
 
 
 def files(subject: Subject) -> list[Block]:
     """Return a table of every file in the run's manifest with its size and digest; reports are omitted."""
     if subject.run is None:
         return [Note("An agent's run keeps no record of its files.", "")]
-    records = dict(subject.run.manifest().recorded_files())
-    for entry in subject.additions(KIND):
-        for name in entry.get("files", {}):
-            records.pop(name, None)
+    own, every = _reports(subject), subject.run.manifest().recorded_files()
+    records = {name: record for name, record in every.items() if name not in own}
     total = sum(record["size"] for record in records.values())
     rows = [
         [Cell(name, code=True), Cell(size(record["size"]), number=True), Cell(record["sha256"], code=True)]
@@ -227,17 +222,13 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 
 @dataclass(frozen=True)
 class Repeat:
-    """Another run that should be bitwise equal to the reported run, and the result of the comparison.
+    """Another run that should be bitwise equal to the reported run, and the result of the comparison."""
 
-    ``label`` is the other run's task and id. ``how`` is ``replay``, ``original``, or ``same settings``. ``verdict`` is
-    the verdict of the comparison, or the reason why the runs were not compared. ``lines`` is the whole comparison.
-    """
-
-    label: str
-    how: str
-    verdict: str
+    label: str  # the other run's task and id
+    how: str  # ``replay``, ``original``, or ``same settings``
+    verdict: str  # of the comparison, or ``not compared``
     reason: str
-    lines: Sequence[str]
+    lines: Sequence[str]  # the whole comparison
 
 
 @dataclass(frozen=True)
@@ -348,12 +339,11 @@ def _repeated(verdict: Verdict) -> list[Block]:
 
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
     known = str(subject.manifest.get("id") or run.id)
-    kinds = {
+    for how, folders in {
         "original": _original(run, subject),
         "replay": _replays(run, known),
         "same settings": _equals(run, subject),
-    }
-    for how, folders in kinds.items():
+    }.items():
         yield from (_compared(run, folder, how) for folder in folders[-_COMPARED:])
 
 

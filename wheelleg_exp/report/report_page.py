@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -34,11 +35,7 @@ MARK = '<meta name="wheelleg-report" content="'
 
 
 def render_page(page: Page) -> str:
-    """Return the report page as HTML text.
-
-    No value can run a script: the templates escape all values, and the page's content security policy forbids scripts
-    and external resources.
-    """
+    """Return the report page as HTML; the templates escape all values, and the page forbids scripts and other hosts."""
     environment = Environment(
         loader=PackageLoader("wheelleg_exp.report"),
         autoescape=True,
@@ -64,10 +61,8 @@ def report_path(subject: Subject, output: Path | None) -> Path:
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")
     if (path.exists() or path.is_symlink()) and not (_is_report(path, subject.id) or _is_own(subject, path)):
-        raise RunDirectoryError(
-            f"'{path}' exists and is not a report of this run, so it is not overwritten",
-            expected="-o with another name",
-        )
+        message = f"'{path}' exists and is not a report of this run, so it is not overwritten"
+        raise RunDirectoryError(message, expected="-o with another name")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     # Creating a temporary file raises an error early if the user cannot write into the folder.
     with for_people(path), tempfile.TemporaryFile(dir=folder):
@@ -113,7 +108,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         run=subject.id,
         task=subject.task,
         status=subject.status,
-        tone=headline.tone(subject),
+        tone=headline.TONES.get(subject.status, ""),
         sentence=_or(lambda: whole_units(headline.sentence(subject)), unknown),
         cards=_or(lambda: headline.cards(subject, verdict.card), [verdict.card] if verdict.card else []),
         facts=_or(lambda: headline.facts(subject), []),
@@ -138,11 +133,7 @@ def _sections(subject: Subject, look: Look, verdict: Verdict) -> list[Section]:
     if subject.status == AGENT:
         return [played, _settings(subject)]
     curves = (lambda: learning.first_curves(subject), look.of_training, lambda: learning.more_curves(subject))
-    origin = (
-        lambda: provenance.source(subject),
-        lambda: provenance.machine(subject),
-        lambda: provenance.robot(subject),
-    )
+    origin = [partial(part, subject) for part in (provenance.source, provenance.machine, provenance.robot)]
     files = (lambda: provenance.resumes(subject), lambda: provenance.files(subject))
     found = [played]
     if _or(lambda: standing.evaluated(subject), False):
@@ -172,10 +163,7 @@ def _lead(subject: Subject) -> str:
 
 
 def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
-    """Return a section of the report page.
-
-    If a builder raises an error, the section contains one sentence about the error.
-    """
+    """Return a section of the report page; an error of a builder becomes one sentence in the section."""
     blocks: list[Block] = []
     for builder in builders:
         try:

@@ -35,25 +35,19 @@ class Series:
 
 @dataclass
 class Subject:
-    """One training run, or one run of a deployed agent.
-
-    ``run`` is None for an agent's run, which has no manifest. ``status`` is the status in the manifest, ``crashed``, or
-    ``agent``. ``config`` contains the saved config sections ``env`` and ``agent`` without interpolations. ``overrides``
-    are the user's Hydra overrides; None if unknown. ``choices`` are Hydra's saved choices of config groups (``task``,
-    ``robot``, …). ``problems`` are sentences about unreadable files.
-    """
+    """One training run, or one run of a deployed agent."""
 
     path: Path
-    run: RunDirectory | None
+    run: RunDirectory | None  # None for an agent's run, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT
-    config: dict[str, Any] = field(default_factory=dict)
-    overrides: list[str] | None = None
-    choices: dict[str, Any] = field(default_factory=dict)
+    status: str = AGENT  # of the manifest, ``crashed``, or ``agent``
+    config: dict[str, Any] = field(default_factory=dict)  # sections ``env`` and ``agent`` without interpolations
+    overrides: list[str] | None = None  # the user's Hydra overrides; None if unknown
+    choices: dict[str, Any] = field(default_factory=dict)  # Hydra's choices of config groups (``task``, …)
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
     agent_figures: dict[str, Any] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)  # sentences about unreadable files
 
     @property
     def id(self) -> str:
@@ -87,8 +81,7 @@ class Subject:
     def file(self, name: str) -> Path | None:
         """Return a file in the run directory by its name; None for a missing file or an outside link."""
         path = self.path / name
-        inside = path.resolve().is_relative_to(self.path.resolve())
-        return path if inside and path.is_file() else None
+        return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
         """Return the result of ``read``; if ``read`` fails, add the reason to ``problems`` and return ``instead``."""

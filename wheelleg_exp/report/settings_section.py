@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.config.composing.provenance import Mount
 
-
 _PARTS = ("env", "agent")
-_NOT_SET = "not set"
-_THEN = "the configs at the time of the run"
+_NOT_SET, _THEN = "not set", "the configs at the time of the run"
 _ROWS = 200
 _NOT_COMPOSED = ("hydra", "${", "..")
 _LETTERS = 20_000
@@ -80,8 +78,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     for part in _PARTS:
         if subject.config.get(part):
             for change in changes(default.config.get(part), subject.config[part], same, (part,)):
-                one_sided = ABSENT in (change.a, change.b)
-                origin = _origin(again, mounts, change.keys, change.b, one_sided)
+                origin = _origin(again, mounts, change.keys, change.b, ABSENT in (change.a, change.b))
                 yield Setting(change.key, _shown(change.a), _shown(change.b), origin)
 
 

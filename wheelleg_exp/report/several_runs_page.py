@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from wheelleg_exp.inspection.plot_style import Panel
 
-
 # Runs in one group can differ in these keys: seeds, names, and output options.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
@@ -88,8 +87,7 @@ def sentence(groups: Sequence[Group]) -> str:
     If the settings change the meaning of a return, the sentence compares the training's time-out shares, or else the
     survival in the last plays.
     """
-    runs = sum(len(group.runs) for group in groups)
-    text = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
+    text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
         return text
     other = next((key for key in groups[0].settings if _below(key, _MEASURE)), None)
@@ -165,9 +163,8 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for i, group in enumerate(groups):
-            at, mean, deviation = course(
-                [(run.scalars[key].at, run.scalars[key].values) for run in group.runs if key in run.scalars]
-            )
+            series = [run.scalars[key] for run in group.runs if key in run.scalars]
+            at, mean, deviation = course([(one.at, one.values) for one in series])
             if len(at):
                 axes.plot(at, mean, color=colour(i), label=group.label, marker="." if len(at) < 15 else None)
                 axes.fill_between(at, mean - deviation, mean + deviation, color=colour(i), alpha=0.2, linewidth=0)
@@ -213,8 +210,7 @@ def members(groups: Sequence[Group]) -> list[Block]:
         for group in groups
         for run in group.runs
     ]
-    columns = ["run", "setting", "seed", "status", "iterations", *_FIGURES]
-    table = Table("The runs", columns, rows, titled=False)
+    table = Table("The runs", ["run", "setting", "seed", "status", "iterations", *_FIGURES], rows, titled=False)
     return [table, Code("wheelleg report RUN", "a page about one of them")]
 
 

@@ -76,8 +76,7 @@ def reward_blocks(subject: Subject) -> list[Block]:
         rows.append([Cell(str(name), code=True), Cell(exact(node.get("weight")), number=True), share])
         if isinstance(term, Mapping):
             own = ", ".join(f"{key}: {brief(value)}" for key, value in term.items() if key not in _RESERVED)
-            texts = (str(name), str(term.get("_target_", "")), own)
-            parameters.append([Cell(text, code=True) for text in texts])
+            parameters.append([Cell(text, code=True) for text in (str(name), str(term.get("_target_", "")), own)])
     rows.sort(key=lambda row: -abs(row[-1].bar or 0.0))
     length = subject.setting("env.episode_length_s")
     longest = f"{exact(length)} s" if isinstance(length, (int, float)) else "longest episode's seconds"

@@ -64,9 +64,7 @@ def duration(seconds: Any) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s" if rest else f"{minutes} min"
     hours, minutes = divmod(minutes, 60)
-    if hours < 48:
-        return f"{hours} h {minutes} min"
-    return f"{hours // 24} d {hours % 24} h"
+    return f"{hours} h {minutes} min" if hours < 48 else f"{hours // 24} d {hours % 24} h"
 
 
 def size(octets: Any) -> str:
@@ -83,9 +81,7 @@ def size(octets: Any) -> str:
 
 def moment(text: Any) -> str:
     """Return a manifest's time to the second: ``2026-01-31 17:05:09 UTC``."""
-    if not isinstance(text, str) or len(text) < 19:
-        return "–"
-    return f"{text[:10]} {text[11:19]} UTC"
+    return "–" if not isinstance(text, str) or len(text) < 19 else f"{text[:10]} {text[11:19]} UTC"
 
 
 def brief(value: Any) -> str:

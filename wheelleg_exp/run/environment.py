@@ -70,8 +70,7 @@ def hardware() -> dict[str, Any]:
     """
     memory = None
     with suppress(OSError):
-        text = Path("/proc/meminfo").read_text(errors="replace")
-        memory = re.search(r"^MemTotal:\s+(\d+) kB", text, re.MULTILINE)
+        memory = re.search(r"^MemTotal:\s+(\d+) kB", Path("/proc/meminfo").read_text(errors="replace"), re.MULTILINE)
     facts: dict[str, Any] = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -110,8 +109,7 @@ def replay_environ(
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
-    taken = {name: value for name, value in recorded.items() if _is_numeric(name, value) or name in also}
-    return unchanged | taken
+    return unchanged | {name: value for name, value in recorded.items() if _is_numeric(name, value) or name in also}
 
 
 def _is_numeric(name: str, value: str) -> bool:
@@ -124,10 +122,8 @@ def requested_variables(texts: Iterable[str]) -> list[str]:
 
 
 def distributions() -> list[str]:
-    """Return ``name==version`` of every installed distribution, sorted, including local version labels.
-
-    A distribution that was not installed from an index has a comment with its origin.
-    """
+    """Return ``name==version`` of every installed distribution, sorted, including local version labels."""
+    # A distribution that was not installed from an index has a comment with its origin.
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
         # Read only the header of each metadata file, because parsing 100 descriptions takes 1 s.

@@ -26,27 +26,20 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """The differences between a run's files and its manifest, as sorted relative paths.
+    """The differences between a run's files and its manifest, as sorted relative paths."""
 
-    The attribute ``links`` lists symbolic links that the manifest does not name. A recorded file that was replaced by a
-    link is listed in ``missing``.
-    """
-
-    missing: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)  # also files that were replaced by a link
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)  # symbolic links that the manifest does not name
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return the record of every file at or below ``directory``, by the file's relative path with forward slashes.
-
-    The manifest, lock files, and unfinished temporary files are left out.
-    """
+    """Return records of files at or below ``directory`` by relative path, without manifest, locks, and temporaries."""
     return record_files(directory, _files(directory))
 
 
@@ -79,11 +72,9 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 
 
 def odd_entries(directory: Path) -> dict[str, str]:
-    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name.
-
-    A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
-    disappear are ignored.
-    """
+    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name."""
+    # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
+    # disappear are ignored.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):

@@ -27,14 +27,8 @@ _MISLEADING = (
 )
 
 # Without these settings, a git command can write into the repository or run a user-defined program.
-_SETTINGS = {
-    "core.fsmonitor": "false",
-    "core.splitIndex": "false",
-    "core.untrackedCache": "false",
-    "core.hooksPath": os.devnull,
-    "core.safecrlf": "false",
-    "gc.auto": "0",
-}
+_SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedCache", "core.safecrlf"), "false")
+_SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 
 # Git must neither prompt nor download the objects that a partial clone lacks. The repository's settings name the
 # program that downloads these objects, and that program cannot be trusted.
@@ -51,15 +45,11 @@ class GitMissing(GitError):
 
 @dataclass(frozen=True)
 class Repository:
-    """A git working tree: its top folder, and the environment of the git commands that run in this folder.
-
-    The argument ``environ`` contains additional environment variables, such as the path of a temporary index. The
-    argument ``settings`` overrides the git settings of the repository and of the user.
-    """
+    """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)
-    settings: dict[str, str] = field(default_factory=dict)
+    environ: dict[str, str] = field(default_factory=dict)  # additional variables, such as the path of a temporary index
+    settings: dict[str, str] = field(default_factory=dict)  # override the git settings of repository and user
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return its output; raise GitError if the command fails."""
@@ -134,8 +124,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
     with tempfile.TemporaryDirectory(prefix="wheelleg-git-") as folder:
         scratch = Path(folder)
         (scratch / "objects" / "info").mkdir(parents=True)
-        alternates = os.fsencode(objects.resolve()) + b"\n"
-        (scratch / "objects" / "info" / "alternates").write_bytes(alternates)
+        (scratch / "objects" / "info" / "alternates").write_bytes(os.fsencode(objects.resolve()) + b"\n")
         if index.is_file():
             # copy2 preserves the index's modification time. Git compares this time with the times of the files to find
             # changed files.
@@ -143,8 +132,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
         environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
         off = {"clean": "", "smudge": "", "process": "", "required": "false"}
         no_filters = {f"filter.{name}.{key}": value for name in filters(repository) for key, value in off.items()}
-        settings = {**repository.settings, **no_filters}
-        yield Repository(repository.top, {**repository.environ, **environ}, settings)
+        yield Repository(repository.top, {**repository.environ, **environ}, {**repository.settings, **no_filters})
 
 
 def filters(repository: Repository) -> list[str]:

@@ -16,31 +16,23 @@ _TIMES = "Perf/"
 
 @dataclass(frozen=True)
 class Line:
-    """One iteration of ``iterations.jsonl``.
-
-    The mappings ``digests`` and ``scalars`` are by name, without wall-clock times. ``content`` is the whole log line.
-    ``digest_format`` is the version of the digests' definition, and ``end`` is the file position of the line's end in
-    bytes.
-    """
+    """One iteration of ``iterations.jsonl``."""
 
     iteration: int
-    digests: dict[str, str]
-    scalars: dict[str, Any]
-    digest_format: int | None = None
-    content: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    end: int = 0
+    digests: dict[str, str]  # by name
+    scalars: dict[str, Any]  # by name, without wall-clock times
+    digest_format: int | None = None  # the version of the digests' definition
+    content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
+    end: int = 0  # file position of the line's end, bytes
 
 
 @dataclass(frozen=True)
 class IterationLog:
-    """The consecutive logged iterations of a run, with ``lines[i].iteration == i``, and the problems of the log file.
-
-    The attribute ``cut_off`` is true if the last line has no newline, as after a crash.
-    """
+    """The consecutive logged iterations of a run (``lines[i].iteration == i``), and the problems of the log file."""
 
     lines: list[Line] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
-    cut_off: bool = False
+    cut_off: bool = False  # whether the last line has no newline, as after a crash
 
 
 def read_log(path: Path) -> IterationLog:

@@ -104,33 +104,6 @@ _MANIFEST = {
 }
 
 
-def require_manifest(data: Any, path: Path) -> None:
-    """Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of a known format."""
-    where = os.fspath(path)
-    if not isinstance(data, dict) or "format" not in data:
-        raise RunDirectoryError("the file is not a run manifest", where=where, expected="a mapping with 'format'")
-    if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
-        expected = f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it"
-        raise RunDirectoryError(f"manifest format {data['format']!r} is unknown", where=where, expected=expected)
-    for wrong in mistyped_keys(data, _MANIFEST):
-        raise RunDirectoryError(f"broken manifest: '{wrong}' is missing or wrong", where=where)
-    if data["status"] not in STATUSES:
-        message, nearest = f"status '{data['status']}' is not known", nearest_name(data["status"], STATUSES)
-        raise RunDirectoryError(message, where=where, expected="one of " + ", ".join(STATUSES), nearest=nearest)
-    ended = [data["ended"]] if data.get("ended") else []
-    for text in (data["started"], *ended, *(entry["when"] for entry in data["additions"])):
-        try:
-            parse_utc(text)
-        except ValueError:
-            raise RunDirectoryError(f"broken manifest: {text!r} is not a time", where=where) from None
-    tables = [data["files"], *(entry["files"] for entry in data["additions"])]
-    for entry in data["resumes"]:
-        tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
-    for name in (name for table in tables for name in table):
-        if not is_inside(name):
-            raise RunDirectoryError(f"the manifest names {name!r}, which is outside its directory", where=where)
-
-
 _DIGEST_KEY = "sha256"
 _NO_DIGEST = "0" * 64
 _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
@@ -158,10 +131,8 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest.
-
-    Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
-    """
+    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest."""
+    # Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
@@ -190,10 +161,7 @@ _PENDING = "files_to_write"
 
 @dataclass
 class Manifest:
-    """The manifest of one run directory.
-
-    Every change of the manifest reads, modifies, and replaces the manifest file under a lock.
-    """
+    """The manifest of one run directory. Every change reads, modifies, and replaces the file under a lock."""
 
     path: Path
     data: dict[str, Any] = field(default_factory=dict)
@@ -246,7 +214,30 @@ class Manifest:
         if not path.is_file():
             raise RunDirectoryError(f"'{path.parent}' is not a run directory: it has no {MANIFEST_NAME}")
         data = read_json(path)
-        require_manifest(data, path)
+        # Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of a known format.
+        where = os.fspath(path)
+        if not isinstance(data, dict) or "format" not in data:
+            raise RunDirectoryError("the file is not a run manifest", where=where, expected="a mapping with 'format'")
+        if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
+            expected = f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it"
+            raise RunDirectoryError(f"manifest format {data['format']!r} is unknown", where=where, expected=expected)
+        for wrong in mistyped_keys(data, _MANIFEST):
+            raise RunDirectoryError(f"broken manifest: '{wrong}' is missing or wrong", where=where)
+        if data["status"] not in STATUSES:
+            message, nearest = f"status '{data['status']}' is not known", nearest_name(data["status"], STATUSES)
+            raise RunDirectoryError(message, where=where, expected="one of " + ", ".join(STATUSES), nearest=nearest)
+        ended = [data["ended"]] if data.get("ended") else []
+        for text in (data["started"], *ended, *(entry["when"] for entry in data["additions"])):
+            try:
+                parse_utc(text)
+            except ValueError:
+                raise RunDirectoryError(f"broken manifest: {text!r} is not a time", where=where) from None
+        tables = [data["files"], *(entry["files"] for entry in data["additions"])]
+        for entry in data["resumes"]:
+            tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
+        for name in (name for table in tables for name in table):
+            if not is_inside(name):
+                raise RunDirectoryError(f"the manifest names {name!r}, which is outside its directory", where=where)
         return cls(path, data)
 
     @property
@@ -371,13 +362,9 @@ class Manifest:
 
         The kind of an addition is ``play``, ``evaluation``, or ``export``. The files must be below the run directory.
         """
-        entry: dict[str, Any] = {
-            "kind": kind,
-            "when": utc_text(now or utc_now()),
-            "command": list(sys.argv if command is None else command),
-            "files": record_files(self.directory, files),
-            "results": dict(results or {}),
-        }
+        words = list(sys.argv if command is None else command)
+        entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
+        entry |= {"files": record_files(self.directory, files), "results": dict(results or {})}
         self._update(lambda data: data["additions"].append(entry))
         return self.data["additions"][-1]
 

@@ -26,7 +26,6 @@ from wheelleg_exp.terms.key_syntax import is_override
 if TYPE_CHECKING:
     from omegaconf.base import Container
 
-
 PARTS = ("env", "agent")
 # A trained policy depends on these keys of ``agent``. The remaining keys of ``agent`` affect only the training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
@@ -53,8 +52,7 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
     """Write both parameter files below ``directory/params``; write neither if a value is not plain."""
-    texts = {part: dump_yaml(params[part]) for part in PARTS}
-    for part, text in texts.items():
+    for part, text in {part: dump_yaml(params[part]) for part in PARTS}.items():
         write_text(directory / "params" / f"{part}.yaml", text)
 
 
@@ -68,11 +66,9 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert an environment's parameters to the current format.
-
-    An older version of this project may have written the parameters. Until 0.1, the ground was a
-    plane whose material was in ``scene.ground``, and there was only one engine.
-    """
+    """Convert an environment's parameters to the current format."""
+    # An older version of this project may have written the parameters. Until 0.1, the ground was a plane whose material
+    # was in ``scene.ground``, and there was only one engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
@@ -84,11 +80,9 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with MuJoCo's own engine.
-
-    Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
-    GPU.
-    """
+    """Return an environment's parameters with MuJoCo's own engine."""
+    # Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
+    # GPU.
     if not isinstance(env.get("sim"), Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
@@ -117,10 +111,7 @@ _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the resolved ``SECTIONS`` of a run's config; the value of a missing section is None.
-
-    The config can only request the given environment variables.
-    """
+    """Return a run's resolved ``SECTIONS`` (None if missing); the config can request only the given variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
@@ -136,10 +127,8 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
     except RunDirectoryError as error:
         if missing:
             message = f"the config requests the environment variable {missing[0]}, which was not stored with the run"
-            expected = (
-                f"{missing[0]} set to its value at the start of the run, and 'wheelleg replay': no other command "
-            )
-            expected += "that reads a run uses this environment"
+            value = f"{missing[0]} set to its value at the start of the run"
+            expected = f"{value}, and 'wheelleg replay': no other command that reads a run uses this environment"
             raise RunDirectoryError(message, key=str(path), expected=expected) from error
         error.key = str(path)
         raise
@@ -164,11 +153,9 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config.
-
-    Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
-    variables of this machine) are refused, because a config is composed from the recorded words.
-    """
+    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config."""
+    # Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
+    # variables of this machine) are refused, because a config is composed from the recorded words.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"

@@ -61,17 +61,12 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
             run = (path.parent / phase["run"]).resolve()
             run = run.relative_to(here) if run.is_relative_to(here) else run
             runs.append(f"{run} (phase '{phase['name']}')")
-    return RunDirectoryError(
-        f"'{path.parent.name}' is a pipeline, and each of its phases is a run",
-        expected=" or ".join(runs) if runs else "a run of the pipeline, after its first phase has started",
-    )
+    expected = " or ".join(runs) if runs else "a run of the pipeline, after its first phase has started"
+    return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 
 
-LATEST = "latest"
-AGENTS = "agents"
-SWEEPS = "sweeps"
-REPLAYS = "replays"
-PIPELINES = "pipelines"
+LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
+REPLAYS, PIPELINES = "replays", "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
 FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
@@ -195,11 +190,9 @@ class RunDirectory(os.PathLike[str]):
         if iteration in found:
             return found[iteration]
         nearest = min(found, key=lambda i: abs(i - iteration), default=None)
-        raise RunDirectoryError(
-            f"run '{self.id}' has no checkpoint of iteration {iteration}",
-            expected="one of " + ", ".join(map(str, found)) if found else "a run that saved checkpoints",
-            nearest=None if nearest is None else found[nearest].name,
-        )
+        message = f"run '{self.id}' has no checkpoint of iteration {iteration}"
+        expected = "one of " + ", ".join(map(str, found)) if found else "a run that saved checkpoints"
+        raise RunDirectoryError(message, expected=expected, nearest=None if nearest is None else found[nearest].name)
 
 
 def checkpoint_iteration(path: Path) -> int:
@@ -272,8 +265,7 @@ def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
             message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"
             return RunDirectoryError(message, expected=expected, nearest=str(holder) if holder else None)
     names = [name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}")]
-    nearest = nearest_name(run, [LATEST, *names])
-    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest)
+    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest_name(run, [LATEST, *names]))
 
 
 def _require_name(name: str, key: str) -> None:

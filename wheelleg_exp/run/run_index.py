@@ -29,8 +29,7 @@ from wheelleg_exp.run.run_directory import (
 from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
-SWEEP_NAME = "sweep.json"
-MULTIRUN_NAME = "multirun.yaml"
+SWEEP_NAME, MULTIRUN_NAME = "sweep.json", "multirun.yaml"
 _FORMAT = 1
 _PHASE_TYPES: dict[str, Any] = dict.fromkeys(("name", "status", "digest"), str) | {"trained": int}
 _PHASE_TYPES |= {**dict.fromkeys(("why", "run", "init_from"), Optional(str))}

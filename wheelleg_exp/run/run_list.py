@@ -1,7 +1,4 @@
-"""List, filter, and sort the runs and sweeps below a folder.
-
-To be fast, the list hashes no file, and reads only the end of an iteration log.
-"""
+"""List, filter, and sort runs and sweeps below a folder, fast: hash no file, read only the ends of logs."""
 
 from __future__ import annotations
 
@@ -29,8 +26,7 @@ from wheelleg_exp.run.run_index import SWEEP_NAME, SweepIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 
-CRASHED = "crashed"
-DAMAGED = "damaged"
+CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
@@ -45,41 +41,30 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """The facts about one run that the list of runs shows.
-
-    ``status`` is the manifest's status, or ``crashed`` (the manifest says ``running``, but the run's process has
-    ended), or ``damaged`` (the manifest cannot be read). ``problem`` says why the run failed or is damaged, or counts
-    the episodes that ended because a value was not finite. ``failure`` is the recorded failure: message, config key,
-    iteration. ``iterations`` counts the finished iterations, and ``checkpoint`` is the iteration of the last
-    checkpoint. ``resumable`` is true if ``resume`` can continue from the last checkpoint or from the start. ``figures``
-    contains the last episodes' mean return, mean length, and share that reached the time limit. ``played`` and
-    ``evaluated`` are the results of the last play and evaluation. ``bundles`` lists the folders of the deployment
-    bundles that were exported from the run. ``seconds`` is the training time in s up to the last iteration, without the
-    pauses between a stop and a resume. ``bytes`` is the size of the files directly in the run directory.
-    """
+    """The facts about one run that the list of runs shows."""
 
     id: str
     task: str
-    status: str
+    status: str  # of the manifest; ``crashed``: a dead process left ``running``; ``damaged``: no readable manifest
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None
-    failure: dict[str, Any] | None = None
+    problem: str | None = None  # why the run failed or is damaged, or the number of episodes with NaN or inf
+    failure: dict[str, Any] | None = None  # the recorded failure: message, config key, iteration
     name: str | None = None
-    iterations: int | None = None
+    iterations: int | None = None  # finished iterations
     max_iterations: int | None = None
-    checkpoint: int | None = None
-    resumable: bool = False
+    checkpoint: int | None = None  # the iteration of the last checkpoint
+    resumable: bool = False  # whether ``resume`` can continue from the last checkpoint or the start
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)
-    played: dict[str, Any] = field(default_factory=dict)
-    evaluated: dict[str, Any] = field(default_factory=dict)
-    bundles: tuple[str, ...] = ()
-    seconds: float | None = None
-    bytes: int | None = None
+    figures: dict[str, float] = field(default_factory=dict)  # mean return, mean length, and time-out share at the end
+    played: dict[str, Any] = field(default_factory=dict)  # results of the last play
+    evaluated: dict[str, Any] = field(default_factory=dict)  # results of the last evaluation
+    bundles: tuple[str, ...] = ()  # folders of the exported deployment bundles
+    seconds: float | None = None  # training time up to the last iteration, without pauses before a resume
+    bytes: int | None = None  # size of the files directly in the run directory
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
@@ -144,8 +129,7 @@ def summarize(folder: Path) -> RunSummary:
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
     """Return a line that counts the episodes that ended because a number was not finite; None without such episodes."""
-    counts = results.get("non_finite") or {}
-    listed = ", ".join(f"{key} {count}" for key, count in counts.items())
+    listed = ", ".join(f"{key} {count}" for key, count in (results.get("non_finite") or {}).items())
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
@@ -219,8 +203,7 @@ def _last_line(path: Path) -> dict[str, Any] | None:
     """Return the last whole line of ``iterations.jsonl``; only the end of the file is read."""
     try:
         with open_file(path) as file:
-            end = file.seek(0, os.SEEK_END)
-            file.seek(max(0, end - _TAIL_BYTES))
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
             lines = file.read().split(b"\n")[:-1]  # A last log line without a newline is incomplete.
     except RunDirectoryError:
         return None
@@ -257,10 +240,7 @@ _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operato
 
 # Filters and sorting accept these columns, and also the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
-    "id": lambda run: run.id,
-    "task": lambda run: run.task,
-    "status": lambda run: run.status,
-    "name": lambda run: run.name,
+    **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
     "started": lambda run: run.started.isoformat(),
     "done": lambda run: run.iterations,
@@ -337,10 +317,7 @@ def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[R
 
 
 def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) -> list[RunSummary]:
-    """Return the runs sorted by a column or a config key, the largest value or the latest time first.
-
-    ``reverse`` puts the smallest first. Runs without the sort key are last.
-    """
+    """Return runs by a column or config key, largest or latest first (``reverse``: last); runs without the key last."""
     values = _values(runs, key, "--sort")
 
     def rank(run: RunSummary) -> tuple[bool, Any]:  # Numbers come before text.
@@ -383,8 +360,7 @@ def _holds(value: Any, sign: str, wanted: str) -> bool:
             raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
     if isinstance(value, bool) or value is None:
-        words = {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]
-        equal = wanted.lower() in words
+        equal = wanted.lower() in {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]
     elif isinstance(value, (int, float)) and number is not None:
         equal = float(value) == number
     else:

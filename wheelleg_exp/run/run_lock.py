@@ -19,11 +19,9 @@ _PROC = Path("/proc")
 
 
 def this_process() -> dict[str, Any]:
-    """Return the identity of this process: pid, host, boot id, and its start in clock ticks.
-
-    A later process can have the pid of an ended process, but not its boot id and start time. The boot id and start time
-    are None on systems that do not report these values.
-    """
+    """Return the identity of this process: pid, host, boot id, and its start in clock ticks."""
+    # A later process can have the pid of an ended process, but not its boot id and start time. The boot id and start
+    # time are None on systems that do not report these values.
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
@@ -65,8 +63,7 @@ def _start_ticks(pid: int) -> int | None:
     return None if fields[0] in "ZX" else int(fields[19])
 
 
-RUN_LOCK = ".lock"
-MANIFEST_LOCK = ".manifest.lock"
+RUN_LOCK, MANIFEST_LOCK = ".lock", ".manifest.lock"
 
 
 class RunLock:

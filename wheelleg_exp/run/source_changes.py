@@ -57,10 +57,7 @@ def _source_line(record: Mapping[str, Any]) -> str:
 
 
 def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
-    """Return the files that differ between two records of ``git.json``, or the reason why they are unknown.
-
-    Git searches the commits of both records in ``repositories``.
-    """
+    """Return the files that differ between two ``git.json`` records, or why they are unknown to ``repositories``."""
     place = str(now.get("root") or was.get("root") or "the source")
     if not (was and now):
         return f"{place}: part of only one of the two sources"

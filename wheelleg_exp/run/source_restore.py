@@ -64,10 +64,8 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first folder whose repository contains a record's commit; None if the record has no commit.
-
-    The error for a missing commit names the command that fetches the commit.
-    """
+    """Return the first folder whose repository contains a record's commit; None if the record has no commit."""
+    # The error for a missing commit names the command that fetches the commit.
     commit = record["commit"]
     if commit is None:
         return None
@@ -83,10 +81,9 @@ def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | No
     remote = record.get("remote") or {}
     fetch = f"git fetch {remote.get('url') or '<the repository of the run>'} {commit}"
     searched = "; ".join(complaints) or "no repository was searched"
-    raise RunDirectoryError(
-        f"no repository here contains commit {commit} of '{record['root']}' ({searched})",
-        expected=f"--repository with a clone that contains it; inside a clone, '{fetch}' fetches it",
-    )
+    message = f"no repository here contains commit {commit} of '{record['root']}' ({searched})"
+    expected = f"--repository with a clone that contains it; inside a clone, '{fetch}' fetches it"
+    raise RunDirectoryError(message, expected=expected)
 
 
 def restore_source(
@@ -140,9 +137,8 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
         if tree != record["tree"]:
-            raise RunDirectoryError(
-                f"the restored source has the tree {tree}", expected=f"the recorded {record['tree']}"
-            )
+            message = f"the restored source has the tree {tree}"
+            raise RunDirectoryError(message, expected=f"the recorded {record['tree']}")
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""

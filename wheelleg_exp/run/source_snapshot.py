@@ -2,10 +2,8 @@
 
 ``git.json`` describes the repository of each source folder, the main one first. ``source.patch`` (``source_2.patch``
 for a second repository) makes the recorded tree from the recorded commit, including untracked and binary files. Ignored
-files and the folder of runs are left out.
-
-Submodules, nested repositories, folders without git, and files that pass through a filter program such as Git LFS are
-not captured. The record then names them, and its ``exact`` is false.
+files and the folder of runs are left out. Submodules, nested repositories, folders without git, and files that pass
+through a filter program such as Git LFS are not captured. The record then names them, and its ``exact`` is false.
 """
 
 from __future__ import annotations
@@ -26,8 +24,7 @@ from wheelleg_exp.run.git_commands import GitError, Repository
 from wheelleg_exp.run.source_changes import state
 
 SOURCE_FORMAT = 1
-PATCH_NAME = "source.patch"
-RECORD_NAME = "git.json"
+PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
 # A record with the status "ok" or "no_commits" has a patch that restores the tree. Other records have a note that
 # says why the working tree was not captured.
@@ -35,8 +32,7 @@ Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_la
 
 _BIG_FILES_SHOWN = 20
 _INSTALL_FOLDERS = ("site-packages", "dist-packages")
-_GITLINK = "160000"
-_NO_MODE = "000000"
+_GITLINK, _NO_MODE = "160000", "000000"
 
 
 @dataclass(frozen=True)
@@ -151,9 +147,8 @@ def _place(root: Path) -> _WorkingTree | dict[str, Any]:
     """Return the repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
     folder = root if root.is_dir() else root.parent
     try:
-        repository = Repository(
-            Path(os.fsdecode(git.run_git(folder, "rev-parse", "--show-toplevel")).removesuffix("\n"))
-        )
+        found = git.run_git(folder, "rev-parse", "--show-toplevel")
+        repository = Repository(Path(os.fsdecode(found).removesuffix("\n")))
     except GitError as error:
         if is_installed(root):
             return _installed(root)
@@ -275,10 +270,8 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs.
-
-    A file to which this process prints is also left out, because this file grows during the run.
-    """
+    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs."""
+    # A file to which this process prints is also left out, because this file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
@@ -318,10 +311,8 @@ def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
 
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
-    """Return the files that git passes through a filter program, such as Git LFS or an encryption.
-
-    Git stores the output of the filter program, and this function must not run that program.
-    """
+    """Return the files that git passes through a filter program, such as Git LFS or an encryption."""
+    # Git stores the output of the filter program, and this function must not run that program.
     programs = git.filters(repository)
     if not programs or not paths:
         return []
@@ -359,13 +350,9 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
 
 
 def _submodules(scratch: Repository) -> list[dict[str, str]]:
-    found = []
-    for entry in scratch.paths("ls-files", "--stage", "-z"):
-        facts, path = entry.split("\t", 1)
-        mode, commit, _ = facts.split(" ")
-        if mode == _GITLINK:
-            found.append({"path": path, "commit": commit})
-    return found
+    entries = (entry.split("\t", 1) for entry in scratch.paths("ls-files", "--stage", "-z"))
+    found = ((facts.split(" "), path) for facts, path in entries)
+    return [{"path": path, "commit": commit} for (mode, commit, _), path in found if mode == _GITLINK]
 
 
 def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size: int, cap: int) -> None:
@@ -373,7 +360,5 @@ def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size
     record.update(status="patch_too_large", dirty=True)
     record["big_files"] = [{"path": path, "bytes": count} for path, count in biggest]
     names = ", ".join(path for path, _ in biggest[:3])
-    record["note"] = (
-        f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
-        f"commit or ignore the big files ({names}), or raise run.max_patch_mb"
-    )
+    note = f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
+    record["note"] = note + f"commit or ignore the big files ({names}), or raise run.max_patch_mb"

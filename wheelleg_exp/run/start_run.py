@@ -56,10 +56,8 @@ def complete_snapshot(
     threads: Mapping[str, Any],
     max_patch_mb: float | None = None,
 ) -> None:
-    """Write the second part of the snapshot, after parameters and configs: source and distributions.
-
-    A run without this part of the manifest was killed before its first step. A resume completes its snapshot.
-    """
+    """Write the second part of the snapshot, after parameters and configs: source and distributions."""
+    # A run without this part of the manifest was killed before its first step. A resume completes its snapshot.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))

@@ -50,17 +50,13 @@ _SHOWN = 10  # One check prints at most this number of lines.
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check.
-
-    The attribute ``failures`` lists the mistakes that the check found, and ``notes`` lists harmless facts. The
-    attribute ``skipped`` says why the check could not run; it is None if the check ran.
-    """
+    """The result of one check."""
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    skipped: str | None = None
+    failures: list[str] = field(default_factory=list)  # mistakes that the check found
+    notes: list[str] = field(default_factory=list)  # harmless facts
+    skipped: str | None = None  # why the check could not run; None if it ran
 
     @property
     def state(self) -> State:

@@ -87,11 +87,9 @@ def source(subject: Subject) -> Check:
     record = read_json(folder / RECORD_NAME)
     if not isinstance(record, Mapping):
         return Check("source", "", [f"{where} does not describe a source"])
-    failures = [
-        f"{key} is {record.get(key)} in {where} and {value} in the manifest"
-        for key, value in (subject.data.get("source") or {}).items()
-        if key in ("status", "commit", "tree", "dirty") and record.get(key) != value
-    ]
+    facts = {k: v for k, v in (subject.data.get("source") or {}).items() if k in ("status", "commit", "tree", "dirty")}
+    differing = {key: value for key, value in facts.items() if record.get(key) != value}
+    failures = [f"{k} is {record.get(k)} in {where} and {v} in the manifest" for k, v in differing.items()]
     records = source_entries(record)
     for name, digest in ((one.get("patch"), one.get("patch_sha256")) for one in records):
         if isinstance(name, str) and not (folder / Path(name).name).is_file():
@@ -251,10 +249,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Check a run against its manifest, and its files against each other.
-
-    No code of the run is executed: checkpoints are loaded as numbers and names only.
-    """
+    """Check a run's files against its manifest and each other, without executing code of the run."""
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]

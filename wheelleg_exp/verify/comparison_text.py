@@ -9,33 +9,23 @@ from typing import Any
 from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.verify.policy_differences import CheckpointComparison, Pair
 from wheelleg_exp.verify.run_differences import FactDifference, brief, decides
-from wheelleg_exp.verify.run_parts import Measured, Part, Parting, Span
+from wheelleg_exp.verify.run_parts import Part, Parting, Sides, Span
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first difference of two runs.
+    """The first difference of two runs."""
 
-    ``part`` is ``settings``, ``robot``, ``digests``, ``scalars``, ``checkpoints``, ``recording``, ``exported``,
-    ``results``, ``files`` (a file is missing or damaged), or ``length``. ``iteration`` is None for a difference outside
-    the training iterations, such as one in the settings. ``name`` is the first key, digest, scalar, tensor, or entity
-    that differs. ``a`` and ``b`` are the values of ``name`` in the two runs, if these are single values.
-    """
-
-    iteration: int | None
-    part: str
-    name: str
-    a: Any = None
+    iteration: int | None  # None outside the training iterations, such as in the settings
+    part: str  # a part of the comparison, ``files`` (a file is missing or damaged), or ``length``
+    name: str  # the first key, digest, scalar, tensor, or entity that differs
+    a: Any = None  # the value of ``name`` in run A, if it is a single value
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 
 
 def first_divergence(
-    parts: dict[str, Part],
-    parted: Parting | None,
-    found: CheckpointComparison,
-    span: Span,
-    sides: tuple[Measured, Measured],
+    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, span: Span, sides: Sides
 ) -> Divergence | None:
     """Return the first difference of two runs: settings and robot first, then the numbers, then their length."""
     inside = _first_of_numbers(parts, parted, found, sides)
@@ -51,7 +41,7 @@ def first_divergence(
 
 
 def _first_of_numbers(
-    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, sides: tuple[Measured, Measured]
+    parts: dict[str, Part], parted: Parting | None, found: CheckpointComparison, sides: Sides
 ) -> Divergence | None:
     pair = next((pair for pair in found.pairs if not pair.equal), None)
     if parted is not None and (pair is None or parted.iteration <= pair.iteration):
@@ -65,13 +55,10 @@ def _first_of_numbers(
     return None
 
 
-def _of_log(parted: Parting, pair: Pair | None, sides: tuple[Measured, Measured]) -> Divergence:
+def _of_log(parted: Parting, pair: Pair | None, sides: Sides) -> Divergence:
     one, other = (side.log.lines[parted.iteration] for side in sides)
-    details: dict[str, Any] = {
-        "digests": parted.digests,
-        "equal_digests": parted.equal_digests,
-        "scalars": {name: [one.scalars.get(name), other.scalars.get(name)] for name in parted.scalars},
-    }
+    scalars = {name: [one.scalars.get(name), other.scalars.get(name)] for name in parted.scalars}
+    details: dict[str, Any] = {"digests": parted.digests, "equal_digests": parted.equal_digests, "scalars": scalars}
     if pair is not None:
         details["checkpoint"] = asdict(_of_pair(pair, {}))
     if parted.digests:
@@ -117,8 +104,7 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")
         return
-    title = "these differ, but changed no number" if equal else "these differ, and may be the cause"
-    yield from ("", title)
+    yield from ("", "these differ, but changed no number" if equal else "these differ, and may be the cause")
     # Differences of the code are first, followed by differences that allow unequal numbers; distributions are last.
     ordered = sorted(found, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
     rows = [_fact_row(difference) for difference in ordered]

@@ -27,29 +27,21 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-
 _MOST_LEAVES = 50  # At most this number of differing leaves is stored for one pair of checkpoints.
 
 
 @dataclass(frozen=True)
 class Pair:
-    """The checkpoints of one iteration in two runs.
-
-    ``state`` is ``bytes`` (equal files), ``content`` (equal tensors in different bytes), ``different``, or
-    ``unreadable``. ``count`` of ``of`` leaves differ. ``differences`` lists them: networks first, random streams last,
-    and within a part the largest relative difference first. ``by_part`` counts the differing leaves by part of the
-    checkpoint. ``parameters`` is the relative Euclidean distance of the networks' parameters. ``problem`` says why a
-    checkpoint file cannot be read.
-    """
+    """The checkpoints of one iteration in two runs."""
 
     iteration: int
-    state: Literal["bytes", "content", "different", "unreadable"]
-    count: int = 0
+    state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors in different bytes
+    count: int = 0  # ``count`` of ``of`` leaves differ
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)
-    by_part: dict[str, int] = field(default_factory=dict)
-    parameters: float | None = None
-    problem: str | None = None
+    differences: list[Difference] = field(default_factory=list)  # networks first, random streams last, largest first
+    by_part: dict[str, int] = field(default_factory=dict)  # the differing leaves by part of the checkpoint
+    parameters: float | None = None  # relative Euclidean distance of the networks' parameters
+    problem: str | None = None  # why a checkpoint file cannot be read
 
     @property
     def equal(self) -> bool:
@@ -69,9 +61,8 @@ class CheckpointComparison:
 def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> CheckpointComparison:
     """Compare the checkpoints of the iterations below ``until``."""
     ones, others = ({checkpoint_iteration(path): path for path in run.checkpoints()} for run in (a, b))
-    common = sorted(i for i in ones if i in others and i < until)
     return CheckpointComparison(
-        pairs=[compare_pair(i, ones[i], others[i]) for i in common],
+        pairs=[compare_pair(i, ones[i], others[i]) for i in sorted(i for i in ones if i in others and i < until)],
         only_a=sorted(i for i in ones if i not in others and i < until),
         only_b=sorted(i for i in others if i not in ones and i < until),
     )
@@ -83,24 +74,20 @@ def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
         with for_people(a, "compare"):
             if filecmp.cmp(a, b, shallow=False):
                 return Pair(iteration, "bytes")
-        return _compare_content(iteration, a, b)
+        from wheelleg_exp.rl import checkpoint
+        from wheelleg_exp.verify import tensor_differences
+
+        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
+        found = list(tensor_differences.tree_differences(one, other))
+        of = tensor_differences.count_leaves(one)
+        if not found:
+            return Pair(iteration, "content", of=of)
+        found.sort(key=_order)
+        distance = tensor_differences.relative_distance(_networks(one), _networks(other))
+        parts = Counter(_part(difference.name) for difference in found)
+        return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
     except RunDirectoryError as error:
         return Pair(iteration, "unreadable", problem=str(error))
-
-
-def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
-    from wheelleg_exp.rl import checkpoint
-    from wheelleg_exp.verify import tensor_differences
-
-    one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
-    found = list(tensor_differences.tree_differences(one, other))
-    of = tensor_differences.count_leaves(one)
-    if not found:
-        return Pair(iteration, "content", of=of)
-    found.sort(key=_order)
-    distance = tensor_differences.relative_distance(_networks(one), _networks(other))
-    parts = Counter(_part(difference.name) for difference in found)
-    return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
 
 
 def _networks(state: dict[str, Any]) -> dict[str, Any]:
@@ -118,10 +105,9 @@ def _part(name: str) -> str:
 
 
 def _order(difference: Difference) -> tuple[int, float]:
-    """Return the sort key of a difference: by part of the checkpoint, then by size.
-
-    Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative ones.
-    """
+    """Return the sort key of a difference: by part of the checkpoint, then by size."""
+    # Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative
+    # ones.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
@@ -131,8 +117,7 @@ def _order(difference: Difference) -> tuple[int, float]:
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
-_EQUAL = "equal"
-_EQUAL_CONTENT = "weights and code equal, other bytes"
+_EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
 # TorchScript numbers its classes in the order in which the process scripted them, so the numbers are ignored.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
@@ -142,10 +127,8 @@ _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
     """Compare the exported policies: their bytes, and if these differ, their weights, code, and graphs."""
-    ones, others = (
-        {path.name: path for path in run.exported.iterdir() if path.is_file()} if run.exported.is_dir() else {}
-        for run in (a, b)
-    )
+    folders = [run.exported for run in (a, b)]
+    ones, others = ({p.name: p for p in f.iterdir() if p.is_file()} if f.is_dir() else {} for f in folders)
     if not ones or not others:
         sides = [side for side, files in (("A", ones), ("B", others)) if files]
         return Part("not compared", f"only {sides[0]} exported a policy" if sides else "neither run exported a policy")
@@ -185,11 +168,9 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 
 def _archived_code(path: Path) -> dict[str, Any]:
-    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors.
-
-    The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
-    archive.
-    """
+    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
+    # The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
+    # archive.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -209,8 +190,7 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 def _definitions(code: str) -> list[str]:
     """Return the classes and functions of a file, without class numbers and with sorted constants."""
-    plain = _NUMBER.sub("", code)
-    ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), plain)
+    ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 

@@ -17,7 +17,7 @@ from wheelleg_exp.verify.check_run import verify_run
 from wheelleg_exp.verify.comparison_text import Divergence, first_divergence
 from wheelleg_exp.verify.policy_differences import CheckpointComparison, compare_checkpoints, exported_part
 from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_text
-from wheelleg_exp.verify.run_parts import Measured, Part, Span, measure, span_of
+from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
 _OF_THE_SNAPSHOT = ("params", "source", "asset")  # These checks cover the input files of a run.
@@ -26,25 +26,20 @@ Verdict = Literal["identical", "within tolerance", "different"]
 
 @dataclass(frozen=True)
 class Comparison:
-    """The result of ``compare_runs``.
-
-    The attribute ``reason`` is a sentence that explains the verdict, and ``iterations`` counts the compared iterations.
-    ``environment`` contains the runs' differences of code, versions, hardware, threads, and environment variables.
-    ``tolerance`` contains the measured deviations; it is None if no deviation is allowed or no number differs.
-    """
+    """The result of ``compare_runs``."""
 
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str
+    reason: str  # a sentence that explains the verdict
     first_divergence: Divergence | None
-    iterations: int
+    iterations: int  # the number of compared iterations
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]
-    tolerance: Tolerance | None = None
+    environment: list[FactDifference]  # code, versions, hardware, threads, and environment variables
+    tolerance: Tolerance | None = None  # measured deviations; None if none is allowed or no number differs
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -134,20 +129,8 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
     if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
         parts["files"] = _damage_part(wrong)
         verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
-    return Comparison(
-        a=a,
-        b=b,
-        verdict=verdict,
-        reason=reason,
-        first_divergence=first_divergence(parts, parted, checkpoints, span, (a, b)),
-        iterations=span.until,
-        settings=settings,
-        robot=robot,
-        parts=parts,
-        checkpoints=checkpoints,
-        environment=environment,
-        tolerance=tolerance,
-    )
+    first, until = first_divergence(parts, parted, checkpoints, span, (a, b)), span.until
+    return Comparison(a, b, verdict, reason, first, until, settings, robot, parts, checkpoints, environment, tolerance)
 
 
 def _damage_part(wrong: dict[str, list[str]]) -> Part:
@@ -168,9 +151,7 @@ def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]
 
 def _changes_part(changes: list[Change], what: str) -> Part:
     details = {"differing": [differences.as_dict(change) for change in changes]}
-    if not changes:
-        return Part("equal", what, details)
-    return Part("different", changes_text(changes), details)
+    return Part("equal", what, details) if not changes else Part("different", changes_text(changes), details)
 
 
 def _checkpoints_part(found: CheckpointComparison) -> Part:
@@ -195,11 +176,7 @@ def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Ch
 
 
 def _verdict(
-    parts: dict[str, Part],
-    span: Span,
-    sides: tuple[Measured, Measured],
-    environment: list[FactDifference],
-    tolerance: Tolerance | None,
+    parts: dict[str, Part], span: Span, sides: Sides, environment: list[FactDifference], tolerance: Tolerance | None
 ) -> tuple[Verdict, str]:
     differing = [name for name, found in parts.items() if found.state == "different" and name != "files"]
     asked = [name for name in ("settings", "robot") if name in differing]

@@ -41,8 +41,7 @@ def decides(keys: Keys) -> bool:
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
     """Return how the settings of two runs differ, with settings that can change a number first."""
-    found = plain_changes(_settings(a), _settings(b))
-    return sorted(found, key=lambda change: not decides(change.keys))
+    return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
 
 
 def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
@@ -80,13 +79,8 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
     env, agent = load_params(run)
     data = run.manifest().data
     changed = [[entry.get("iteration"), changes] for entry in data["resumes"] if (changes := _resume_changes(entry))]
-    settings = {
-        "seed": data.get("seeds"),
-        "task": data["task"],
-        "env": env,
-        "agent": agent,
-        "resumed with other settings": changed,
-    }
+    settings: dict[str, Any] = {"seed": data.get("seeds"), "task": data["task"], "env": env, "agent": agent}
+    settings["resumed with other settings"] = changed
     config = written_config(run)
     return {**settings, "recording": config["recording"]} if "recording" in config else settings
 
@@ -137,12 +131,9 @@ _KERNEL_VARIABLES = (
 )
 _ALLOWING: dict[str, dict[str, str]] = {
     "hardware": {
-        "cpu": "another CPU",
-        "cpu_family": "another CPU",
-        "cpu_model": "another CPU",
-        "cpu_flags": "other vector instructions",
+        **dict.fromkeys(("cpu", "cpu_family", "cpu_model"), "another CPU"),
+        **dict.fromkeys(("cpu_flags", "torch_cpu_capability"), "other vector instructions"),
         "machine": "another CPU architecture",
-        "torch_cpu_capability": "other vector instructions",
         "platform": "another C library (sine, cosine, exponential)",
     },
     "versions": {name: f"another {name}" for name in ("torch", "mujoco", "numpy")},
@@ -156,28 +147,20 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-
 UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # A process can record this fact only after the import of torch.
 
 
 @dataclass(frozen=True)
 class FactDifference:
-    """One fact in which two runs differ.
+    """One fact in which two runs differ."""
 
-    ``section`` is ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables``, or
-    ``distributions``. ``a`` and ``b`` are the values; a value is a list if the run was resumed with another one.
-    ``allows`` says why the fact can change the last digits of a number; it is None if the fact must not change them.
-    ``forbids`` is true if the fact can change any number by any amount: other code, or a resume that was inexact for
-    other reasons than the machine. No tolerance applies then. ``note`` describes a difference of digests in words.
-    """
-
-    section: str
+    section: str  # ``code``, ``resumed``, ``distributions``, or a section of the manifest
     name: str
-    a: Any
+    a: Any  # the value in run A; a list if the run was resumed with another value
     b: Any
-    allows: str | None = None
-    forbids: bool = False
-    note: str = ""
+    allows: str | None = None  # why the fact can change the last digits of a number; None if it must not change them
+    forbids: bool = False  # any number can differ by any amount: other code, or a resume inexact beyond the machine
+    note: str = ""  # describes a difference of digests in words
 
 
 def environment_differences(
@@ -206,11 +189,9 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     facts = environment_differences(one.data, other.data)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
     ones, others = _installed(a), _installed(b)
-    more = [
-        FactDifference("distributions", name, ones.get(name), others.get(name))
-        for name in (sorted({*ones, *others} - listed) if ones and others else ())
-        if ones.get(name) != others.get(name)
-    ]
+    names = sorted({*ones, *others} - listed) if ones and others else []
+    facts_of = [(name, ones.get(name), others.get(name)) for name in names]
+    more = [FactDifference("distributions", name, one, two) for name, one, two in facts_of if one != two]
     return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
 
 

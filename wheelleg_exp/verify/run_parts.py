@@ -41,17 +41,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class Span:
-    """The iterations of two runs that are compared: the iterations below ``until``.
-
-    The attribute ``whole`` is true if neither run has or will have iterations after the compared ones. ``closed`` is
-    true if both runs also ended without being killed, so that no file is cut off. ``shorter`` is ``A`` or ``B``, the
-    run with fewer iterations, or None if the runs' lengths do not matter.
-    """
+    """The iterations of two runs that are compared: the iterations below ``until``."""
 
     until: int
-    whole: bool
-    closed: bool
-    shorter: str | None = None
+    whole: bool  # whether neither run has or will have iterations after the compared ones
+    closed: bool  # ``whole``, and both runs ended without being killed, so that no file is cut off
+    shorter: str | None = None  # ``A`` or ``B``, the run with fewer iterations; None if the lengths do not matter
 
     def covers(self, name: str) -> bool:
         """Return whether a file belongs to the compared iterations."""
@@ -90,6 +85,7 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 
 
 State = Literal["equal", "different", "not compared"]
+Sides = tuple[Measured, Measured]  # the compared runs A and B
 
 _TIME = "seconds"  # Results whose key has this suffix are durations, which can differ between equal runs.
 

@@ -1,7 +1,4 @@
-"""Compare two trees of tensors, numbers, and text bit by bit.
-
-This module imports torch, so its callers must import this module lazily.
-"""
+"""Compare two trees of tensors, numbers, and text bit by bit. Import this module lazily: it imports torch."""
 
 from __future__ import annotations
 
@@ -20,22 +17,16 @@ _ABSENT = "(absent)"
 
 @dataclass(frozen=True)
 class Difference:
-    """One leaf in which two trees A and B differ, with its dotted name.
-
-    ``kind`` is ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``. ``a`` and ``b`` are the
-    values at the ``index`` of the largest difference, or the shapes, dtypes, or kinds. ``largest`` is the largest
-    absolute difference (NaN if only one side is NaN or infinite). ``relative`` is the largest absolute difference
-    divided by the larger magnitude of the two values. ``count`` of ``of`` elements differ.
-    """
+    """One leaf in which two trees A and B differ, with its dotted name."""
 
     name: str
-    kind: str
-    a: Any
+    kind: str  # ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``
+    a: Any  # the value at ``index``, or the shape, dtype, or kind
     b: Any
-    index: tuple[int, ...] = ()
-    largest: float | None = None
-    relative: float | None = None
-    count: int = 1
+    index: tuple[int, ...] = ()  # of the largest difference
+    largest: float | None = None  # absolute; NaN if only one side is NaN or infinite
+    relative: float | None = None  # largest absolute difference divided by the larger magnitude of the two values
+    count: int = 1  # ``count`` of ``of`` elements differ
     of: int = 1
 
 

@@ -29,9 +29,7 @@ from typing import Any
 
 from wheelleg_exp.run.iteration_log import Line
 
-START = 1e-3
-END = 0.1
-SPREADS = 2.0
+START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
 _SHORTEST = 50  # The ends of runs with fewer iterations are not compared.
 _TINY = 1e-9  # Smaller magnitudes are treated as zero, because small scalars are often means of terms that cancel.
@@ -39,17 +37,13 @@ _TINY = 1e-9  # Smaller magnitudes are treated as zero, because small scalars ar
 
 @dataclass(frozen=True)
 class Excess:
-    """One number of two runs, its deviation between the runs, and the largest allowed deviation.
-
-    ``iteration`` is None for a mean over the last iterations. The deviation ``off`` is relative in the first differing
-    iteration, and absolute at the end of the runs.
-    """
+    """One number of two runs, its deviation between the runs, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None
+    iteration: int | None  # None for a mean over the last iterations
     a: float
     b: float
-    off: float
+    off: float  # relative in the first differing iteration, absolute at the end of the runs
     allowed: float
 
     @property
@@ -65,17 +59,12 @@ class Excess:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The measured deviations of two runs.
+    """The measured deviations of two runs."""
 
-    ``start`` contains the largest deviations in the first iteration that differs, and ``end`` the deviation of each
-    figure at the end. ``note`` says which figures were not compared. ``needs_end`` is true if the last iterations of
-    both runs had to be compared.
-    """
-
-    start: list[Excess]
-    end: list[Excess]
-    note: str = ""
-    needs_end: bool = False
+    start: list[Excess]  # largest deviations in the first iteration that differs
+    end: list[Excess]  # the deviation of each figure at the end
+    note: str = ""  # which figures were not compared
+    needs_end: bool = False  # whether the last iterations of both runs had to be compared
 
     @property
     def unknown(self) -> bool:

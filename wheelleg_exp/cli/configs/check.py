@@ -21,11 +21,8 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
-    parser.add_argument(
-        "--physics",
-        action="store_true",
-        help="also check whether the numbers are plausible; exit status 1 with findings",
-    )
+    text = "also check whether the numbers are plausible; exit status 1 with findings"
+    parser.add_argument("--physics", action="store_true", help=text)
     parser.add_argument("--all", action="store_true", help="with --physics: also show silenced findings")
     parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
     add_json(parser)
@@ -95,11 +92,8 @@ def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
 def _check_pipeline(args: argparse.Namespace) -> int:
     """Check every phase of a pipeline, its initial networks, and its gate, like ``wheelleg train``."""
     if args.physics or args.all:
-        raise UsageError(
-            "the option applies only to a single task",
-            key="--physics",
-            expected="task=... and the overrides of one phase",
-        )
+        message = "the option applies only to a single task"
+        raise UsageError(message, key="--physics", expected="task=... and the overrides of one phase")
     from wheelleg_exp.cli.train_pipeline import composed_phases
     from wheelleg_exp.config.config_errors import parts
 

@@ -26,9 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_primary(parser)
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
     parser.add_argument("--resolve", action="store_true", help="replace each ${...} by its value")
-    parser.add_argument(
-        "--provenance", action="store_true", help="print the place of each leaf, and the values that it replaced"
-    )
+    text = "print the place of each leaf, and the values that it replaced"
+    parser.add_argument("--provenance", action="store_true", help=text)
     parser.add_argument("--shapes", action="store_true", help="print the layout of observations and actions")
 
 
@@ -36,9 +35,8 @@ def run(args: argparse.Namespace) -> int:
     """Print the composed config, the place that set each value, or the layout of observations and actions."""
     if args.shapes and (args.package or args.resolve or args.provenance):
         expected = "--shapes without --package, --resolve and --provenance"
-        raise WheellegError(
-            "the option --shapes cannot be combined with other options", key="--shapes", expected=expected
-        )
+        message = "the option --shapes cannot be combined with other options"
+        raise WheellegError(message, key="--shapes", expected=expected)
     composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
@@ -72,9 +70,8 @@ def _part(tree: Any, package: str | None) -> Any:
         return select(tree, package)
     except KeyError as error:
         nearest = nearest_path(package, [dotted(path) for path in node_paths(tree)])
-        raise ConfigError(
-            "the config has no key with this name", key=package, where="--package", nearest=nearest
-        ) from error
+        message = "the config has no key with this name"
+        raise ConfigError(message, key=package, where="--package", nearest=nearest) from error
 
 
 def _print_provenance(composed: Composed, package: str | None, *, resolve: bool, as_json: bool) -> None:

@@ -20,12 +20,10 @@ _COLUMNS = ("", "", "place", "what", "write", "known by")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "overrides", nargs="+", metavar=ROBOT, help="a USD, URDF or MJCF file; or task=… and other overrides"
-    )
-    parser.add_argument(
-        "--screenshot", type=Path, metavar="FILE", help="write a picture: colliders, centre of mass, support, contacts"
-    )
+    text = "a USD, URDF or MJCF file; or task=… and other overrides"
+    parser.add_argument("overrides", nargs="+", metavar=ROBOT, help=text)
+    text = "write a picture: colliders, centre of mass, support, contacts"
+    parser.add_argument("--screenshot", type=Path, metavar="FILE", help=text)
     parser.add_argument("--all", action="store_true", help="also show the findings that the task silences")
     add_config_dir(parser)
     add_json(parser)
@@ -37,11 +35,8 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.inspection.robot_picture import require_picture
 
         require_picture(args.screenshot)
-    found = (
-        _of_file(args.overrides, args.config_dirs)
-        if _names_a_file(args.overrides[0])
-        else _of_task(args.overrides, args.config_dirs, args.json)
-    )
+    words, dirs = args.overrides, args.config_dirs
+    found = _of_file(words, dirs) if _names_a_file(words[0]) else _of_task(words, dirs, args.json)
     if found is None:
         return EXIT_INPUT
     if args.screenshot is not None:
@@ -66,9 +61,8 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
     if config_dirs:
-        raise UsageError(
-            "the option applies only to a task", key="--config-dir", expected=f"'{words[0]}' alone, or task=…"
-        )
+        message = "the option applies only to a task"
+        raise UsageError(message, key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
     return diagnose_file(Path(words[0]))
 
 

@@ -41,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
         # The lines of a wrapped text are indented to the column after its label.
-        indent = {0: 4, 2: _LABEL}.get(blanks, blanks + 4)
-        print(hanging(line, indent) if len(line) > screen_width() else line)
+        print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 
 
@@ -145,16 +144,11 @@ def _cut(values: list[str]) -> str:
 
 def document(explained: Explanation) -> dict[str, Any]:
     """Return the JSON document of the explanation of a config key."""
-    other, mount, group = explained.alternatives, explained.mount, None
+    other, mount, group = explained.alternatives, explained.mount, dict[str, Any]()
     if mount is not None:
-        group = {
-            "name": mount.name,
-            "package": mount.package,
-            "option": explained.option,
-            "selected": list(mount.selected),
-            "options": list(mount.options),
-            "choices": [vars(choice) for choice in mount.choices],
-        }
+        group = {"name": mount.name, "package": mount.package, "option": explained.option}
+        group |= {"selected": list(mount.selected), "options": list(mount.options)}
+        group |= {"choices": [vars(choice) for choice in mount.choices]}
     return {
         "key": explained.key,
         "kind": explained.kind,
@@ -171,5 +165,5 @@ def document(explained: Explanation) -> dict[str, Any]:
         "default": other.default if other.has_default else None,
         "required": not other.has_default if other.type else None,
         "not_set": dict(other.keys),
-        "group": group,
+        "group": group or None,
     }

@@ -17,7 +17,6 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-
 ROWS = 15  # At most this number of rows of a table or list is printed.
 JOINTS = 40  # At most this number of joints is printed.
 WIDTH = 60  # A cell of a table has at most this number of characters.
@@ -178,13 +177,11 @@ def _grouped(warnings: Sequence[str]) -> list[str]:
     for warning in warnings:
         path, colon, text = warning.partition(": ")
         place, text = (path, text) if colon and path.startswith("/") else ("", warning)
-        pattern = re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", text)
-        groups.setdefault(pattern, []).append((place, text))
+        groups.setdefault(re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", text), []).append((place, text))
     out = []
     for found in groups.values():
         place, text = found[0]
-        same = all(other == text for _, other in found)
-        if place and same:
+        if place and all(other == text for _, other in found):
             out.append(f"{_places([where for where, _ in found])}: {text}")
         else:
             more = f" (and {len(found) - 1} more like this)" if len(found) > 1 else ""

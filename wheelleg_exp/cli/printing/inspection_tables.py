@@ -29,7 +29,6 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 if TYPE_CHECKING:
     from wheelleg_exp.recording.reading.recording_repair import Repaired
 
-
 Row = Sequence[str | None]
 
 
@@ -168,9 +167,8 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
         print("\nwheelleg did not write this recording, so there are no figures.")
-        print_table(
-            ("entities below", "count", "rows"), [(p.name, f"{p.entities}", f"{p.rows}") for p in summary.parts]
-        )
+        parts = [(p.name, f"{p.entities}", f"{p.rows}") for p in summary.parts]
+        print_table(("entities below", "count", "rows"), parts)
         return
     title = f"training, iteration {_last_iteration(summary)}, with exploration"
     _section(title, ("figure", "value", "of"), _last(summary))
@@ -187,11 +185,8 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     _section("episodes", ("figure", "value"), _episodes(summary))
     _section("base", ("", *recorded_headings("base")), _base(summary))
     _section("tracking", ("velocity", *recorded_headings("tracking")), _tracking(summary))
-    _section(
-        "contact forces: largest in the sensor's history; mean and contact at the end of steps",
-        ("body", *recorded_headings("contact forces")),
-        _forces(summary),
-    )
+    title = "contact forces: largest in the sensor's history; mean and contact at the end of steps"
+    _section(title, ("body", *recorded_headings("contact forces")), _forces(summary))
     efforts: list[Row] = [
         (e.joint, *map(number, (e.rms, e.largest, e.limit)), _share(e.saturated_share)) for e in summary.efforts
     ]
@@ -217,25 +212,20 @@ def _head(summary: Summary, status: str | None) -> list[Row]:
     spans = summary.timelines
     what = " of ".join(str(word) for word in (summary.purpose or "another tool's", own.get("task")) if word)
     agent = f" ({own['agent']} agent)" if own.get("agent") not in (None, "policy") else ""
+    size = f"{health.size / 1e6:.2f} MB, {sum(part.rows for part in summary.parts)} rows of "
+    size += f"{sum(part.entities for part in summary.parts)} entities"
     rows: list[Row] = [
         ("what it is", what + agent),
         ("run", status),
-        (
-            "size",
-            f"{health.size / 1e6:.2f} MB, {sum(part.rows for part in summary.parts)} rows of "
-            f"{sum(part.entities for part in summary.parts)} entities",
-        ),
+        ("size", size),
         ("health", "; ".join(health.lines())),
         *(("note", event.text) for event in summary.notes[-_NOTES:]),
         ("environments", listed(summary.env_ids) if summary.purpose else None),
     ]
     if "sim_time" in spans:
         rows.append(("simulated time", f"{spans['sim_time'].first:.3f} s to {spans['sim_time'].last:.3f} s"))
-    rows += [
-        (f"{name}s", f"{spans[name].first:.0f} to {spans[name].last:.0f}")
-        for name in ("step", "iteration")
-        if name in spans
-    ]
+    named = [name for name in ("step", "iteration") if name in spans]
+    rows += [(f"{name}s", f"{spans[name].first:.0f} to {spans[name].last:.0f}") for name in named]
     rows.append(("contents", ", ".join(part.name for part in summary.parts if part.rows or part.name == DOCUMENTS)))
     return [row for row in rows if row[1]]
 

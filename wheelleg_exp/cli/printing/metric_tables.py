@@ -16,13 +16,8 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-
-_SETTLED = (
-    "height_rmse_m",
-    "height_mean_m",
-    "pitch_rms_deg",
-    "pitch_mean_deg",
-)  # These figures do not cover the settling time at the start of an episode.
+# These figures do not cover the settling time at the start of an episode.
+_SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
     "drift_m": lambda value: f"{1e3 * value:.1f} mm",
@@ -64,10 +59,8 @@ def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
     from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
-    words = (
-        f"{sensor}: normal force at the end of a step, over {steps} of all episodes and environments, "
-        f"at least {SETTLE_S:g} s after a reset and with a tilt below {UPRIGHT_RAD:g} rad"
-    )
+    words = f"{sensor}: normal force at the end of a step, over {steps} of all episodes and environments, "
+    words += f"at least {SETTLE_S:g} s after a reset and with a tilt below {UPRIGHT_RAD:g} rad"
     print(f"\n{hanging(words, 0)}")
     cells = [(r.body, f"{r.mean_n:.3f}", f"{r.max_n:.3f}", percent(r.contact_share)) for r in rows]
     print_table(("link", *(CONTACTS[key].heading for key in ("mean_n", "max_n", "contact_share"))), cells)

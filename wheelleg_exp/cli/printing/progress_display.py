@@ -22,6 +22,7 @@ from rich.progress import (
 from wheelleg_exp.cli.printing.terminal import hanging, styled
 from wheelleg_exp.definitions import percent
 from wheelleg_exp.errors import printable
+from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.progress import progress_to
 from wheelleg_exp.rl.trainer import Iteration
 
@@ -29,10 +30,7 @@ PLAIN_EVERY_S = 10.0
 
 
 class LiveLines:
-    """Progress on standard error: live lines on a terminal, plain lines elsewhere.
-
-    The argument ``columns`` contains extra columns of the progress bar, between the count and the figures.
-    """
+    """Progress on standard error: live lines on a terminal, plain lines elsewhere; ``columns`` follow the count."""
 
     def __init__(self, *columns: ProgressColumn) -> None:
         self._console = Console(file=styled(sys.stderr))
@@ -48,6 +46,7 @@ class LiveLines:
         )
 
     def say(self, text: str) -> None:
+        """Print one line; a line of progress moves below it."""
         self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
@@ -60,11 +59,8 @@ class LiveLines:
             self._progress.stop()
 
 
-class ConsoleDisplay(LiveLines):
-    """Show the progress of a job on standard error, because standard output contains only the result.
-
-    If the attribute ``quiet`` is true, the tables of the managers are not shown.
-    """
+class ConsoleDisplay(LiveLines, Display):
+    """Show the progress of a job on standard error; ``quiet`` omits the tables of the managers."""
 
     def __init__(self, quiet: bool = False) -> None:
         super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
@@ -82,20 +78,16 @@ class ConsoleDisplay(LiveLines):
         self._listening.close()
 
     def environment(self, description: str) -> None:
-        """Show the managers' tables."""
         if not self._quiet:
             self.say(description)
 
     def note(self, text: str) -> None:
-        """Show one line."""
         self.say(text)
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show the progress of a training."""
         self._advance("training", iteration.index + 1, total, figures(iteration.scalars))
 
     def steps(self, done: int, total: int) -> None:
-        """Show the progress of a rollout."""
         self._advance("playing", done, total, "")
 
     def _work(self, what: str, done: int, total: int) -> None:
@@ -149,6 +141,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._all: TaskID | None = None
 
     def checking(self, done: int, total: int) -> None:
+        """Show how many jobs of the sweep have been checked."""
         if not self._live:
             return
         if self._all is None:
@@ -156,6 +149,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._progress.update(self._all, completed=done)
 
     def checked(self) -> None:
+        """Restart the progress bar after the check, to count the jobs that have ended."""
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 

@@ -166,8 +166,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
-    framed = lines and sys.stdout.isatty()
-    if framed and sum(widths) + 3 * len(widths) + 1 <= screen_width():
+    if lines and sys.stdout.isatty() and sum(widths) + 3 * len(widths) + 1 <= screen_width():
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
@@ -190,10 +189,8 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines.
-
-    The columns with long titles are narrowed first, then the widest columns.
-    """
+    """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines."""
+    # The columns with long titles are narrowed first, then the widest columns.
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
     below_titles = [max([pieces[i], *(len(row[i]) for row in rows[1:])]) for i in columns]

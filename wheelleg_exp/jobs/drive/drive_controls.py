@@ -19,13 +19,9 @@ from wheelleg_exp.sim.timers import forget
 
 @dataclass(frozen=True)
 class Axis:
-    """One component of a command term, with its range [low, high] in the component's unit.
+    """One component of a command term, with its range [low, high] in the component's unit."""
 
-    Drive scripts and sliders use the axis's ``name``. If several command terms have the component, ``name`` starts with
-    the command term's name.
-    """
-
-    name: str
+    name: str  # the name in drive scripts and sliders, after the term's name if several terms have the component
     term: str
     component: str
     low: float
@@ -102,10 +98,7 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """Request to drive another checkpoint, or on another ground; None means the current checkpoint or ground.
-
-    ``scene`` is an option of the config group ``scene``, or ``own``.
-    """
+    """Request to drive another checkpoint or ground (an option of ``scene``, or ``own``); None: the current one."""
 
     checkpoint: Path | None = None
     scene: str | None = None
@@ -122,9 +115,7 @@ Request = Push | Reset | Choose | Finish
 class Controls:
     """The driver's commands, and the driver's requests that wait for the next control step.
 
-    All methods are thread-safe.
-
-    ``speed`` is simulated seconds per second of real time.
+    All methods are thread-safe. ``speed`` is simulated seconds per second of real time.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:

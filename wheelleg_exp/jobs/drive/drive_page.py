@@ -29,10 +29,7 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a port is free; 0 means any free port.
-
-    ``use`` describes the purpose of the port, for error messages.
-    """
+    """Raise WheellegError, with the purpose ``use`` of the port, unless the port is free; 0 means any free port."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -70,10 +67,8 @@ def state_html(status: Status, controls: Controls, step_dt: float) -> str:
     """Return time, commands, measured values, and height of a drive as HTML."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
-    lines = [
-        f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
-        f"falls {status.falls} {fallen}</div>"
-    ]
+    time = f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
+    lines = [time + f"falls {status.falls} {fallen}</div>"]
     lines += [_axis(axis, status.commands[name], status.measured.get(name)) for name, axis in controls.axes.items()]
     lines.append(f'<div id="drive-height">height {1e3 * status.height_m:.1f} mm</div>')
     return f'<div style="{_BOX_STYLE}">{"".join(lines)}</div>'
@@ -85,11 +80,9 @@ def reward_bars_html(values: Mapping[str, float]) -> str:
     rows = []
     for name, value in values.items():
         width = 50.0 * abs(value) / most
-        left = 50.0 if value >= 0.0 else 50.0 - width
-        rows.append(
-            f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
-            + _bar(left, width, _GOOD if value >= 0.0 else _BAD)
-        )
+        left, colour = (50.0, _GOOD) if value >= 0.0 else (50.0 - width, _BAD)
+        text = f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
+        rows.append(text + _bar(left, width, colour))
     return f'<div id="drive-rewards" style="{_BOX_STYLE}">{"".join(rows)}</div>'
 
 
@@ -133,10 +126,8 @@ _MAX_MESSAGE = 1024  # bytes of a message
 class InputServer:
     """Receives key and gamepad input of a web page on the loopback address.
 
-    A web page that disconnects releases all its axes.
-
-    ``origins`` are the accepted web origins, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of a
-    push that a key requests, m/s.
+    A web page that disconnects releases all its axes. ``origins`` are the accepted web origins, such as
+    ``http://127.0.0.1:8080``. ``push`` is the velocity change of a push that a key requests, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -220,11 +211,8 @@ class DrivePage:
             import viser
             from mjviser import ViserMujocoScene
         except ImportError as error:
-            raise WheellegError(
-                f"viser and mjviser draw the page, and {error.name} is missing",
-                key="--drive",
-                expected='pip install "wheelleg_exp[drive]"',
-            ) from error
+            message = f"viser and mjviser draw the page, and {error.name} is missing"
+            raise WheellegError(message, key="--drive", expected='pip install "wheelleg_exp[drive]"') from error
 
         class LocalServer(viser.ViserServer):
             def request_share_url(self, verbose: bool = True) -> str | None:
@@ -281,7 +269,29 @@ class DrivePage:
         away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
         self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
         self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        self._build(choice)
+        gui, controls = self._server.gui, self._controls
+        self._state = gui.add_html("")
+        with gui.add_folder("Commands"):
+            self._mirrored: dict[str, float] = {}
+            self._sliders = {name: self._slider(name) for name in controls.axes}
+            if not controls.axes:
+                gui.add_markdown("This task's commands have no ranges: the robot can be pushed, not driven.")
+            gui.add_button("Stop", hint="x").on_click(lambda _: controls.stop())
+        with gui.add_folder("Time"):
+            self._pause = gui.add_button("Pause", hint="space")
+            self._pause.on_click(lambda _: self._hands.press("pause"))
+            speed = gui.add_button_group("Speed", ("1", f"{SLOW:g}", "0.1"))
+            speed.on_click(lambda _: setattr(controls, "speed", float(speed.value)))
+            gui.add_button("Reset", hint="r").on_click(lambda _: controls.request(Reset()))
+            pushes = gui.add_button_group("Push", tuple(_PUSHES))
+            pushes.on_click(lambda _: controls.request(self._push_to(pushes.value)))
+        with gui.add_folder("Rewards, per second"):
+            self._rewards = gui.add_html("")
+        with gui.add_folder("What is driven"):
+            self._choices(choice)
+            finish = gui.add_button("Finish", hint="end the drive and write its figures")
+            finish.on_click(lambda _: controls.request(Finish()))
+        gui.add_html(KEYS_HELP)
         # Run JavaScript in every open or future page, as viser does for its plots.
         source = self._hands.javascript()
         from viser._messages import RunJavascriptMessage
@@ -307,41 +317,13 @@ class DrivePage:
         with _without_output():
             self._server.stop()
 
-    def _build(self, choice: Choose) -> None:
-        gui, controls = self._server.gui, self._controls
-        self._state = gui.add_html("")
-        with gui.add_folder("Commands"):
-            self._mirrored: dict[str, float] = {}
-            self._sliders = {name: self._slider(name) for name in controls.axes}
-            if not controls.axes:
-                gui.add_markdown("This task's commands have no ranges: the robot can be pushed, not driven.")
-            gui.add_button("Stop", hint="x").on_click(lambda _: controls.stop())
-        with gui.add_folder("Time"):
-            self._pause = gui.add_button("Pause", hint="space")
-            self._pause.on_click(lambda _: self._hands.press("pause"))
-            speed = gui.add_button_group("Speed", ("1", f"{SLOW:g}", "0.1"))
-            speed.on_click(lambda _: setattr(controls, "speed", float(speed.value)))
-            gui.add_button("Reset", hint="r").on_click(lambda _: controls.request(Reset()))
-            pushes = gui.add_button_group("Push", tuple(_PUSHES))
-            pushes.on_click(lambda _: controls.request(self._push_to(pushes.value)))
-        with gui.add_folder("Rewards, per second"):
-            self._rewards = gui.add_html("")
-        with gui.add_folder("What is driven"):
-            self._choices(choice)
-            gui.add_button("Finish", hint="end the drive and write its figures").on_click(
-                lambda _: controls.request(Finish())
-            )
-        gui.add_html(KEYS_HELP)
-
     def _push_to(self, way: str) -> Push:
         x, y = _PUSHES[way]
         return Push(self._hands.push * x, self._hands.push * y)
 
     def _slider(self, name: str) -> Any:
-        axis = self._controls.axes[name]
-        slider = self._server.gui.add_slider(
-            name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest
-        )
+        axis, add = self._controls.axes[name], self._server.gui.add_slider
+        slider = add(name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest)
 
         @slider.on_update
         def _(event: Any) -> None:

@@ -1,8 +1,7 @@
 """Read a drive script, and write a finished drive as a script that repeats it.
 
-A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts
-for ``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the
-axis.
+A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts for
+``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the axis.
 """
 
 from __future__ import annotations
@@ -27,15 +26,12 @@ _ACTIONS = ("push", "reset", "stop")
 
 @dataclass(frozen=True)
 class Entry:
-    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s.
+    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s."""
 
-    If ``stops`` is true, every axis that ``values`` does not name gets its rest value.
-    """
-
-    at: float
+    at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False
+    stops: bool = False  # whether every axis without a value gets its rest value
 
 
 @dataclass(frozen=True)
@@ -80,23 +76,20 @@ def read_script(path: Path, axes: Sequence[Axis]) -> Script:
         line = "" if error.line is None else f":{error.line}"
         raise ConfigError(f"the script is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
     if not isinstance(value, list) or not value or not isinstance(tree, yaml.SequenceNode):
-        raise ConfigError(
-            "the script is not a list of commands", key="--script", where=str(path), expected=_example(axes)
-        )
+        message = "the script is not a list of commands"
+        raise ConfigError(message, key="--script", where=str(path), expected=_example(axes))
     places = [_Place(path, node) for node in tree.value]
     entries: list[Entry] = []
     end = 0.0
     for index, (item, place) in enumerate(zip(value, places, strict=True)):
         if not isinstance(item, dict):
-            raise ConfigError(
-                "the script entry is not a command", key=f"[{index}]", where=place.of(), expected=_example(axes)
-            )
+            message = "the script entry is not a command"
+            raise ConfigError(message, key=f"[{index}]", where=place.of(), expected=_example(axes))
         entry, end = _entry(item, place, {axis.name: axis for axis in axes}, entries[-1].at if entries else 0.0, end)
         entries.append(entry)
     if "for" not in value[-1]:
-        raise ConfigError(
-            "the last entry does not give the end of the drive", where=places[-1].of(), key="for", expected="seconds"
-        )
+        message = "the last entry does not give the end of the drive"
+        raise ConfigError(message, where=places[-1].of(), key="for", expected="seconds")
     return Script(entries, end, text)
 
 
@@ -117,22 +110,18 @@ def _entry(
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
+            message = "unknown key in a script"
+            expected = "one of " + ", ".join(names)
             raise ConfigError(
-                "unknown key in a script",
-                key=str(key),
-                where=place.of(key),
-                expected="one of " + ", ".join(names),
-                nearest=nearest_name(str(key), names),
+                message, key=str(key), where=place.of(key), expected=expected, nearest=nearest_name(str(key), names)
             )
     at = _seconds(item, "at", place, default=end)
     if at < before:
-        raise ConfigError(
-            f"{at:g} s is before the command above", key="at", where=place.of("at"), expected=f"at least {before:g}"
-        )
+        message = f"{at:g} s is before the command above"
+        raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
     values = {name: _value(axes[name], item[name], place) for name in item if name in axes}
-    return Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place)), at + _seconds(
-        item, "for", place, default=0.0
-    )
+    entry = Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place))
+    return entry, at + _seconds(item, "for", place, default=0.0)
 
 
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
@@ -147,12 +136,8 @@ def _value(axis: Axis, value: Any, place: _Place) -> float:
     if not _is_number(value):
         raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
     if not axis.low <= value <= axis.high:
-        raise ConfigError(
-            f"{value:g} is outside the command range of the training",
-            key=axis.name,
-            where=place.of(axis.name),
-            expected=expected,
-        )
+        message = f"{value:g} is outside the command range of the training"
+        raise ConfigError(message, key=axis.name, where=place.of(axis.name), expected=expected)
     return float(value)
 
 
@@ -201,14 +186,12 @@ class DriveLog:
 
     def asked(self, step: int, request: Reset | Push) -> None:
         """Record a request that the driver made before a control step."""
-        deed = {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}
-        self._entries.append((step, deed))
+        self._entries.append((step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
         """Return the entries of a drive script that repeats this drive of ``steps`` control steps."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
-        last = self._entries[-1][0] if self._entries else 0
-        entries[-1]["for"] = round(self._time(steps) - self._time(last), 6)
+        entries[-1]["for"] = round(self._time(steps) - self._time(self._entries[-1][0] if self._entries else 0), 6)
         return entries
 
     def _time(self, step: int) -> float:

@@ -91,10 +91,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return height and measured values.
-
-        Call this method once per control step, because the height above ground needs ray casts.
-        """
+        """Return height and measured values. Call once per control step: the height above ground needs ray casts."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
@@ -108,19 +105,15 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """The state of a drive, as Python numbers.
+    """The state of a drive, as Python numbers."""
 
-    ``time_s`` counts from the start of the drive. ``rewards`` are the weighted rewards per second of the last control
-    step, by reward term. ``fallen`` describes how the episode ended; None while the episode runs.
-    """
-
-    time_s: float
+    time_s: float  # since the start of the drive
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
-    rewards: dict[str, float] = field(default_factory=dict)
+    rewards: dict[str, float] = field(default_factory=dict)  # weighted, per second, by reward term
     falls: int = 0
-    fallen: str | None = None
+    fallen: str | None = None  # how the episode ended; None while it runs
 
 
 class DriveSession:
@@ -196,13 +189,12 @@ class DriveSession:
 
     def status(self) -> Status:
         """Return the state of the drive."""
-        rewards = self.env.reward_manager.get_active_iterable_terms(0)
         return Status(
             time_s=self.time_s,
             commands=self.controls.values,
             measured=self.meter.measured,
             height_m=self.meter.height_m,
-            rewards={name: value for name, (value,) in rewards},
+            rewards={name: value for name, (value,) in self.env.reward_manager.get_active_iterable_terms(0)},
             falls=self.meter.falls,
             fallen=self.fallen,
         )

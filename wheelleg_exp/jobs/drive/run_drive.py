@@ -41,18 +41,6 @@ def scenes() -> list[str]:
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
-def require_scene(name: str) -> None:
-    """Raise ConfigError for an unknown ground."""
-    known = scenes()
-    if name not in known:
-        raise ConfigError(
-            f"unknown ground '{name}'",
-            key="--scene",
-            expected="one of " + ", ".join(known),
-            nearest=nearest_name(name, known),
-        )
-
-
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config tree of ``play`` with the changes for driving.
 
@@ -71,16 +59,13 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        env["scene"] = _with_ground(env["scene"], scene)
+        # Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene.
+        own = env["scene"]
+        other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
+        shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
+        ground = {key: value for key, value in other.items() if key != "sensors"}
+        env["scene"] = {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
     return tree
-
-
-def _with_ground(own: Tree, name: str) -> Tree:
-    """Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene."""
-    other = compose([f"+{_GROUP}={name}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
-    shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
-    ground = {key: value for key, value in other.items() if key != "sensors"}
-    return {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
 
 
 _MAX_DELAY_S = 0.1  # The pacer does not catch up longer delays, so that a slow machine shows slow motion.
@@ -168,18 +153,18 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 
 
 def _drive_one(
-    request: DriveRequest,
-    choice: Choose,
-    path: Path | None,
-    display: Display,
-    view: DriveView | None,
-    stop: StopRequest,
+    request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
     """Return the finished drive, and the driver's choice of the next checkpoint and ground, or None."""
-    scene = choice.scene or OWN_GROUND
-    require_scene(scene)
+    scene = pick.scene or OWN_GROUND
+    # Raise ConfigError for an unknown ground.
+    known = scenes()
+    if scene not in known:
+        message = f"unknown ground '{scene}'"
+        expected = "one of " + ", ".join(known)
+        raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
     prepared = prepare_policy(
-        request.run, choice.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
+        request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
     )
     session = DriveSession(prepared.adapter, prepared.policy)
     script = None if path is None else read_script(path, session.axes)
@@ -188,7 +173,7 @@ def _drive_one(
         recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
         with recording or nullcontext():
             if view is not None:
-                where = view.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+                where = view.open(session, Choose(prepared.checkpoint, pick.scene), float(tree["drive"]["push"]))
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
             following = _Driver(session, script, tree["drive"], display, view, stop).run()
             content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
@@ -204,7 +189,7 @@ def _drive_one(
     made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
     if following is None:
         return made, None
-    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or choice.scene)
+    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or pick.scene)
 
 
 class _Driver:

@@ -67,10 +67,8 @@ def recorded_episodes(
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the joint targets (N, 3, J) that actions set in the first physics step, without a change of the state.
-
-    Target positions are clipped to the joint limits, as the bundle's runner does. Training does not clip them.
-    """
+    """Return the joint targets (N, 3, J) that actions set in the first physics step, without a change of the state."""
+    # Target positions are clipped to the joint limits, as the bundle's runner does. Training does not clip them.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
     manager.process_action(actions)

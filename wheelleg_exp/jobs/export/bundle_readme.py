@@ -93,8 +93,7 @@ _PER_JOINT = ("default_joint_pos", "stiffness", "damping", "effort_limit", "velo
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in [head, ["---"] * len(head), *rows])
 
 
 def _number(value: float | None) -> str:
@@ -142,11 +141,9 @@ def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:
             clip = "-" if term["clip"] is None else term["clip"]
             rows.append((f"`{term['name']}`", term["function"], source, term["width"], length, clip, " ".join(scales)))
             start += term["width"] * length
-        order = (
-            "step by step, oldest first, each step with all terms"
-            if group["history_order"] == "time"
-            else "term by term, each with its history, oldest first"
-        )
+        order = "term by term, each with its history, oldest first"
+        if group["history_order"] == "time":
+            order = "step by step, oldest first, each step with all terms"
         head = ("term", "value", "of", "width", "samples", "clip", "scale")
         lines += [f"Group `{group['name']}`: {order}.", _table(head, rows)]
     return lines

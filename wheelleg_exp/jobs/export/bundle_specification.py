@@ -25,12 +25,8 @@ from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import Imu
 
-_DRIVE_LAWS = {
-    actuators.ImplicitActuator: "implicit",
-    actuators.IdealPDActuator: "pd",
-    actuators.DelayedPDActuator: "pd",
-    actuators.DCMotor: "dc_motor",
-}
+_DRIVE_LAWS: dict[type, str] = {actuators.ImplicitActuator: "implicit", actuators.DCMotor: "dc_motor"}
+_DRIVE_LAWS |= dict.fromkeys((actuators.IdealPDActuator, actuators.DelayedPDActuator), "pd")
 _DRIVE_RATE_MARGIN = 10.0
 _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 
@@ -103,11 +99,9 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         term, bound = manager.get_term(name), manager.get_term_cfg(name)
         known = _KNOWN_ACTIONS.get(type(term))
         if known is None:
-            raise ConfigError(
-                f"a runner does not know the actions of '{bound.target}'",
-                key=bound.path,
-                expected="one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS)),
-            )
+            message = f"a runner does not know the actions of '{bound.target}'"
+            expected = "one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS))
+            raise ConfigError(message, key=bound.path, expected=expected)
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
@@ -154,7 +148,6 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
     actions.AbsBinaryJointPositionAction: _binary,
 }
 
-
 _ACTIVATIONS: dict[type, str] = {
     torch.nn.ELU: "elu",
     torch.nn.CELU: "elu",  # rsl_rl uses alpha 1
@@ -174,18 +167,13 @@ _GAUSSIAN = GaussianDistribution.__name__
 def require_perceptron(section: Mapping[str, Any], key: str) -> None:
     """Raise ConfigError for a network that is not a perceptron with the mean action as its output."""
     if section["class_name"] != MLPModel.__name__:
-        raise ConfigError(
-            f"a runner does not know networks of class '{section['class_name']}'",
-            key=f"{key}.class_name",
-            expected="MLPModel: no memory of its own, no pictures",
-        )
+        message = f"a runner does not know networks of class '{section['class_name']}'"
+        raise ConfigError(message, key=f"{key}.class_name", expected="MLPModel: no memory of its own, no pictures")
     distribution = (section.get("distribution_cfg") or {}).get("class_name", _GAUSSIAN)
     if distribution != _GAUSSIAN:
-        raise ConfigError(
-            f"a runner does not know the mean of a '{distribution}'",
-            key=f"{key}.distribution_cfg.class_name",
-            expected=f"{_GAUSSIAN}, whose mean is the network's output",
-        )
+        message = f"a runner does not know the mean of a '{distribution}'"
+        expected = f"{_GAUSSIAN}, whose mean is the network's output"
+        raise ConfigError(message, key=f"{key}.distribution_cfg.class_name", expected=expected)
 
 
 def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -204,21 +192,17 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
         elif type(layer) in _ACTIVATIONS:
             activations[-1] = _ACTIVATIONS[type(layer)]
         else:
-            raise ConfigError(
-                f"a runner does not know the activation '{type(layer).__name__}'",
-                key=f"agent.{role}.activation",
-                expected="one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity",
-            )
+            message = f"a runner does not know the activation '{type(layer).__name__}'"
+            expected = "one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity"
+            raise ConfigError(message, key=f"agent.{role}.activation", expected=expected)
     widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
     about = {"file": "policy.npz", "dtype": "float32", "widths": widths, "activations": activations}
     return about | {"normalized": bool(policy.obs_normalization)}, arrays
 
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
-    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32.
-
-    In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
-    """
+    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
+    # In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:

@@ -59,10 +59,7 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
 
 
 def number(value: float | None, missing: str = "FLT_MAX") -> str:
-    """Return a C float.
-
-    JSON's null becomes ``missing``. Infinity becomes the largest float, because -ffast-math does not support inf.
-    """
+    """Return a C float: null becomes ``missing``, inf the largest float (-ffast-math does not support inf)."""
     return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 
@@ -176,16 +173,14 @@ _ACTIVATIONS = {
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     """Return ``policy.h``, from ``policy.json`` and the network's arrays."""
-    terms = [
-        (f"{g}_{t}", term) for g, group in enumerate(spec["observations"]) for t, term in enumerate(group["terms"])
-    ]
+    groups = enumerate(spec["observations"])
+    terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
     joints, about = len(spec["joint_names"]), spec["run"]
     memory = [line for name, term in terms for line in term_memory(name, term)]
     memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
     processed = [line for name, term in actions for line in action_lines(name, term)]
-    widths = spec["network"]["widths"]
     return _HEADER.format(
         about=in_comment(f"The policy '{about['task']}' of run {about['id']}, iteration {about['iteration']}."),
         joint_names=_listed(f"{i} {name}" for i, name in enumerate(spec["joint_names"])),
@@ -200,7 +195,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         ),
         memory="\n".join(f"    {line}" for line in memory),
         constants="\n".join(_constants(spec, arrays)),
-        widest=max([spec["observation_width"], *widths]),
+        widest=max([spec["observation_width"], *spec["network"]["widths"]]),
         observe=_indented([*observe, *_layout(spec)], 4),
         normalize=_NORMALIZE if spec["network"]["normalized"] else _COPY,
         zero=_indented(_zero(spec), 4),
@@ -221,9 +216,8 @@ def _indented(lines: Iterable[str], spaces: int) -> str:
 
 
 def _array(kind: str, name: str, values: Iterable[str]) -> str:
-    words, lines = list(values), []
-    for start in range(0, len(words), 10):
-        lines.append("    " + ", ".join(words[start : start + 10]))
+    words = list(values)
+    lines = ["    " + ", ".join(words[start : start + 10]) for start in range(0, len(words), 10)]
     return f"static const {kind} {name}[{len(words)}] = {{\n" + ",\n".join(lines) + "};"
 
 

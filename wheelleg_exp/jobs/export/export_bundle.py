@@ -92,18 +92,6 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     return found
 
 
-def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -> dict[str, Any]:
-    """Return the ``env`` section of a scene with only the robot on level ground.
-
-    ``friction`` is the ground's static and dynamic friction and its restitution.
-    """
-    found = as_configured(env)
-    names = ("static_friction", "dynamic_friction", "restitution")
-    plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
-    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
-    return found
-
-
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model that carries a bundle's specification.
 
@@ -145,17 +133,13 @@ _SKIPPED_FILES = (REPORT, "asset.json")
 
 @dataclass(frozen=True)
 class Exported:
-    """The result of an export.
-
-    ``differences`` are the largest differences of the exported policies from the training's simulation, step by step.
-    ``notes`` name missing parts of the bundle, with reasons.
-    """
+    """The result of an export."""
 
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]
-    notes: Sequence[str]
+    differences: Mapping[str, float]  # largest differences from the training's simulation, by policy file
+    notes: Sequence[str]  # missing parts of the bundle, with reasons
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
@@ -183,12 +167,11 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
             work.rename(place)
         folder = place.resolve()
     if folder.is_relative_to(run.path):
-        results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
+        results: dict[str, Any] = {"folder": str(folder.relative_to(run.path)), "checkpoint": checkpoint.name}
+        results |= {"largest_difference": differences, "lacks": notes}
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
-            run.manifest().add(
-                "export", files, {"folder": str(folder.relative_to(run.path)), **results}, command=command
-            )
+            run.manifest().add("export", files, results, command=command)
         except BaseException:  # The run directory must not contain a bundle that is missing in the manifest.
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -259,11 +242,8 @@ def _require_unchanged(state: Mapping[str, Any]) -> None:
         terms |= {f"env.observations.{group}.terms.{name}": term["term"] for name, term in found.items()}
     for key, term in terms.items():
         if term.get("settings"):
-            raise ConfigError(
-                "the training changed its settings (" + ", ".join(term["settings"]) + ")",
-                key=key,
-                expected="the settings of the config, from which the export is made",
-            )
+            message = "the training changed its settings (" + ", ".join(term["settings"]) + ")"
+            raise ConfigError(message, key=key, expected="the settings of the config, from which the export is made")
 
 
 def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -280,7 +260,12 @@ def _write_robot(
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain
     friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
-    scene = SceneManager(as_simulated(params, friction), mjcf, 1).scene
+    # Return the ``env`` section of a scene with only the robot on level ground.
+    found = as_configured(params)
+    names = ("static_friction", "dynamic_friction", "restitution")
+    plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
+    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
+    scene = SceneManager(found, mjcf, 1).scene
     scene.play()
     write_text(folder / "scene.xml", scene.spec.to_xml())
     strange = [f"the drive `{name}`" for name, group in env.scene.robot.actuators.items() if drive_law(group) is None]

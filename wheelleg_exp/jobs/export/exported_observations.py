@@ -1,7 +1,4 @@
-"""Describe observation terms and their sensor readings as plain numbers for a bundle's runner.
-
-A term that a runner cannot compute raises a ``ConfigError`` with its name.
-"""
+"""Describe observation terms and sensor readings as numbers for a runner; unknown terms raise ConfigError."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import SceneEntityCfg, Term
 from wheelleg_exp.managers.observation_term import ObservationTerm
-from wheelleg_exp.mdp import modifiers, observations
+from wheelleg_exp.mdp import modifiers
 from wheelleg_exp.mdp import observations as obs
 from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 from wheelleg_exp.terms.term_binding import TARGET
@@ -48,7 +45,6 @@ READINGS = {
     "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
 }
 
-
 # Quantities of an IMU (``<sensor>.<quantity>``): unit, meaning, and attribute of the sensor's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
@@ -65,9 +61,8 @@ def reading(name: str) -> Reading:
     if not name.startswith(COMMANDS):
         sensor, _, quantity = name.rpartition(".")
         unit, meaning, attribute = QUANTITIES[quantity]
-        return Reading(
-            unit, f"of the IMU '{sensor}': {meaning}", lambda env: getattr(env.scene[sensor].data, attribute)
-        )
+        text = f"of the IMU '{sensor}': {meaning}"
+        return Reading(unit, text, lambda env: getattr(env.scene[sensor].data, attribute))
     term = name.removeprefix(COMMANDS)
     meaning = f"the command '{term}'; commands.{term} lists its components and ranges"
     return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))
@@ -101,11 +96,9 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
     bound, fields = term.term, term.term.fields
     known = _KNOWN.get(bound.func) or _KNOWN.get(type(bound.func))
     if known is None:
-        raise ConfigError(
-            f"a runner without the simulation cannot work out '{bound.target}'",
-            key=bound.path,
-            expected="one of " + ", ".join(sorted(function.__name__ for function in _KNOWN)),
-        )
+        message = f"a runner without the simulation cannot work out '{bound.target}'"
+        expected = "one of " + ", ".join(sorted(function.__name__ for function in _KNOWN))
+        raise ConfigError(message, key=bound.path, expected=expected)
     clip, scale = fields.get("clip"), fields.get("scale")
     spec = {"name": bound.name, **known(env, bound), "width": term.width, "history_length": term.history_length}
     parts = [part for name, part in term.parts().items() if name != "noise"]
@@ -122,41 +115,35 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
 
 
 def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
-    kinds = {
-        modifiers.Scale: "scale",
-        modifiers.Bias: "bias",
-        modifiers.Clip: "clip",
-        modifiers.DigitalFilter: "filter",
-        modifiers.Integrator: "integrator",
-    }
+    kinds: dict[type, str] = {modifiers.Scale: "scale", modifiers.Bias: "bias", modifiers.Clip: "clip"}
+    kinds |= {modifiers.DigitalFilter: "filter", modifiers.Integrator: "integrator"}
     if type(part) not in kinds:
-        raise ConfigError(
-            f"a runner does not know the modifier '{node[TARGET]}'",
-            key=path,
-            expected="one of " + ", ".join(kind.__name__ for kind in kinds),
-        )
+        message = f"a runner does not know the modifier '{node[TARGET]}'"
+        raise ConfigError(message, key=path, expected="one of " + ", ".join(kind.__name__ for kind in kinds))
     return {"kind": kinds[type(part)], **{name: value for name, value in node.items() if name != TARGET}}
 
 
 def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     if term.params.get("measured") is False and name == "joint_pos":
-        raise ConfigError(
-            "the term shows joint positions that encoders do not measure", key=term.path, expected="measured: true"
-        )
+        message = "the term shows joint positions that encoders do not measure"
+        raise ConfigError(message, key=term.path, expected="measured: true")
     ids = torch.arange(len(env.scene.robot.joint_names))[term.params.get("asset_cfg", _ROBOT).joint_ids].tolist()
     return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
 
 
+def _reading(name: str, function: str = "reading") -> Spec:
+    return {"function": function, "reading": name}
+
+
 def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    return lambda _env, _term: {"function": function, "reading": name}
+    return lambda _env, _term: _reading(name, function)
 
 
 def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    def spec(_env: ManagerBasedRLEnv, term: Term) -> Spec:
-        sensor = term.params["asset_cfg"].name if "asset_cfg" in term.params else _IMU
-        return {"function": "reading", "reading": f"{sensor}.{quantity}"}
+    def sensor(term: Term) -> str:
+        return str(term.params["asset_cfg"].name) if "asset_cfg" in term.params else _IMU
 
-    return spec
+    return lambda _env, term: _reading(f"{sensor(term)}.{quantity}")
 
 
 def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
@@ -184,8 +171,7 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
     name = term.params["command_name"]
     command: Any = env.command_manager.get_term(name)
     if type(command) is not UniformVelocityTravelCommand:
-        kind = type(command).__name__
-        message = f"a runner does not know how a '{kind}' sums up its error"
+        message = f"a runner does not know how a '{type(command).__name__}' sums up its error"
         raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
     ids = torch.arange(len(env.scene.robot.joint_names))[command._wheel_ids].tolist()
     most = command._most[0].tolist()
@@ -212,34 +198,28 @@ def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
 
 
 _KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
-    observations.base_ang_vel: _plain("base_ang_vel"),
-    observations.base_lin_vel: _plain("base_lin_vel"),
-    observations.base_height: _plain("base_height"),
-    observations.projected_gravity: _plain("projected_gravity"),
-    observations.base_roll_pitch: _plain("projected_gravity", "roll_pitch"),
-    observations.joint_pos: _joint_values("joint_pos"),
-    observations.joint_pos_rel: _minus_default("joint_pos", "default_joint_pos"),
-    observations.joint_pos_sin_cos: _joint_values("joint_pos", "sin_cos"),
-    observations.joint_pos_limit_normalized: _within_limits,
-    observations.joint_vel: _joint_values("joint_vel"),
-    observations.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
-    observations.joint_effort_commanded: _joint_values("joint_effort"),
-    observations.imu_ang_vel: _of_imu("ang_vel"),
-    observations.imu_lin_acc: _of_imu("lin_acc"),
-    observations.imu_projected_gravity: _of_imu("projected_gravity"),
-    observations.imu_orientation: _of_imu("quat"),
-    observations.generated_commands: lambda _env, term: {
-        "function": "reading",
-        "reading": f"{COMMANDS}{term.params['command_name']}",
-    },
-    observations.last_action: _last_action,
-    observations.travel_error: _travel_error,
-    observations.current_time_s: lambda _env, _term: {"function": "time"},
-    observations.remaining_time_s: lambda env, _term: {
-        "function": "remaining_time",
-        "episode_length_s": env.max_episode_length_s,
-    },
-    observations.gait_phase: lambda _env, term: {
+    obs.base_ang_vel: _plain("base_ang_vel"),
+    obs.base_lin_vel: _plain("base_lin_vel"),
+    obs.base_height: _plain("base_height"),
+    obs.projected_gravity: _plain("projected_gravity"),
+    obs.base_roll_pitch: _plain("projected_gravity", "roll_pitch"),
+    obs.joint_pos: _joint_values("joint_pos"),
+    obs.joint_pos_rel: _minus_default("joint_pos", "default_joint_pos"),
+    obs.joint_pos_sin_cos: _joint_values("joint_pos", "sin_cos"),
+    obs.joint_pos_limit_normalized: _within_limits,
+    obs.joint_vel: _joint_values("joint_vel"),
+    obs.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
+    obs.joint_effort_commanded: _joint_values("joint_effort"),
+    obs.imu_ang_vel: _of_imu("ang_vel"),
+    obs.imu_lin_acc: _of_imu("lin_acc"),
+    obs.imu_projected_gravity: _of_imu("projected_gravity"),
+    obs.imu_orientation: _of_imu("quat"),
+    obs.generated_commands: lambda _env, term: _reading(f"{COMMANDS}{term.params['command_name']}"),
+    obs.last_action: _last_action,
+    obs.travel_error: _travel_error,
+    obs.current_time_s: lambda _env, _term: {"function": "time"},
+    obs.remaining_time_s: lambda env, _: {"function": "remaining_time", "episode_length_s": env.max_episode_length_s},
+    obs.gait_phase: lambda _env, term: {
         "function": "gait_phase",
         "period": term.params["period"],
         "offsets": list(term.params.get("offsets", (0.0,))),

@@ -78,12 +78,9 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
     values, why = {}, []
     for name, bound, least in bounds:
         if name not in metrics:
-            raise ConfigError(
-                f"protocol '{gate.protocol}' has no metric '{name}'",
-                key="gate",
-                expected="one of " + ", ".join(metrics),
-                nearest=nearest_name(name, metrics),
-            )
+            message = f"protocol '{gate.protocol}' has no metric '{name}'"
+            expected = "one of " + ", ".join(metrics)
+            raise ConfigError(message, key="gate", expected=expected, nearest=nearest_name(name, metrics))
         value = values[name] = metrics[name]
         known = value is not None and math.isfinite(value)
         if not known or (value < bound if least else value > bound):  # type: ignore[operator]

@@ -27,10 +27,7 @@ _NAME = re.compile(r"[\w-]+")  # The name of a phase is a part of keys and folde
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A composed pipeline: its plain config, and its phases by name.
-
-    ``composed`` knows the file and line of each key; it is None for a recorded pipeline.
-    """
+    """A pipeline's plain config and phases by name; ``composed`` knows file and line of each key, None if recorded."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
@@ -77,12 +74,9 @@ def compose_phases(
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
-            raise ConfigError(
-                "the phases of a pipeline set this themselves",
-                key=_key(text),
-                where=f"override {text}",
-                expected=f"settings of {PRIMARY}.phases.<phase>",
-            )
+            message = "the phases of a pipeline set this themselves"
+            expected = f"settings of {PRIMARY}.phases.<phase>"
+            raise ConfigError(message, key=_key(text), where=f"override {text}", expected=expected)
     found: dict[str, Composed] = {}
     wrong: dict[str, list[ConfigError]] = {}
     for name, phase in phases.items():
@@ -185,8 +179,7 @@ def _mistakes_by_phase(
 
 
 def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
-    names = list(phases)
-    for before, name in pairwise(names):
+    for before, name in pairwise(list(phases)):
         was, now = phases[before].config, phases[name].config
         roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")

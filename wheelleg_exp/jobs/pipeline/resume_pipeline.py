@@ -31,18 +31,16 @@ def resume_pipeline(
     not change.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
-        raise RunDirectoryError(
-            "this pipeline is still running", key=str(index.path), expected="one that has ended: wait for it"
-        )
+        message = "this pipeline is still running"
+        raise RunDirectoryError(message, key=str(index.path), expected="one that has ended: wait for it")
     if index.data["status"] == "finished":
         raise RunDirectoryError("this pipeline is finished", key=str(index.path), expected="one that was stopped")
     for text in overrides:
         if not names_pipeline(text):
+            message = "a pipeline keeps the settings with which it started"
+            expected = f"settings of {PIPELINE}.phases.<phase>"
             raise ConfigError(
-                "a pipeline keeps the settings with which it started",
-                key=text.lstrip("+~").partition("=")[0],
-                where=f"override {text}",
-                expected=f"settings of {PIPELINE}.phases.<phase>",
+                message, key=text.lstrip("+~").partition("=")[0], where=f"override {text}", expected=expected
             )
     recorded = index.data["config"]
     tree = apply_overrides({PIPELINE: recorded}, overrides)[PIPELINE]
@@ -57,9 +55,8 @@ def resume_pipeline(
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
-        raise ConfigError(
-            "the phases of a pipeline cannot change", key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"]))
-        )
+        message = "the phases of a pipeline cannot change"
+        raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
         _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
@@ -72,10 +69,7 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders of the resumed pipeline.
-
-    A pipeline needs all recorded folders, because it composes its phases again.
-    """
+    """Return the config folders of the resumed pipeline, which needs all recorded folders to compose its phases."""
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
@@ -101,28 +95,20 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     if phase["status"] == "passed":
         raise ConfigError(f"phase '{name}' has passed already", key=change.key, expected="settings of a later phase")
     if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
-        raise ConfigError(
-            f"phase '{name}' has started",
-            key=change.key,
-            expected=f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline",
-        )
+        expected = f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline"
+        raise ConfigError(f"phase '{name}' has started", key=change.key, expected=expected)
     done = index.done(phase)
     if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < done:
-        raise ConfigError(
-            f"the number is {change.b}, and phase '{name}' has done {done} iterations",
-            key=change.key,
-            expected=f"at least {done}",
-        )
+        message = f"the number is {change.b}, and phase '{name}' has done {done} iterations"
+        raise ConfigError(message, key=change.key, expected=f"at least {done}")
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
     """Return the updated entry of a phase that did not pass its gate; a changed gate judges the policy again."""
     if not any(change.keys[2] == phase["name"] for change in found):
-        raise ConfigError(
-            f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}",
-            key=f"{PIPELINE}.phases.{phase['name']}.max_iterations",
-            expected=f"more than {config['max_iterations']}, or another gate",
-        )
+        message = f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}"
+        expected = f"more than {config['max_iterations']}, or another gate"
+        raise ConfigError(message, key=f"{PIPELINE}.phases.{phase['name']}.max_iterations", expected=expected)
     regated = any(change.keys[2:4] == (phase["name"], "gate") for change in found)
     gates = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
     return {"status": "training", "why": None, "ended": None, "gates": gates}

@@ -52,10 +52,8 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
-    """Check that the protocols of the gates measure the metrics that the gates name.
-
-    A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
-    """
+    """Check that the protocols of the gates measure the metrics that the gates name."""
+    # A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -72,12 +70,10 @@ def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[Con
     for bound, asked in (("at_least", gate.at_least), ("at_most", gate.at_most)):
         for name in asked:
             if name not in names:
-                yield ConfigError(
-                    f"protocol '{gate.protocol}' has no such metric",
-                    key=f"{key}.{bound}.{name}",
-                    expected="a metric of its evaluations, such as " + ", ".join(names[:3]),
-                    nearest=nearest_name(name, names),
-                )
+                message = f"protocol '{gate.protocol}' has no such metric"
+                expected = "a metric of its evaluations, such as " + ", ".join(names[:3])
+                path, nearest = f"{key}.{bound}.{name}", nearest_name(name, names)
+                yield ConfigError(message, key=path, expected=expected, nearest=nearest)
 
 
 def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
@@ -95,8 +91,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
             protocol[test] = {**protocol[test], "episodes": 1}
     config = composed.config
     env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
-    asset = prepare_asset(config, composed.asset_roots)
-    return list(evaluate(env, asset.output, nan_policy, protocol).metrics)
+    return list(evaluate(env, prepare_asset(config, composed.asset_roots).output, nan_policy, protocol).metrics)
 
 
 class PipelineRunner:
@@ -107,10 +102,7 @@ class PipelineRunner:
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
-        self._index = index
-        self._settings = settings
-        self._display = display
-        self._stop = stop
+        self._index, self._settings, self._display, self._stop = index, settings, display, stop
         self._folders = [Path(folder) for folder in index.data["config_dirs"]]
 
     @while_running()

@@ -1,4 +1,1 @@
-"""Replay a run from its snapshot alone, and compare the result with the original.
-
-``replay_run`` starts a child process, which imports the restored source (``restored_imports``) and trains.
-"""
+"""Replay a run from its snapshot alone, in a child process, and compare the result with the original."""

@@ -55,32 +55,25 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     """Raise RunDirectoryError for a snapshot that differs from its manifest, and for a run of several processes."""
     if manifest.matches_digest() is False:
-        raise RunDirectoryError(
-            "the manifest was changed after the run wrote it",
-            where=str(run.path / MANIFEST_NAME),
-            expected="an unchanged run",
-        )
+        message = "the manifest was changed after the run wrote it"
+        raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
     processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if processes > 1:
-        raise RunDirectoryError(
-            f"run '{run.id}' was trained by {processes} processes, and a replay trains with one",
-            expected="'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'",
-        )
+        message = f"run '{run.id}' was trained by {processes} processes, and a replay trains with one"
+        expected = "'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'"
+        raise RunDirectoryError(message, expected=expected)
     recorded = {name: entry for name, entry in manifest.data["files"].items() if name.startswith(SNAPSHOT)}
     absent = next((name for name in _SNAPSHOT_FILES if name not in recorded), None)
     if absent is not None:
-        raise RunDirectoryError(
-            f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}",
-            expected="a run that got as far as its first iteration",
-        )
+        message = f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}"
+        raise RunDirectoryError(message, expected="a run that got as far as its first iteration")
     for name, entry in recorded.items():
         path = run.inside(name)
         if not path.is_file():
             raise RunDirectoryError(f"{name} is missing", where=str(path), expected="a run with its whole snapshot")
         if sha256(path) != entry["sha256"]:
-            raise RunDirectoryError(
-                f"{name} is not what the manifest recorded", where=str(path), expected="a snapshot nobody has changed"
-            )
+            message = f"{name} is not what the manifest recorded"
+            raise RunDirectoryError(message, where=str(path), expected="a snapshot nobody has changed")
     folders = (run.hydra, run.params, run.source, run.asset)
     for path in (path for folder in folders for path in sorted(folder.rglob("*"))):
         name = path.relative_to(run.path).as_posix()
@@ -93,24 +86,18 @@ KIND = "replay"
 
 @dataclass(frozen=True)
 class Replayed:
-    """The result of a replay, with the comparison of the original run and the new run.
-
-    ``whole`` is true if all iterations were compared. ``composed`` says whether the recorded overrides compose to the
-    snapshot with the restored configs: ``equal`` and ``difference``. ``asset`` records whether the robot was
-    ``converted`` again, or a ``note`` with the reason why not. ``kept`` is the folder of the restored source, or None
-    if the folder was removed.
-    """
+    """The result of a replay, with the comparison of the original run and the new run."""
 
     original: RunDirectory
     run: RunDirectory
     iterations: int
-    whole: bool
+    whole: bool  # whether all iterations were compared
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event
-    asset: Event
+    composed: Event  # whether the overrides compose to the snapshot (``equal``), and the ``difference``
+    asset: Event  # whether the robot was ``converted`` again, or a ``note`` with the reason why not
     notes: list[str]
-    kept: Path | None
+    kept: Path | None  # the folder of the restored source; None if it was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
@@ -207,10 +194,8 @@ def _resume_notes(manifest: Manifest) -> list[str]:
             continue
         at = f" before iteration {entry['iteration']}" if entry.get("iteration") is not None else ""
         why = "; ".join(map(str, entry.get("why") or ())) or " ".join(map(str, entry.get("overrides") or ()))
-        notes.append(
-            f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
-            "numbers will differ"
-        )
+        text = f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
+        notes.append(text + "numbers will differ")
     return notes
 
 
@@ -227,10 +212,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
 
 
 def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
-    """Return the config tree of a replay.
-
-    Recorded environment variables take precedence over the environment of this process.
-    """
+    """Return the config tree of a replay; recorded environment variables replace those of this process."""
     return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
 
@@ -313,12 +295,7 @@ def _request(
 
 
 def _train(
-    request: Request,
-    source: RestoredSource,
-    environ: Mapping[str, str],
-    folder: Path,
-    display: Display,
-    stop: StopRequest,
+    request: Request, source: RestoredSource, environ: dict[str, str], folder: Path, display: Display, stop: StopRequest
 ) -> dict[str, Event]:
     """Train the replay in a child process; return the last event of each kind."""
     # With -P, Python imports nothing from the working folder. The code is passed as text, so that the child process
@@ -343,18 +320,14 @@ def _show(event: Event, source: RestoredSource, display: Display) -> None:
     if kind == "began":
         expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
         if Path(event["package"]).resolve() != expected:
-            raise RunDirectoryError(
-                f"the training imported '{event['package']}'", expected=f"the restored '{expected}'"
-            )
+            message = f"the training imported '{event['package']}'"
+            raise RunDirectoryError(message, expected=f"the restored '{expected}'")
     elif kind == "note":
         display.note(event["text"])
     elif kind == "composed":
         same = "compose to the snapshot's config with the restored files"
-        display.note(
-            f"config: the recorded overrides {same}"
-            if event["equal"]
-            else f"config: the recorded overrides do not {same}: {event['difference']}"
-        )
+        how = same if event["equal"] else f"do not {same}: {event['difference']}"
+        display.note(f"config: the recorded overrides {how}")
     elif kind == "asset":
         display.note(f"robot: {event['note'] or 'converted again from the restored source, to the same MJCF'}")
     elif kind == "run":

@@ -24,34 +24,25 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """A source folder that a run recorded, and the origin of the restored content.
-
-    ``how`` is ``restored`` (from commit and patch), ``installed`` (the package installed now), ``in place`` (the
-    recorded folder, unchanged), or ``missing``. ``origin`` is the repository from which the commit was read.
-    """
+    """A source folder that a run recorded, and the origin of the restored content."""
 
     root: str
-    how: str
+    how: str  # restored (commit and patch), installed (the current package), in place (recorded folder), or missing
     commit: str | None = None
     tree: str | None = None
-    origin: str | None = None
+    origin: str | None = None  # the repository from which the commit was read
 
 
 @dataclass
 class RestoredSource:
-    """All restored sources of a run.
+    """All restored sources of a run."""
 
-    ``trees`` has an entry for each recorded folder; the first entry is the folder of this package. ``places`` maps each
-    top-level package or module to its folder. ``source_roots`` are the folders of further packages whose source a new
-    run records. ``moved`` maps each recorded folder to its restored folder.
-    """
-
-    trees: list[RestoredTree] = field(default_factory=list)
-    places: dict[str, Path] = field(default_factory=dict)
+    trees: list[RestoredTree] = field(default_factory=list)  # by recorded folder, this package's first
+    places: dict[str, Path] = field(default_factory=dict)  # the folder of each top-level package or module
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)
-    moved: dict[str, Path] = field(default_factory=dict)
+    source_roots: list[Path] = field(default_factory=list)  # further packages whose source a new run records
+    moved: dict[str, Path] = field(default_factory=dict)  # the restored folder of each recorded folder
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
@@ -106,21 +97,15 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 
 
 def _restore(
-    run: RunDirectory,
-    number: int,
-    record: dict[str, Any],
-    workplace: Path,
-    candidates: Sequence[Path],
-    source: RestoredSource,
+    run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
     # The restored folder has its recorded name, because imports can depend on the name of a folder.
-    destination = (
-        workplace / "source" / str(number) / (_UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source")
-    )
+    name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
+    destination = work / "source" / str(number) / name
     with for_people(destination.parent):
         destination.parent.mkdir(parents=True)
     try:
-        origin = find_origin(record, candidates)
+        origin = find_origin(record, clones)
     except RunDirectoryError:
         if number == 0:
             raise
@@ -131,7 +116,14 @@ def _restore(
     source.moved[record["root"]] = destination
     folders = [destination / name for name in record["folders"]]
     if number == 0:
-        _require_entry(folders[0], record)
+        folder = folders[0]
+        if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
+            version = record["commit"][:12] if record["commit"] else "the run's source"
+            raise RunDirectoryError(
+                f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
+                expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
+                "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
+            )
         source.places[PACKAGE] = folders.pop(0)
     # Add a note about the files that the run did not record with its source.
     for entry in record["refused"]:
@@ -141,16 +133,6 @@ def _restore(
     if nested:
         source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
     source.source_roots += folders
-
-
-def _require_entry(folder: Path, record: dict[str, Any]) -> None:
-    if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
-        version = record["commit"][:12] if record["commit"] else "the run's source"
-        raise RunDirectoryError(
-            f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
-            expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
-            "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
-        )
 
 
 def _register(folder: Path, source: RestoredSource) -> None:
@@ -169,15 +151,12 @@ def _register(folder: Path, source: RestoredSource) -> None:
 
 def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
     if record["status"] != "installed":
-        raise RunDirectoryError(
-            f"the source of the run was not captured ({record['status']}): {record['note']}",
-            expected="a run whose source was captured",
-        )
+        message = f"the source of the run was not captured ({record['status']}): {record['note']}"
+        raise RunDirectoryError(message, expected="a run whose source was captured")
     package = configs_dir().parent
     if not is_installed(package) or content_digest(package) != record["content_sha256"]:
-        source.notes.append(
-            f"the run was made by an installed {PACKAGE}; its files are not those of '{package}', which trains now"
-        )
+        what = f"its files are not those of '{package}', which trains now"
+        source.notes.append(f"the run was made by an installed {PACKAGE}; {what}")
     source.trees.append(RestoredTree(record["root"], "installed"))
     source.places[PACKAGE] = Path(__file__).resolve().parents[3]
 
@@ -199,9 +178,8 @@ def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
     else:
         missing = f"no repository here contains commit {str(record['commit'])[:12]}; see --repository"
         reason = missing if record["patch"] else status
-        source.notes.append(
-            f"'{root}' cannot be restored ({reason}); an installed package replaces it, if there is one"
-        )
+        instead = "an installed package replaces it, if there is one"
+        source.notes.append(f"'{root}' cannot be restored ({reason}); {instead}")
     source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record["commit"]))
 
 

@@ -29,10 +29,7 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module of a restored package.
-
-        Stop the search, because ``sys.path`` may contain another version of this package.
-        """
+        """Return the spec of a restored module; stop there, as ``sys.path`` may contain another version of it."""
         top = fullname.partition(".")[0]
         if top not in self._places:
             return None
@@ -48,8 +45,7 @@ def main() -> int:
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN
     entry = next(entry for entry in ENTRIES if own.joinpath(f"{entry}.py").is_file())
-    module = import_module(f"{_OWN}.{entry.replace('/', '.')}")
-    return int(module.main())
+    return int(import_module(f"{_OWN}.{entry.replace('/', '.')}").main())
 
 
 if __name__ == "__main__":

@@ -31,26 +31,20 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the parent process for a replay's training.
-
-    ``run`` is the run directory of the snapshot, ``until`` is the number of iterations to train, and ``root`` and
-    ``name`` give the path of the new run. ``workplace`` is an existing folder, which the parent process removes after
-    the training. ``moved`` maps each recorded folder to its restored folder. ``facts`` are added to the manifest of the
-    new run.
-    """
+    """The request of the parent process for a replay's training."""
 
     protocol: int
-    run: str
-    until: int
-    root: str
-    name: str
-    workplace: str
+    run: str  # the run directory of the snapshot
+    until: int  # the number of iterations to train
+    root: str  # the folder of the new run
+    name: str  # the name of the new run
+    workplace: str  # an existing folder, which the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
-    moved: dict[str, str]
+    moved: dict[str, str]  # the restored folder of each recorded folder
     command: list[str]
-    facts: dict[str, Any]
+    facts: dict[str, Any]  # added to the manifest of the new run
 
     def line(self) -> bytes:
         """Return the request as one line of JSON."""

@@ -30,29 +30,20 @@ from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
 # Keys of an observation term that decide its function and its width.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
+Tree = Mapping[str, Any]  # a config section, or a checkpoint
 _IGNORED_KEYS = ("noise",)  # A policy tolerates changes of these keys of an observation term.
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The differences between the settings of a policy's training and new settings.
+    """The differences between the settings of a policy's training and new settings."""
 
-    ``mistakes`` make the policy unusable. ``suspects`` are changed joints, bodies, or sensors of an observation term,
-    which may change the term's width. ``notes`` describe changed settings that do not change the layout of an
-    observation vector; ``notes`` include the suspects.
-    """
-
-    mistakes: list[ConfigError]
-    suspects: list[ConfigError]
-    notes: list[str]
+    mistakes: list[ConfigError]  # make the policy unusable
+    suspects: list[ConfigError]  # changed joints, bodies, or sensors of a term, which may change its width
+    notes: list[str]  # changed settings that do not change the layout of a vector, and the suspects
 
 
-def fit(
-    was: tuple[Mapping[str, Any], Mapping[str, Any]],
-    now: tuple[Mapping[str, Any], Mapping[str, Any]],
-    roles: Sequence[str],
-    of: str,
-) -> Fit:
+def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's training with new settings.
 
     ``was`` and ``now`` are pairs of the ``env`` and ``agent`` sections. ``roles`` are the copied networks, and ``of``
@@ -83,14 +74,11 @@ def fit(
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
-        if change.keys != (
-            "distribution_cfg",
-            "init_std",
-        ):  # The learned deviation replaces it.
+        if change.keys != ("distribution_cfg", "init_std"):  # The learned deviation replaces it.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
-def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], key: str, of: str) -> None:
+def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str) -> None:
     for name in _LAYOUT_KEYS:
         if was.get(name) != now.get(name):
             _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
@@ -98,13 +86,7 @@ def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], k
 
 
 def _compare_terms(
-    found: Fit,
-    was: Mapping[str, Any],
-    now: Mapping[str, Any],
-    key: str,
-    of: str,
-    fixed: Sequence[str],
-    free: Sequence[str],
+    found: Fit, was: Tree, now: Tree, key: str, of: str, fixed: Sequence[str], free: Sequence[str]
 ) -> None:
     for name in now:
         if name not in was:
@@ -162,9 +144,7 @@ class _Source:
 
 
 @contextmanager
-def initial_file(
-    config: Mapping[str, Any], note: Callable[[str], None]
-) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
+def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
     """Yield the initial networks' file by its saved name, and facts about their run; empty without ``init_from``.
 
     The file does not name its run, so that equal networks of two runs have equal files. ``note`` receives texts about
@@ -177,7 +157,21 @@ def initial_file(
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        part = _selected_part(source, state, config)
+        # Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin.
+        what = _parts_name(config)
+        parts = PARTS[what]
+        if "actor" not in config["agent"]:
+            raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
+        absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
+        if absent:
+            message = f"'{source.label}' has no {absent[0]} to start with"
+            raise ConfigError(message, key=WHAT, expected="policy, which needs only the actor")
+        facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
+        facts |= {"what": what, "parts": list(parts)}
+        # A checkpoint needs the keys of two networks, so an unused critic is empty.
+        networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
+        networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
+        part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
     _require_fit(source, config, list(PARTS[_parts_name(config)])[:2], note)
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
@@ -186,51 +180,26 @@ def initial_file(
         yield {INITIAL: path}, {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
-def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
+def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
     """Return the initial networks that are saved next to the robot; None without ``init_from``."""
     if config.get(KEY) is None:
         return None
     path = asset.output.parent / INITIAL
     if not path.is_file():
-        raise RunDirectoryError(
-            f"is missing: the training started with the policy of '{config[KEY]}'",
-            key=str(path),
-            expected="the saved networks; without them the run cannot be trained again from its start",
-        )
+        message = f"is missing: the training started with the policy of '{config[KEY]}'"
+        expected = "the saved networks; without them the run cannot be trained again from its start"
+        raise RunDirectoryError(message, key=str(path), expected=expected)
     state = checkpoint.load(path)
     facts = state.get("init_from")
     if not isinstance(facts, Mapping):
-        raise RunDirectoryError(
-            "does not name the run of the initial networks", key=str(path), expected="the file that the run saved"
-        )
+        message = "does not name the run of the initial networks"
+        raise RunDirectoryError(message, key=str(path), expected="the file that the run saved")
     parts = [str(part) for part in facts.get("parts") or ()]
-    return Initial(
-        state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
-    )
+    named = {"named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
+    return Initial(state, tuple(parts), {**facts, **named})
 
 
-def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin."""
-    what = _parts_name(config)
-    parts = PARTS[what]
-    if "actor" not in config["agent"]:
-        raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
-    absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
-    if absent:
-        raise ConfigError(
-            f"'{source.label}' has no {absent[0]} to start with",
-            key=WHAT,
-            expected="policy, which needs only the actor",
-        )
-    facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
-    facts |= {"what": what, "parts": list(parts)}
-    # A checkpoint needs the keys of two networks, so an unused critic is empty.
-    networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
-    networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
-    return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
-
-
-def _parts_name(config: Mapping[str, Any]) -> str:
+def _parts_name(config: Tree) -> str:
     return str(config.get(WHAT) or "networks")
 
 
@@ -252,7 +221,7 @@ def _find(named: str, root: str) -> _Source:
     return _Source(path, run)
 
 
-def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], note: Callable[[str], None]) -> None:
+def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable[[str], None]) -> None:
     if source.run is None:
         return
     env, agent = load_params(source.run)
@@ -275,7 +244,7 @@ def _at_key(key: str) -> Iterator[None]:
         raise ConfigError(message, key=key, expected=error.expected, nearest=error.nearest) from error
 
 
-def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
+def find_teacher(config: Tree) -> dict[str, Path]:
     """Return the teacher's checkpoint file by its name next to the robot; empty if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:

@@ -48,35 +48,27 @@ from wheelleg_exp.run.start_run import start_run
 
 @dataclass(frozen=True)
 class Recipe:
-    """The inputs of a training.
-
-    ``source_roots`` starts with the folder of this package. ``matmul`` is the recorded decision of ``agent.matmul:
-    auto`` in a resumed run; None decides by this CPU.
-    """
+    """The inputs of a training."""
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
-    source_roots: Sequence[Path]
+    source_roots: Sequence[Path]  # the folder of this package first
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None
+    matmul: str | None = None  # a resumed run's decision of ``agent.matmul: auto``; None decides by this CPU
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training whose environment, networks, and run directory are ready.
-
-    In a resume, ``lock`` is the acquired lock of the run, ``earlier`` contains the log lines of the finished
-    iterations, and ``recomputed`` checks the digests of each iteration that is computed a second time.
-    """
+    """A training whose environment, networks, and run directory are ready."""
 
     recipe: Recipe
     trainer: Trainer
     directory: RunDirectory
     manifest: Manifest
-    lock: RunLock
-    earlier: Sequence[Mapping[str, Any]] = ()
+    lock: RunLock  # acquired in a resume
+    earlier: Sequence[Mapping[str, Any]] = ()  # log lines of the finished iterations, in a resume
     recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 
@@ -92,8 +84,7 @@ def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ran
     """Prepare a training from its inputs: all steps except ``find_inputs``."""
     with ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    rank_facts = ranks.facts(recipe.config)
-    directory, manifest = create_run(recipe, trainer, threads, rank_facts, command, display)
+    directory, manifest = create_run(recipe, trainer, threads, ranks.facts(recipe.config), command, display)
     for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
         display.note(line)
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
@@ -104,16 +95,9 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     config = composed.config
     require_recorded(config)
     with initial_file(config, display.note) as (initial, initial_run):
-        networks = find_teacher(config) | initial
-        asset = prepare_asset(config, composed.asset_roots, networks)
-    return Recipe(
-        config=config,
-        hydra_files=composed.hydra_files(),
-        source_roots=source_roots(composed),
-        asset=asset,
-        config_dirs=composed.config_dirs,
-        initial_run=initial_run,
-    )
+        asset = prepare_asset(config, composed.asset_roots, find_teacher(config) | initial)
+    roots, folders = source_roots(composed), composed.config_dirs
+    return Recipe(config, composed.hydra_files(), roots, asset, folders, initial_run)
 
 
 def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]]:
@@ -130,8 +114,7 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     teacher = saved_teacher(recipe.asset) if "teacher" in agent else None
     initial = saved_initial(config, recipe.asset)
-    adapter = RslRlVecEnv(env, agent.get("clip_actions"))
-    trainer = Trainer(adapter, agent, config["seed"], teacher, initial, ranks)
+    trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher, initial, ranks)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
 
 

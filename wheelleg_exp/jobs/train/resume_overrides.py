@@ -68,18 +68,14 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
     tree = recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
         if not isinstance(tree[key], kind):
-            raise RunDirectoryError(
-                f"'{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
-            )
+            message = f"'{key}' is missing or wrong"
+            raise RunDirectoryError(message, key=str(run.path / CONFIG), expected="the config of the run")
     earlier = {key: value for key, value in tree.items() if value is not None or key not in _NEW_KEYS}
     return {**earlier, "env": upgrade_env_params(env), "agent": agent}
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Return the config tree with overrides applied, and the changes.
-
-    Refuse an override that changes a setting on which the saved state depends.
-    """
+    """Return the config tree with overrides and the changes; refuse changes on which the saved state depends."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
     found = list(changes(recorded, tree, _same_value))
@@ -123,9 +119,8 @@ def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -
 
 
 def _refusal(change: Change, why: str) -> ConfigError:
-    return ConfigError(
-        f"cannot change in a resume: {why}", key=change.key, expected="the run's own value; a new run can have another"
-    )
+    message = f"cannot change in a resume: {why}"
+    return ConfigError(message, key=change.key, expected="the run's own value; a new run can have another")
 
 
 def rewritten_files(
@@ -163,8 +158,7 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
     """Return the overrides of run and resume; a resume's override replaces the run's override of an equal key."""
-    joined = {_key(word): word for word in words}
-    return list({**joined, **{_key(word): word for word in overrides}}.values())
+    return list({**{_key(word): word for word in words}, **{_key(word): word for word in overrides}}.values())
 
 
 def _key(word: str) -> str:

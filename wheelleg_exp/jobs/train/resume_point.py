@@ -29,18 +29,13 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The end of the last iteration whose state is saved completely.
+    """The end of the last iteration whose state is saved completely."""
 
-    ``iteration`` is the first iteration to compute. ``checkpoint`` is the state after the previous iteration, and None
-    at the start of the run. ``lines`` are all whole lines of the log of iterations. ``damaged`` maps newer checkpoints
-    that cannot be used to the reason.
-    """
-
-    iteration: int
-    checkpoint: Path | None
+    iteration: int  # the first iteration to compute
+    checkpoint: Path | None  # the state after the previous iteration; None at the start of the run
     state: Mapping[str, Any] | None
-    lines: Sequence[Line]
-    damaged: Mapping[Path, str]
+    lines: Sequence[Line]  # all whole lines of the log of iterations
+    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -52,11 +47,6 @@ class ResumePoint:
         """The digests of the iterations after the checkpoint, which are computed a second time."""
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
-
-    @property
-    def log_size(self) -> int:
-        """The size of the log of iterations up to the checkpoint, bytes."""
-        return self.lines[self.iteration - 1].end if self.iteration else 0
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
@@ -78,27 +68,30 @@ def find_point(run: RunDirectory) -> ResumePoint:
             continue
         checkpoint.require_resumable(state)
         point = ResumePoint(checkpoint_iteration(path) + 1, path, state, lines, damaged)
-        _require_line(run, point)
+        if len(point.lines) < point.iteration:
+            assert point.checkpoint is not None
+            raise RunDirectoryError(
+                f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
+                "exists, so the log would have a gap",
+                key=str(run.iterations),
+                expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
+                f"model_{len(point.lines)}.pt on, to resume from an earlier one",
+            )
         wrong = _wrong_digests(point)
         if not wrong:
             return point
         verb = "differ" if len(wrong) > 1 or wrong[0].endswith("s") else "differs"
         damaged[path] = f"{', '.join(wrong)} {verb} from the logged digests of iteration {point.iteration - 1}"
-        foreign = foreign or RunDirectoryError(
-            f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}",
-            key=str(path),
-            expected="the run's own checkpoints and log",
-        )
+        why = f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}"
+        own = "the run's own checkpoints and log"
+        foreign = foreign or RunDirectoryError(why, key=str(path), expected=own)
     if foreign is not None:  # A start from iteration 0 would discard the training.
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return the damaged files among the files that a resume continues, each with the kind of damage.
-
-    Files that a resume rewrites are not checked.
-    """
+    """Return the damaged files that a resume continues (not those that it rewrites), with the kind of damage."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
@@ -109,18 +102,6 @@ def _lasts(name: str, start: int) -> bool:
     if checkpoint is not None:
         return int(checkpoint[1]) < start
     return name == MANIFEST_NAME or name.startswith(SNAPSHOT) or (start > 0 and name in _CONTINUED_FILES)
-
-
-def _require_line(run: RunDirectory, point: ResumePoint) -> None:
-    if len(point.lines) < point.iteration:
-        assert point.checkpoint is not None
-        raise RunDirectoryError(
-            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
-            "exists, so the log would have a gap",
-            key=str(run.iterations),
-            expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
-            f"model_{len(point.lines)}.pt on, to resume from an earlier one",
-        )
 
 
 def _wrong_digests(point: ResumePoint) -> list[str]:
@@ -157,7 +138,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         (run.path / FAILURE).unlink(missing_ok=True)  # The manifest also describes the failure.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
-    cut(run.iterations, point.log_size)
+    cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)
     if events:
         cut_events(run.path, point.kept)
 

@@ -39,14 +39,8 @@ from wheelleg_exp.verify.run_differences import decides
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
     """Return the recipe of a resumed training, with the robot in the run directory."""
-    return Recipe(
-        config=tree,
-        hydra_files={"config.yaml": text},
-        source_roots=(),
-        asset=load_saved_robot(run),
-        config_dirs=folders,
-        matmul=(run.manifest().data.get("threads") or {}).get("matmul"),
-    )
+    matmul = (run.manifest().data.get("threads") or {}).get("matmul")
+    return Recipe(tree, {"config.yaml": text}, (), load_saved_robot(run), folders, matmul=matmul)
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
@@ -169,8 +163,7 @@ def _prepare(
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # The run was killed before the first step, while its source was recorded.
-        roots = [configs_dir().parent, *folders]
-        complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
+        complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
     # 3. Load the checkpoint, and collect reasons why the resume is inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
@@ -204,25 +197,18 @@ def _prepare(
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Refuse a run whose process is alive.
-
-    On file systems with locks, the run's lock refuses a run of a living process earlier.
-    """
+    """Refuse a run whose process is alive; on file systems with locks, the run's lock already refuses it."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
     alive = is_alive(process)
     if alive and process != this_process():
-        raise RunDirectoryError(
-            f"the run is still being written by process {process['pid']}",
-            key=str(manifest.directory),
-            expected="a run that has ended: wait for it, or end that process first",
-        )
+        message = f"the run is still being written by process {process['pid']}"
+        expected = "a run that has ended: wait for it, or end that process first"
+        raise RunDirectoryError(message, key=str(manifest.directory), expected=expected)
     if alive is None:
-        display.note(
-            f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
-            "it is treated as dead"
-        )
+        text = f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
+        display.note(text + "it is treated as dead")
 
 
 def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
@@ -230,17 +216,12 @@ def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     for name in NEEDED:
         path = run.path / name
         if not path.is_file():
-            raise RunDirectoryError(
-                "the file is missing: the run ended before its snapshot was complete, or somebody removed the file",
-                key=str(path),
-                expected="the snapshot of the run; without it, train again",
-            )
+            message = "the file is missing: the run ended before its snapshot was complete, "
+            message += "or somebody removed the file"
+            raise RunDirectoryError(message, key=str(path), expected="the snapshot of the run; without it, train again")
         if name in recorded and sha256(path) != recorded[name]["sha256"]:
-            raise RunDirectoryError(
-                "the file was changed after the run started",
-                key=str(path),
-                expected="the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'",
-            )
+            expected = "the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'"
+            raise RunDirectoryError("the file was changed after the run started", key=str(path), expected=expected)
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:
@@ -256,11 +237,9 @@ def _config_dirs_of_command(manifest: Manifest) -> list[str]:
 def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
     done = point.iteration
     if total < done or (total == done and manifest.status == "finished"):
-        raise ConfigError(
-            f"the number is {total}, and the run has done {done} iterations",
-            key="agent.max_iterations",
-            expected=f"more than {done}: 'wheelleg resume {manifest.directory.name} agent.max_iterations=N'",
-        )
+        message = f"the number is {total}, and the run has done {done} iterations"
+        expected = f"more than {done}: 'wheelleg resume {manifest.directory.name} agent.max_iterations=N'"
+        raise ConfigError(message, key="agent.max_iterations", expected=expected)
 
 
 @contextmanager
@@ -283,11 +262,9 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
     """Load the checkpoint; return the reasons why the resumed run may differ from an uninterrupted run."""
     deciding = [change_entry(change) for change in changes if decides(change.keys)]
     if trainer.env.env.scene.model_digest() != saved_model_digest(run):
-        raise RunDirectoryError(
-            "the robot compiles to another model than the run's, which does not fit its state",
-            key=str(run.asset),
-            expected="the MuJoCo version that the run was made with (environment.txt)",
-        )
+        message = "the robot compiles to another model than the run's, which does not fit its state"
+        expected = "the MuJoCo version that the run was made with (environment.txt)"
+        raise RunDirectoryError(message, key=str(run.asset), expected=expected)
     why = [f"{change['key']} was {shorten(change['was'])} and is {shorten(change['now'])}" for change in deciding]
     if point.state is None:
         return why

@@ -27,21 +27,15 @@ _CURRICULUM, _STUCK = "Curriculum/", "stuck"
 
 
 class StuckCurricula:
-    """Collects the curricula that report that they are stuck, in ``now``.
-
-    A curriculum reports that it is stuck by a scalar ``stuck`` or ``<part>_stuck`` that is not 0.
-    """
+    """Collects in ``now`` the curricula whose scalar ``stuck`` or ``<part>_stuck`` is not 0."""
 
     def __init__(self) -> None:
         self.now: list[str] = []
 
     def take(self, index: int, scalars: Mapping[str, float]) -> Iterator[str]:
         """Yield a warning for each curriculum that was not stuck before this iteration, and is stuck now."""
-        marks = {
-            key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): value
-            for key, value in scalars.items()
-            if key.startswith(_CURRICULUM) and key.endswith(_STUCK)
-        }
+        keys = [key for key in scalars if key.startswith(_CURRICULUM) and key.endswith(_STUCK)]
+        marks = {key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): scalars[key] for key in keys}
         if not marks:  # Without an ended episode, an iteration has no figures of curricula.
             return
         before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]
@@ -92,10 +86,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 
 
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
-    """Yield the iterations, and count the episodes that ended because a number was not finite.
-
-    If an iteration fails, save the evidence and the checkpoint of the previous iteration.
-    """
+    """Yield the iterations, and count the episodes that ended because a number was not finite."""
+    # If an iteration fails, save the evidence and the checkpoint of the previous iteration.
     trainer, failed = training.trainer, Counter[str]()
     for line in training.earlier:
         failed.update(logged(line["scalars"]))
@@ -115,10 +107,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the files of the run.
-
-    After the files are closed, record how episodes ended, and warn about unfinished files.
-    """
+    """Open the run's files; after closing, record how episodes ended, and warn about unfinished files."""
     config, directory = training.recipe.config, training.directory
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")
@@ -145,17 +134,14 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
 def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
     if outputs.diverged_after is not None:
-        display.note(
-            f"warning: from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
-        )
+        what = f"from iteration {outputs.diverged_after} on, the networks of the ranks are not equal to the bit"
+        display.note(f"warning: {what}")
     if outputs.films is not None and outputs.films.ended:
         display.note(f"warning: {outputs.films.ended}")
     unfinished = None if outputs.recording is None else outputs.recording.unfinished
     if unfinished:
-        display.note(
-            f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
-            "'wheelleg inspect RUN --repair' writes a copy with one"
-        )
+        text = f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
+        display.note(text + "'wheelleg inspect RUN --repair' writes a copy with one")
     # An earlier process may have noted an unfinished recording, which this process has finished.
     if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)
@@ -176,14 +162,11 @@ def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, An
         with trainer.played() as policy:
             files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
     except Exception as error:  # The exporter of torch raises many kinds of errors, with reports of many lines.
-        raise SimulationFailure(
-            f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}",
-            key="agent.actor.class_name",
-            expected="MLPModel, or a network that needs nothing but the observations; the checkpoints are whole",
-        ) from error
+        message = f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}"
+        expected = "MLPModel, or a network that needs nothing but the observations; the checkpoints are whole"
+        raise SimulationFailure(message, key="agent.actor.class_name", expected=expected) from error
     with for_people(directory.exported):
         directory.exported.mkdir(exist_ok=True)
     for name, content in files.items():
         write_bytes(directory.exported / name, content)
-    description = export.description(trainer.env.env, agent, trainer.iteration - 1)
-    write_text(directory.exported / "policy.json", description)
+    write_text(directory.exported / "policy.json", export.description(trainer.env.env, agent, trainer.iteration - 1))

@@ -1,12 +1,10 @@
 """Log scalars to TensorBoard's event files and to Weights & Biases.
 
-An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content.
-The content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
-checkpoint, so that the event files contain each iteration once.
-
-Weights & Biases gets the run's name, its composed config, and its scalars, and nothing else. rsl_rl's own writer is
-not used: it also sends the local path and a git diff, takes the account from ``WANDB_USERNAME`` for a team, and
-uploads every film.
+An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content. The
+content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
+checkpoint, so that the event files contain each iteration once. Weights & Biases gets the run's name, its composed
+config, and its scalars, and nothing else. rsl_rl's own writer is not used: it also sends the local path and a git diff,
+takes the account from ``WANDB_USERNAME`` for a team, and uploads every film.
 """
 
 from __future__ import annotations
@@ -39,11 +37,9 @@ def event_files(folder: Path) -> list[Path]:
 
 
 def open_events(folder: Path) -> SummaryWriter:
-    """Return the writer of a new event file that TensorBoard reads after the existing ones.
-
-    TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
-    text. So two event files must not start in the same second.
-    """
+    """Return the writer of a new event file that TensorBoard reads after the existing ones."""
+    # TensorBoard reads the files in the order of their names: the second of their creation, then process and number as
+    # text. So two event files must not start in the same second.
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
         time.sleep(1.0)
@@ -51,10 +47,8 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Cut the event files so that they contain exactly the scalars of ``lines``.
-
-    If an event file lacks scalars, for example after a loss of data, write all event files from scratch.
-    """
+    """Cut the event files so that they contain exactly the scalars of ``lines``."""
+    # If an event file lacks scalars, for example after a loss of data, write all event files from scratch.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
         # Cut an event file before its first record of iteration ``steps``; add the remaining tags to ``found``.
@@ -104,29 +98,16 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
 # Without these settings, wandb would also send the machine, the program, the packages, the console, and the source.
-_WANDB_SETTINGS = {
-    "console": "off",
-    "disable_code": True,
-    "disable_git": True,
-    "disable_job_creation": True,
-    "host": "",
-    "save_code": False,
-    "silent": True,
-    "x_disable_machine_info": True,
-    "x_disable_meta": True,
-    "x_disable_stats": True,
-    "x_save_requirements": False,
-}
+_WANDB_SETTINGS: dict[str, Any] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
+_WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
+_WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
 
 
 def require_wandb(logger: str | None) -> None:
     """Raise ConfigError if the logger is wandb and the package wandb is not installed."""
     if logger == _WANDB and find_spec(_WANDB) is None:
-        raise ConfigError(
-            "the package wandb is not installed",
-            key=_LOGGER_KEY,
-            expected="pip install wheelleg_exp[wandb], or tensorboard",
-        )
+        message = "the package wandb is not installed"
+        raise ConfigError(message, key=_LOGGER_KEY, expected="pip install wheelleg_exp[wandb], or tensorboard")
 
 
 class WandbLog:
@@ -155,11 +136,9 @@ class WandbLog:
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:
-            raise WheellegError(
-                f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}",
-                key=_LOGGER_KEY,
-                expected="a login ('wandb login'), or WANDB_MODE=offline in the environment",
-            ) from error
+            message = f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}"
+            expected = "a login ('wandb login'), or WANDB_MODE=offline in the environment"
+            raise WheellegError(message, key=_LOGGER_KEY, expected=expected) from error
         return self
 
     def __exit__(self, *error: object) -> None:

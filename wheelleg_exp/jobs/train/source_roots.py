@@ -43,15 +43,12 @@ def source_roots(composed: Composed) -> list[Path]:
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the imported packages and modules outside the roots, the standard library, and virtual environments.
-
-    Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
-    """
+    """Return the imported packages and modules outside the roots, the standard library, and virtual environments."""
+    # Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
-        module = sys.modules.get(name)
-        for place in _places(module):
+        for place in _places(sys.modules.get(name)):
             installed = any(part in _INSTALL_FOLDERS for part in place.parts)
             if not installed and not any(place.is_relative_to(folder) for folder in known):
                 found.append(place)
@@ -133,12 +130,8 @@ def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: 
 
     Differences that cannot change a number are left out. ``threads`` is the result of ``set_threads``.
     """
-    now = {
-        "versions": environment.versions(),
-        "hardware": environment.hardware(),
-        "threads": threads,
-        "environment_variables": environment.variables(),
-    }
+    now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
+    now["environment_variables"] = environment.variables()
     facts = environment_differences(run.manifest().data, now)
     return _source_differences(run, config_dirs) + [fact for fact in facts if fact.section == "versions" or fact.allows]
 
@@ -171,18 +164,11 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the present places of the run's source roots: this package's, then the projects of the config folders.
-
-    Other recorded folders count only if they are trusted, installed, or imported by this process.
-    """
+    """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
+    # Other recorded folders count only if they are trusted, installed, or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
-    content = load_source(run)
-    recorded = [
-        Path(record["root"]) / name
-        for record in (content, *content["others"])
-        for name in record["folders"]
-        if record["root"] is not None
-    ]
+    records = [record for record in _records(load_source(run)) if record["root"] is not None]
+    recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]
     known = [configs_dir().parent, *projects]
     installed = [root for name in installed_packages() if (root := _package_root(name)) is not None]
     used = {real_path(path) for path in [*loaded_outside(known), *installed]}

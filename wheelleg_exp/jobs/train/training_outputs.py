@@ -61,9 +61,8 @@ class Outputs:
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
-                self.recording = opened.enter_context(
-                    TrainingRecording(self._directory, env, self._options, self._documents, start_iteration=start)
-                )
+                own = (self._directory, env, self._options, self._documents)
+                self.recording = opened.enter_context(TrainingRecording(*own, start_iteration=start))
             if self._options.video_every:
                 self.films = opened.enter_context(Films(self._directory.videos, env, self._options, start))
             if self.wandb is not None:
@@ -85,10 +84,8 @@ class Outputs:
         """
         # Without this error, a checkpoint would create a new run directory without any other file.
         if not self._directory.iterations.exists():
-            raise RunDirectoryError(
-                f"'{self._directory.path}' was removed while it was written",
-                expected="a folder that exists until the end",
-            )
+            message = f"'{self._directory.path}' was removed while it was written"
+            raise RunDirectoryError(message, expected="a folder that exists until the end")
         if self._tensorboard is not None:
             for key, value in iteration.scalars.items():
                 self._tensorboard.add_scalar(key, value, iteration.index)
@@ -122,10 +119,7 @@ class Outputs:
         return name
 
     def last_checkpoint(self) -> str | None:
-        """Write the checkpoint of the last written iteration if it is missing, and return its name.
-
-        Return None before the first iteration.
-        """
+        """Write the last iteration's checkpoint if it is missing, and return its name; None before the first."""
         if self._last is None:
             return None
         name = f"model_{self._last}.pt"
@@ -138,12 +132,10 @@ def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return the part of an iteration's state that is digested.
-
-    Digest the whole state if a checkpoint is due or the engine is bitwise reproducible. Otherwise digest only the
-    networks: hashing the remaining state, which no later run can reproduce, takes longer than a GPU takes for an
-    iteration.
-    """
+    """Return the part of an iteration's state that is digested."""
+    # Digest the whole state if a checkpoint is due or the engine is bitwise reproducible. Otherwise digest only the
+    # networks: hashing the remaining state, which no later run can reproduce, takes longer than a GPU takes for an
+    # iteration.
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
@@ -159,12 +151,8 @@ def save_failure(
 ) -> None:
     """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
     entry: dict[str, Any] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
-    names = {
-        "joints": env.scene.robot.joint_names,
-        "bodies": env.scene.robot.body_names,
-        "reward_terms": env.reward_manager.active_terms,
-        "observations": env.observation_manager.active_terms,
-    }
+    names: dict[str, Any] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
+    names |= {"reward_terms": env.reward_manager.active_terms, "observations": env.observation_manager.active_terms}
     arrays = {name: value.cpu().numpy() for name, value in error.evidence.items()}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, about=np.array(json.dumps({**entry, **names})), **arrays)

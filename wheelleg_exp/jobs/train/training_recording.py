@@ -129,15 +129,10 @@ class TrainingRecording(ObservingRecording):
         start_iteration: int = 0,
     ) -> None:
         aside = move_aside(directory.recording, go_on=start_iteration > 0)
+        own: dict[str, Any] = {"recording_id": directory.id, "name": directory.id, "about": {"task": _task(directory)}}
+        kept = env.common_step_counter if start_iteration > 0 else None
         recorder = Recorder(
-            directory.recording,
-            env,
-            recording_id=directory.id,
-            name=directory.id,
-            env_ids=options.env_ids,
-            purpose="training",
-            about={"task": _task(directory)},
-            keep_until=env.common_step_counter if start_iteration > 0 else None,
+            directory.recording, env, env_ids=options.env_ids, purpose="training", keep_until=kept, **own
         )
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
@@ -212,13 +207,10 @@ class TrainingRecording(ObservingRecording):
         if iteration == 0:
             self._recorder.say(str(self._warning()))
             return
-        before = due - interval * (due // iteration)
-        if self._recorder.frames_until(due) > self._recorder.frames_until(before):
+        if self._recorder.frames_until(due) > self._recorder.frames_until(due - interval * (due // iteration)):
             bound, count = self._options.max_mb, iteration // interval
-            self._recorder.say(
-                f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
-                "from here on there are scalars alone"
-            )
+            text = f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
+            self._recorder.say(text + "from here on there are scalars alone")
 
 
 def _task(directory: RunDirectory) -> Any:

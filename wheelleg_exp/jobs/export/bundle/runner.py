@@ -55,6 +55,7 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
+        """Empty the history and the memory of the modifiers, at the start of an episode."""
         self.history: np.ndarray | None = None  # The first sample fills the whole history.
         self.memory: dict[int, list[np.ndarray]] = {}
 
@@ -91,8 +92,7 @@ class Term:
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
         if -1 in self.memory:  # The first step has no travel error.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
-            rolled = np.mean(forwards) * F(self.spec["wheel_radius"])
-            missed = array([rolled, readings["base_ang_vel"][2]]) - before
+            missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
             total = np.clip(total + missed * F(self.dt), -most, most)
         self.memory[-1] = [total, command]
@@ -287,8 +287,7 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
         targets = policy.act(readings["joint_pos"])
         found["targets"] = np.stack([targets[name] for name in ("position", "velocity", "effort")])
         for name, value in (found | {"actions_float32": found["actions"]}).items():
-            wanted = recorded[name][step]
-            worst[name] = max(worst[name], largest_difference(value, wanted))
+            worst[name] = max(worst[name], largest_difference(value, recorded[name][step]))
     return worst
 
 

@@ -110,9 +110,8 @@ class Robot:
                 stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
                 beyond = top * (1 + limit / stall)
                 speed = np.clip(qd[ids], -beyond, beyond) / top
-                torque = np.clip(
-                    torque, np.maximum(stall * (-1 - speed), -limit), np.minimum(stall * (1 - speed), limit)
-                )
+                low, high = np.maximum(stall * (-1 - speed), -limit), np.minimum(stall * (1 - speed), limit)
+                torque = np.clip(torque, low, high)
             self.data.ctrl[actuators] = torque
 
     def approached(self, name: str, asked: Any) -> np.ndarray:
