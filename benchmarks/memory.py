@@ -30,6 +30,7 @@ prepare_threads()
 import numpy as np  # noqa: E402  (thread variables come first)
 
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.jobs.job_display import Display  # noqa: E402
 from wheelleg_exp.jobs.train import prepare_training, run_training  # noqa: E402
 from wheelleg_exp.rl.trainer import Iteration  # noqa: E402
 from wheelleg_exp.stop_request import StopRequest  # noqa: E402
@@ -68,7 +69,7 @@ class Sample:
 
 
 @dataclass
-class Watch:
+class Watch(Display):
     """Takes a sample every so many seconds; a display for the trainings."""
 
     every: float
@@ -85,17 +86,9 @@ class Watch:
         """The time since the beginning, s."""
         return time.monotonic() - self._began
 
-    def environment(self, description: str) -> None:
-        """Pass the managers' tables over."""
-
-    def note(self, text: str) -> None:
-        """Pass what is told over."""
-
-    def steps(self, done: int, total: int) -> None:
-        """Pass rollouts over: a training has none."""
-
-    def iteration(self, _iteration: Iteration, _total: int) -> None:
+    def iteration(self, iteration: Iteration, total: int) -> None:
         """Count an iteration, sample when it is time, and stop the training when the time is over."""
+        del iteration, total
         self.iterations += 1
         if self.seconds >= self.every * (len(self.samples) + 1):
             self.take()

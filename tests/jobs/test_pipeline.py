@@ -15,7 +15,7 @@ from jobs.small import TINY, cache_of, wheelleg
 from wheelleg_exp.child_process import EventPipe
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.job_display import SilentDisplay
+from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.pipeline import run_pipeline as runner
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pipeline
@@ -32,7 +32,7 @@ WORDS = [*TINY, "env.num_envs=8", "agent.logger=null", "recording.enabled=false"
 GATE = {"protocol": "stand", "at_least": {"stand/survival": 0.5}}
 
 
-class Quiet(SilentDisplay):
+class Quiet(Display):
     """A display that stores its notes."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ import yaml
 from jobs.small import ITERATIONS
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.jobs import play_policy as play_job
-from wheelleg_exp.jobs.job_display import SilentDisplay
+from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import play
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rl import checkpoint
@@ -25,7 +25,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 pytestmark = pytest.mark.train
 
 
-class Silent(SilentDisplay):
+class Silent(Display):
     """A display that counts steps."""
 
     def steps(self, done, total):

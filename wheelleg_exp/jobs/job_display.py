@@ -1,4 +1,4 @@
-"""Displays of a job's progress: the interface, a silent one, and one that sends events to a parent process."""
+"""Displays of the progress of a job: a silent base class, and one that sends events to a parent process."""
 
 from __future__ import annotations
 
@@ -26,11 +26,7 @@ class Display:
         """Show how many steps of a rollout are done."""
 
 
-class SilentDisplay(Display):
-    """A display that shows nothing."""
-
-
-class PipeDisplay(SilentDisplay):
+class PipeDisplay(Display):
     """Sends notes and iterations as events to the parent process, which does not use tables and rollouts."""
 
     def __init__(self, pipe: EventPipe) -> None:

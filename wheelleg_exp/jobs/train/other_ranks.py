@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.jobs.job_display import SilentDisplay
+from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.train.prepare_training import build_trainer, find_inputs
 from wheelleg_exp.jobs.train.training_outputs import checkpoint_due, digested
 from wheelleg_exp.rl.ranks import FirstRankFailed, Ranks, digests_of_all, state_of_all_ranks
@@ -20,7 +20,7 @@ from wheelleg_exp.stop_request import StopRequest
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
     """Prepare a training in a rank above 0, as ``prepare_training.prepare`` does in rank 0, which reports errors."""
     with ranks.agreed():
-        recipe = find_inputs(composed, SilentDisplay())
+        recipe = find_inputs(composed, Display())
     with ranks.agreed():
         trainer, _ = build_trainer(recipe, ranks)
     ranks.facts(recipe.config)
