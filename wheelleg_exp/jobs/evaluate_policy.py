@@ -168,7 +168,7 @@ def _save(
 ) -> Path:
     """Write the evaluation into the run directory, atomically, and return the folder."""
     with dated_folder(run.evaluation) as folder:
-        # Return the episodes as CSV with one row per episode, in Python's number format, which preserves every bit.
+        # The episodes as CSV with one row per episode, in Python's number format, which preserves every bit.
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(found.episodes)

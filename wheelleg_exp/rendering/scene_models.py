@@ -144,7 +144,7 @@ class Kinematics:
     def height(self, root: int, qpos: Array) -> float:
         """Return the height of the robot with the root body ``root`` at ``qpos``, m; at least 0.01."""
         self.update(qpos)
-        # Return the body ``root`` and all bodies below it.
+        # The body ``root`` and all bodies below it.
         bodies = [root]
         for body in range(root + 1, self._model.nbody):
             if int(self._model.body_parentid[body]) in bodies:

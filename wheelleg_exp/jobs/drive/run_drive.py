@@ -59,7 +59,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        # Return a scene config with another scene's ground. Sensors that both scenes have come from the other scene.
+        # A scene config with another scene's ground. Sensors that both scenes have come from the other scene.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}

@@ -260,7 +260,7 @@ def _write_robot(
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain
     friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
-    # Return the ``env`` section of a scene with only the robot on level ground.
+    # The ``env`` section of a scene with only the robot on level ground.
     found = as_configured(params)
     names = ("static_friction", "dynamic_friction", "restitution")
     plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}

@@ -157,7 +157,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        # Return a checkpoint with only the selected parts of a checkpoint, and facts about their origin.
+        # A checkpoint with only the selected parts, and facts about their origin.
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
