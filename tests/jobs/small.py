@@ -59,6 +59,19 @@ def wheelleg(*words: str | Path) -> Words:
     return Words(status, out.getvalue(), err.getvalue())
 
 
+def succeed(*words: str | Path) -> Words:
+    said = wheelleg(*words)
+    assert said.status == 0, said.out + said.err
+    return said
+
+
+def refused(*words: str | Path) -> str:
+    """Return the error output of a command that must refuse its input."""
+    said = wheelleg(*words)
+    assert said.status == 2, said.out + said.err
+    return said.err
+
+
 def cache_of(factory: pytest.TempPathFactory) -> Path:
     return factory.getbasetemp() / "wheelleg-cache"
 
@@ -73,8 +86,7 @@ def trained_once(factory: pytest.TempPathFactory) -> Trained:
         root = factory.mktemp("trained") / "runs"
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
-            said = wheelleg("train", *SMALL, f"run.root={root}", "run.name=small")
-        assert said.status == 0, said.err
+            said = succeed("train", *SMALL, f"run.root={root}", "run.name=small")
         (path,) = (root / "stand").iterdir()
         _trained[base] = Trained(RunDirectory.open(path, root), said)
     return _trained[base]

@@ -28,8 +28,7 @@ def run(kind, *overrides, steps=30):
 def standing(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("standing"))
-        plain = ["env.num_envs=24", "event@env.events=[reset_base,reset_robot_joints]"]
-        return run("zero", *plain, steps=60)
+        return run("zero", *["env.num_envs=24", "event@env.events=[reset_base,reset_robot_joints]"], steps=60)
 
 
 def test_wheels_of_a_standing_robot_carry_half_of_its_weight_each(standing):
@@ -60,8 +59,7 @@ def test_zero_actions_are_zero_and_random_ones_fill_their_range(both):
 
 
 def test_random_actions_leave_the_environments_draws_alone(both):
-    first = [recording.values("observations/critic")[0] for recording in both]
-    assert np.array_equal(*first)
+    assert np.array_equal(*[recording.values("observations/critic")[0] for recording in both])
 
 
 def test_random_actions_repeat_with_the_seed():
@@ -76,17 +74,14 @@ def test_what_it_leaves_stands_below_agents():
     made = run("zero")
     assert made.folder.parent.parts[-3:] == ("runs", "agents", "stand")
     assert sorted(p.name for p in made.folder.iterdir()) == ["config.yaml", "figures.json", "recording.rrd"]
-    config = yaml.safe_load((made.folder / "config.yaml").read_text())
-    assert config["env"]["num_envs"] == 2
+    assert yaml.safe_load((made.folder / "config.yaml").read_text())["env"]["num_envs"] == 2
     figures = json.loads((made.folder / "figures.json").read_text())
-    assert figures["agent"] == "zero"
-    assert figures["contacts"]["contact_forces"][0]["body"] == "base_link"
+    assert (figures["agent"], figures["contacts"]["contact_forces"][0]["body"]) == ("zero", "base_link")
 
 
 def test_one_episode_is_the_default():
     made = run("zero", "env.episode_length_s=0.2", steps=None)
-    assert len(Recording(made.recording).values("actions/raw")) == 12
-    assert made.figures.survival == 1.0
+    assert (len(Recording(made.recording).values("actions/raw")), made.figures.survival) == (12, 1.0)
 
 
 def test_wrong_input_leaves_nothing_behind(tmp_path):

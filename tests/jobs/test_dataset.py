@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jobs.small import ITERATIONS, NUM_ENVS, SMALL, Trained, cache_of, wheelleg
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, Trained, cache_of, succeed, wheelleg
 from wheelleg_exp.jobs.rollout_files import dataset_files_from
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -83,8 +83,7 @@ def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, 
     path = tmp_path / "runs" / "stand" / recorded.id
     shutil.copytree(recorded.path, path)
     (path / "dataset" / f"{ITERATIONS:06d}.npz").write_bytes(b"of a process that was killed")
-    said = wheelleg("resume", path, f"agent.max_iterations={ITERATIONS + 2}")
-    assert said.status == 0, said.err
+    succeed("resume", path, f"agent.max_iterations={ITERATIONS + 2}")
     later = dataset_files_from(path / "dataset", ITERATIONS)
     assert len(later) > 0
     found = np.load(max(later))
@@ -94,11 +93,10 @@ def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, 
 
 @pytest.mark.train
 def test_an_agent_s_episodes_are_in_one_file(tmp_path):
-    said = wheelleg(
+    succeed(
         *("random-agent", "task=stand", f"env.num_envs={NUM_ENVS}", "env.episode_length_s=0.3", f"run.root={tmp_path}"),
         *(RECORDERS, "recording.enabled=false", "+env.dataset.export_mode=succeeded_failed"),
     )
-    assert said.status == 0, said.err
     (path,) = tmp_path.rglob("*.npz")
     assert path.relative_to(path.parents[2]).as_posix() == "dataset/failed/episodes.npz"
     found = episodes(path)
@@ -107,8 +105,7 @@ def test_an_agent_s_episodes_are_in_one_file(tmp_path):
 
 
 def test_files_past_a_checkpoint_and_of_unfinished_episodes_are_found(tmp_path):
-    names = ("000001.npz", "000002.npz", "failed/000003.npz", "000001_unfinished.npz", "notes.npz")
-    for name in names:
+    for name in ("000001.npz", "000002.npz", "failed/000003.npz", "000001_unfinished.npz", "notes.npz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     found = {path.relative_to(tmp_path).as_posix() for path in dataset_files_from(tmp_path, 2)}

@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 import torch
 
-from jobs.small import NUM_ENVS, Trained, cache_of, wheelleg
+from jobs.small import NUM_ENVS, Trained, cache_of, refused, succeed
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -27,8 +27,7 @@ WORDS = [
 
 
 def train(root: Path, teacher: Path, *words: str) -> RunDirectory:
-    said = wheelleg("train", *WORDS, f"agent.teacher_checkpoint={teacher}", f"run.root={root}", *words)
-    assert said.status == 0, said.err
+    succeed("train", *WORDS, f"agent.teacher_checkpoint={teacher}", f"run.root={root}", *words)
     return RunDirectory.open(next((root / "stand").iterdir()), root)
 
 
@@ -88,8 +87,7 @@ def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, tr
     shutil.copyfile(trained.run.latest_checkpoint(), teacher)
     run = train(tmp_path / "runs", teacher, "agent.max_iterations=2")
     teacher.unlink()
-    said = wheelleg("resume", run.path, "agent.max_iterations=6")
-    assert said.status == 0, said.err
+    said = succeed("resume", run.path, "agent.max_iterations=6")
     assert "not exact" not in said.out + said.err
     assert digest(run.checkpoint(5)) == digest(student.checkpoint(5))
 
@@ -97,8 +95,7 @@ def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, tr
 def test_a_student_plays(student: RunDirectory, tmp_path):
     path = tmp_path / "runs" / "stand" / student.id
     shutil.copytree(student.path, path)
-    said = wheelleg("play", path, "recording.enabled=false")
-    assert said.status == 0, said.err
+    succeed("play", path, "recording.enabled=false")
 
 
 @pytest.mark.parametrize(
@@ -110,8 +107,7 @@ def test_a_student_plays(student: RunDirectory, tmp_path):
 )
 def test_a_teacher_that_cannot_teach_is_told(trained: Trained, tmp_path, words, said):
     teacher = f"agent.teacher_checkpoint={trained.run.path}"
-    found = wheelleg("train", *WORDS, teacher, f"run.root={tmp_path}", *words)
-    assert found.status == 2
-    assert said in found.err
-    assert len(found.err.strip().splitlines()) == 1
+    found = refused("train", *WORDS, teacher, f"run.root={tmp_path}", *words)
+    assert said in found
+    assert len(found.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())

@@ -76,8 +76,7 @@ def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override, 
 def test_every_unread_override_is_named_at_once(run, capsys):
     assert main(["evaluate", str(run.path), "env.num_envs=4", "agent.device=cuda"]) == 2
     said = capsys.readouterr().err
-    assert "protocol.stand.episodes" in said
-    assert "env.sim.device" in said
+    assert [word for word in ("protocol.stand.episodes", "env.sim.device") if word not in said] == []
 
 
 @pytest.mark.parametrize(
@@ -106,6 +105,5 @@ def test_a_policy_with_nan_is_an_error_of_its_checkpoint(run, command, capsys):
     path.write_bytes(checkpoint.serialize(state))
     assert main([command, str(run.path)]) == 2
     said = capsys.readouterr().err
-    assert path.name in said
-    assert f"actor.{name} are NaN or inf" in said
+    assert [word for word in (path.name, f"actor.{name} are NaN or inf") if word not in said] == []
     assert not run.evaluation.exists()

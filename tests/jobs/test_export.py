@@ -16,7 +16,7 @@ import torch
 import yaml
 from patience import PATIENCE_S
 
-from jobs.small import ITERATIONS, TINY, Trained, trained_once, wheelleg
+from jobs.small import ITERATIONS, TINY, Trained, succeed, trained_once, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs.export import bundle as as_they_stand
@@ -50,8 +50,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 def bundle(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("exported") / "bundle"
     trained: Trained = trained_once(tmp_path_factory)
-    said = wheelleg("export", trained.run.path, "-o", folder)
-    assert said.status == 0, said.err
+    succeed("export", trained.run.path, "-o", folder)
     return folder
 
 
@@ -191,21 +190,17 @@ def test_gravity_follows_from_the_orientation(runner):
 def test_the_specification_holds_what_a_deployer_needs(bundle):
     spec = spec_of(bundle)
     assert (spec["step_dt"], spec["decimation"]) == (pytest.approx(1 / 60), 2)
-    assert spec["joint_names"] == ["l01", "r01", "l02", "r02", "l03", "r03"]
-    assert spec["stiffness"] == [3, 3, 3, 3, 0, 0]
-    assert spec["damping"] == pytest.approx([0.3] * 4 + [1.0] * 2)
-    assert spec["effort_limit"] == [2, 2, 2, 2, 9, 9]
+    assert (spec["joint_names"], spec["stiffness"]) == (["l01", "r01", "l02", "r02", "l03", "r03"], [3, 3, 3, 3, 0, 0])
+    assert (spec["damping"], spec["effort_limit"]) == (pytest.approx([0.3] * 4 + [1.0] * 2), [2, 2, 2, 2, 9, 9])
     assert spec["commands"] == {"base_velocity": {"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_z": [0, 0]}}
     assert [a["joint_names"] for a in spec["actions"]] == [["l01", "l02", "r01", "r02"], ["l03", "r03"]]
     assert spec["observation_width"] == 135
     metadata = {entry.key: entry.value for entry in onnx.load(bundle / "policy.onnx").metadata_props}
-    assert json.loads(metadata["policy.json"]) == spec
-    assert metadata["joint_names"] == "l01,r01,l02,r02,l03,r03"
+    assert (json.loads(metadata["policy.json"]), metadata["joint_names"]) == (spec, "l01,r01,l02,r02,l03,r03")
     assert metadata["observation_names"].startswith("base_ang_vel,projected_gravity,velocity_commands")
     text = (bundle / "README.md").read_text()
     assert [name for name in (*spec["readings"], *spec["joint_names"]) if f"`{name}`" not in text] == []
-    missing = [path.name for path in bundle.iterdir() if path.is_file() and path.name not in text]
-    assert missing == ["README.md"]
+    assert [path.name for path in bundle.iterdir() if path.is_file() and path.name not in text] == ["README.md"]
 
 
 def test_a_bundle_below_its_run_is_of_the_run(run):
@@ -227,16 +222,13 @@ def test_a_bundle_outlives_a_resume_of_its_run_and_what_a_killed_export_left_doe
     left = run.exported / ".bundle.0123456789ab.tmp"
     left.mkdir()
     (left / "policy.json").write_text("{}")
-    said = wheelleg("resume", run.path, f"agent.max_iterations={ITERATIONS + 1}")
-    assert said.status == 0, said.err
+    succeed("resume", run.path, f"agent.max_iterations={ITERATIONS + 1}")
     assert not left.exists()
-    assert spec_of(made.folder)["run"]["iteration"] == ITERATIONS - 1
-    assert wheelleg("verify", run.path).status == 0
+    assert (spec_of(made.folder)["run"]["iteration"], wheelleg("verify", run.path).status) == (ITERATIONS - 1, 0)
 
 
 def test_the_command_tells_what_it_made_and_how_near_it_is(run):
-    said = wheelleg("export", run.path, "--checkpoint", "1")
-    assert said.status == 0
+    said = succeed("export", run.path, "--checkpoint", "1")
     assert said.out.startswith(f"exported runs/stand/{run.id}/model_1.pt to runs/stand/{run.id}/exported/bundle")
     document = json.loads(wheelleg("export", run.path, "--json").out)
     assert document["folder"] == str(run.exported / "bundle-2")
@@ -320,8 +312,7 @@ VARIANTS = {
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_path, runner):
     words = [*TINY, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path / 'runs'}"]
-    said = wheelleg("train", *words, *VARIANTS[variant])
-    assert said.status == 0, said.err
+    succeed("train", *words, *VARIANTS[variant])
     (path,) = (tmp_path / "runs").glob("*/*")
     made = exported(RunDirectory.open(path, tmp_path))
     worst = runner.check(made.folder)
@@ -338,8 +329,7 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
     elif variant == "missed_command":
         (term,) = (t for t in spec["observations"][0]["terms"] if t["name"] == "travel_error")
         assert (term["joint_names"], term["wheel_radius"]) == (["l03", "r03"], pytest.approx(0.02, rel=0.05))
-        assert term["needs"] == ["joint_vel", "base_ang_vel", "commands.base_velocity"]
-        assert term["signs"] == [1.0, 1.0]
+        assert (term["needs"], term["signs"]) == (["joint_vel", "base_ang_vel", "commands.base_velocity"], [1.0, 1.0])
     else:
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
 
@@ -441,8 +431,7 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     job._write_robot(tmp_path / "robot", saved_mjcf(trained.run), params, env)
     spec = job.specification(env, agent, {})
     robot = simulate.Robot(spec, tmp_path / "robot" / "scene.xml")
-    actions = 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0))
-    for action in actions:
+    for action in 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0)):
         env.step(action)
         found = env.scene.robot.targets
         parts = {"position": found.pos, "velocity": found.vel, "effort": found.effort}
@@ -528,8 +517,7 @@ def by_c(folder: Path, place: Path, rows: list[dict], *flags: str) -> tuple[np.n
     """Return the statuses (T,) and the targets (T, 3, J) of the C header for the readings of one episode."""
     given = np.stack([np.concatenate([[step == 0], *row.values()]) for step, row in enumerate(rows)]).astype(np.float32)
     found = run_c_header(folder, place, given, "-O2", *flags)
-    width = 3 * len(spec_of(folder)["joint_names"])
-    return found[:, 0], found[:, -width:].reshape(len(rows), 3, -1)
+    return found[:, 0], found[:, -(3 * len(spec_of(folder)["joint_names"])) :].reshape(len(rows), 3, -1)
 
 
 def joined(targets: dict) -> np.ndarray:
@@ -592,8 +580,7 @@ def test_position_targets_stay_within_the_limits_of_the_joints(bundle, runner):
 
 def test_the_bundle_says_what_the_joints_of_the_robot_must_be(bundle):
     spec, text = spec_of(bundle), (bundle / "README.md").read_text()
-    assert spec["armature"] == pytest.approx([0.05] * 6)
-    assert spec["inertia"][2] == pytest.approx(0.05 / 375, rel=0.01)
+    assert (spec["armature"], spec["inertia"][2]) == (pytest.approx([0.05] * 6), pytest.approx(0.05 / 375, rel=0.01))
     assert spec["friction"] == spec["viscous_friction"] == [0.0] * 6
     assert spec["drive_rate"] == pytest.approx([120.0] * 6)  # kd / (2 I) is 10 Hz for wheels: each physics step
     assert "| `l03` | 0.05 | 1.2e-05 | 0 | 0 | 120 |" in text

@@ -101,8 +101,7 @@ def test_a_case_by_hand():
     observe(env, meter, heights=(0.33, 9.0, 9.0), pitches=(0.2, 1.0, 1.0), rewards=(1.0, 7.0, 7.0), out=(0,))
     figures = meter.figures()
     assert not meter.running.any()
-    assert figures.episodes == 3
-    assert figures.survival == pytest.approx(1 / 3)
+    assert (figures.episodes, figures.survival) == (3, pytest.approx(1 / 3))
     errors, angles = (0.01, -0.02, 0.03), (0.1, -0.3, 0.2)
     assert figures.height_rmse_m == pytest.approx(math.sqrt(sum(e * e for e in errors) / 3), rel=1e-5)
     assert figures.height_mean_m == pytest.approx((0.31 + 0.28 + 0.33) / 3)
@@ -123,8 +122,7 @@ def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_
     figures = meter.figures()
     assert figures.non_finite == figures.as_dict()["non_finite"] == {"env.sim": 1}
     assert figures.mean_return == pytest.approx((3.0 + 12.0) / 2)
-    assert figures.height_mean_m == pytest.approx((3 * 0.2 + 0.3 + 3 * 0.4) / 7)
-    assert figures.settled_steps == 7
+    assert (figures.height_mean_m, figures.settled_steps) == (pytest.approx((3 * 0.2 + 0.3 + 3 * 0.4) / 7), 7)
 
 
 def test_a_fall_at_the_time_out_is_no_survival_and_counts_once():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from av.error import FFmpegError
 
-from jobs.small import SMALL, cache_of, wheelleg
+from jobs.small import SMALL, cache_of, succeed, wheelleg
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train.training_recording import films_from
@@ -77,8 +77,7 @@ def test_a_film_changes_no_number_and_is_in_the_manifest(filmed, trained):
     files = RunDirectory.open(path, path.parents[1]).manifest().data["files"]
     for name in ("videos/iteration_0.mp4", "videos/iteration_2.mp4"):
         assert files[name]["sha256"] == sha256(path / name)
-    said = wheelleg("verify", path)
-    assert said.status == 0, said.out
+    succeed("verify", path)
 
 
 def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, tmp_path):
@@ -89,18 +88,15 @@ def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, t
     before, digest = kept.stat().st_mtime_ns, sha256(later)
     later.write_bytes(b"of a training that was not")
     (path / "videos" / ".iteration_2.mp4.tmp").write_bytes(b"half")
-    said = wheelleg("resume", path)
-    assert said.status == 0, said.err
-    assert (kept.stat().st_mtime_ns, sha256(later)) == (before, digest)
-    assert len(list((path / "videos").iterdir())) == 2
+    succeed("resume", path)
+    assert (kept.stat().st_mtime_ns, sha256(later), len(list((path / "videos").iterdir()))) == (before, digest, 2)
     assert wheelleg("verify", path).status == 0
 
 
 def test_a_machine_that_cannot_draw_says_so_before_there_is_a_run(tmp_path, monkeypatch):
     monkeypatch.setattr(renderer, "backends", lambda: ("none",))
     said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
-    assert said.status == 2
-    assert said.err.count("recording.video_every: drawing is not possible on this machine") == 1
+    assert (said.status, said.err.count("recording.video_every: drawing is not possible on this machine")) == (2, 1)
     assert "expected 0 for no films, or a driver" in " ".join(said.err.split())
     assert not (tmp_path / "runs").exists()
 
@@ -111,8 +107,7 @@ def test_a_film_that_fails_ends_the_filming_and_not_the_training(tmp_path, monke
         raise error
 
     monkeypatch.setattr(video_file, "write", fail)
-    said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
-    assert said.status == 0, said.err
+    said = succeed("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert said.err.count("no film from iteration 0 on") == 1
     assert "the driver gave up" in said.err
     assert (only(tmp_path / "runs") / "model_2.pt").is_file()

@@ -71,16 +71,13 @@ def test_figures_are_those_of_the_recorded_heights_and_pitches(run):
     recording, figures = Recording(done.recording), done.figures
     heights, pitches = (recording.values(f"base/{name}").ravel() for name in ("height", "pitch"))
     settled = slice(6, None)
-    assert figures.episodes == 1
-    assert figures.height_mean_m == pytest.approx(heights[settled].mean(), rel=1e-4)
+    assert (figures.episodes, figures.height_mean_m) == (1, pytest.approx(heights[settled].mean(), rel=1e-4))
     assert figures.height_rmse_m == pytest.approx(math.sqrt(((heights[settled] - 0.07) ** 2).mean()), rel=1e-4)
     assert figures.pitch_rms_deg == pytest.approx(
         math.degrees(math.sqrt((pitches[settled] ** 2).mean())), rel=1e-3, abs=1e-3
     )
     total = recording.values("rewards/total").ravel() / 60
-    assert figures.mean_return == pytest.approx(total.sum(), rel=1e-4)
-    survived = len(heights) == 18
-    assert figures.survival == float(survived)
+    assert (figures.mean_return, figures.survival) == (pytest.approx(total.sum(), rel=1e-4), float(len(heights) == 18))
     assert sum(figures.ended_by.values()) >= 1
 
 
@@ -110,8 +107,7 @@ def test_figures_and_recording_say_which_policy_was_played_and_how_it_did(run):
     recording = Recording(done.recording)
     about = recording.properties["wheelleg"]
     assert (about["purpose"], about["agent"], about["task"]) == ("play", "policy", "stand")
-    assert (about["run_id"], about["seed"], about["num_envs"]) == (run.id, 7, 2)
-    assert about["checkpoint"] == "model_1.pt"
+    assert (about["run_id"], about["seed"], about["num_envs"], about["checkpoint"]) == (run.id, 7, 2, "model_1.pt")
     assert about["checkpoint_sha256"] == hashlib.sha256(run.checkpoint(1).read_bytes()).hexdigest()
     texts = {name: recording.document(name).splitlines() for name in recording.documents()}
     assert json.loads("\n".join(texts["figures"][1:-1])) == content
@@ -125,8 +121,7 @@ def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
     recording = Recording(done.recording)
     assert not recording.has_rows("base/height")
     (text,) = recording.table("log/recording").column("text").to_pylist()
-    assert text == ["the limit of 0 MB is reached; later steps are not recorded"]
-    assert done.figures.episodes == 1
+    assert (text, done.figures.episodes) == (["the limit of 0 MB is reached; later steps are not recorded"], 1)
 
 
 def test_plays_without_a_recording_have_none_and_do_not_share_a_folder(run):
@@ -211,8 +206,7 @@ def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):
         played(run, override)
     assert key in str(caught.value)
     assert override != "env.num_evns=4" or caught.value.nearest == "env.num_envs"
-    assert plays(run) == []
-    assert (run.path / "manifest.json").read_bytes() == before
+    assert (plays(run), (run.path / "manifest.json").read_bytes()) == ([], before)
 
 
 @pytest.mark.parametrize(
@@ -241,14 +235,12 @@ def test_a_damaged_run_is_told(run, name, damage):
         played(run)
     message = str(caught.value)
     assert "model_" in message if name.startswith("model") else file.name in message
-    assert len(message.splitlines()) == 1
-    assert plays(run) == []
+    assert (len(message.splitlines()), plays(run)) == (1, [])
 
 
 def test_a_robot_with_meshes_is_played_from_the_run_alone(run, monkeypatch, tmp_path):
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "empty"))
     moved = tmp_path / "elsewhere"
     shutil.move(run.path, moved)
-    done = played(RunDirectory.open(moved, tmp_path), "env.num_envs=1")
-    assert done.recording.is_relative_to(moved)
+    assert played(RunDirectory.open(moved, tmp_path), "env.num_envs=1").recording.is_relative_to(moved)
     assert not (tmp_path / "empty").exists()

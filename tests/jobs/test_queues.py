@@ -85,8 +85,7 @@ def index() -> dict:
 def test_all_jobs_are_handed_in_together_and_heard(stop):
     seen = Seen()
     runner, queue = swept(["finish1", "finish2", "talk"], stop, seen)
-    assert runner.run() == "finished"
-    assert queue.handed_in == [3]
+    assert (runner.run(), queue.handed_in) == ("finished", [3])
     assert ("iteration", 1, 1, 1) in seen.told
     assert [job["run"] for job in index()["jobs"]] == [f"../../stand/{what}" for what in ("finish1", "finish2", "talk")]
     assert sum(told[0] == "note" and told[1] == 3 for told in seen.told) == 22000
@@ -105,8 +104,7 @@ def test_jobs_that_fail_or_die_are_named_and_stop_no_other(stop):
 def test_a_stop_ends_what_runs_and_takes_what_waits_out_of_the_queue(stop):
     seen = Seen(on_start=lambda job: os.kill(os.getpid(), signal.SIGINT))
     runner, _ = swept(["wait", "finish"], stop, seen, full=1)
-    assert runner.run() == "interrupted"
-    assert [job["status"] for job in index()["jobs"]] == ["interrupted", "waiting"]
+    assert (runner.run(), [job["status"] for job in index()["jobs"]]) == ("interrupted", ["interrupted", "waiting"])
     assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
 
 
@@ -146,8 +144,7 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     monkeypatch.setattr(runner, "_reap", lambda: (looks.append(1), reap()))
     with pytest.raises(ConfigError, match="did not take the jobs"):
         runner.run()
-    assert len(looks) == 1
-    assert index()["status"] == "failed"
+    assert (len(looks), index()["status"]) == (1, "failed")
     assert [job["status"] for job in index()["jobs"]] == ["failed", "failed"]
 
 
@@ -155,8 +152,7 @@ def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
     runner, queue = swept(["finish"], stop)
     start = queue.start
     queue.start = lambda *args: (start(*args), os.kill(os.getpid(), signal.SIGINT))[0]
-    assert runner.run() == "interrupted"
-    assert queue.handed_in == []
+    assert (runner.run(), queue.handed_in) == ("interrupted", [])
     assert [job["status"] for job in index()["jobs"]] == ["waiting"]
 
 

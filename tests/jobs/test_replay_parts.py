@@ -55,8 +55,7 @@ def request(**changes) -> Request:
 
 def test_a_request_arrives_as_it_was_sent_and_without_keys_of_a_newer_program():
     assert Request.read(request().line()) == request()
-    line = json.dumps(asdict(request()) | {"invented_later": 1}).encode()
-    assert Request.read(line) == request()
+    assert Request.read(json.dumps(asdict(request()) | {"invented_later": 1}).encode()) == request()
 
 
 def test_a_request_of_another_protocol_is_refused():
@@ -130,8 +129,7 @@ def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
     source = RestoredSource(config_dirs=[configs])
     for folder in (lab, lab / "configs", package / "deep", tmp_path / "loose.py", configs):
         _register(folder, source)
-    assert set(source.projects) == {lab}
-    assert source.places == {"terms": package.parent, "loose": tmp_path}
+    assert (set(source.projects), source.places) == ({lab}, {"terms": package.parent, "loose": tmp_path})
 
 
 def test_the_innermost_restored_folder_of_a_path_counts(tmp_path):
@@ -225,8 +223,7 @@ def test_a_repository_of_the_users_that_is_nowhere_is_told(program, lab, tmp_pat
     commit_id = git(lab, "rev-parse", "HEAD")
     lab.rename(tmp_path / "moved")
     source = restored(run, tmp_path)
-    assert [tree.how for tree in source.trees] == ["restored", "missing"]
-    assert source.config_dirs == []
+    assert ([tree.how for tree in source.trees], source.config_dirs) == (["restored", "missing"], [])
     (note,) = source.notes
     assert f"no repository here contains commit {commit_id[:12]}; see --repository" in note
 
@@ -251,8 +248,7 @@ def test_what_was_not_captured_is_named(program, lab, tmp_path):
         "submodules were not captured with the run, and are empty: library",
         f"'{plain / 'helper.py'}' was not captured with the run, and is used as it is now",
     ]
-    assert [tree.how for tree in source.trees] == ["restored", "in place"]
-    assert source.places["helper"] == plain
+    assert ([tree.how for tree in source.trees], source.places["helper"]) == (["restored", "in place"], plain)
 
 
 def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:

@@ -160,10 +160,7 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
     [
         (lambda record: record.pop("runs"), "small.json: the record lacks a key: 'runs'"),
         (lambda record: record.update(runs=[]), "small.json: the record names no runs"),
-        (
-            lambda record: record["runs"][0]["train"].pop("overrides"),
-            "small.json: the record lacks a key: 'overrides'",
-        ),
+        (lambda record: record["runs"][0]["train"].pop("overrides"), "small.json: the record lacks a key: 'overrides'"),
         (
             lambda record: record.update(name="other"),
             "small.json: the record is of 'other'; expected a record of its own name",
@@ -223,12 +220,10 @@ def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, on
 def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
     page, record = (written / "small.md").read_text(), json.loads((written / "small.json").read_text())
     assert f"scenarios `{record['scenarios_sha256'][:16]}`" in page
-    assert "| survival |" in page
-    assert "\nwheelleg train env.num_envs=16 " in page
+    assert [word for word in ("| survival |", "\nwheelleg train env.num_envs=16 ") if word not in page] == []
     manifest = json.loads((written / "small" / f"{run.id}.json").read_text())
     assert manifest["files"]["model_2.pt"] == run.manifest().data["files"]["model_2.pt"]
-    everything = page + json.dumps(record) + json.dumps(manifest)
-    assert str(run.path.parent) not in everything
+    assert str(run.path.parent) not in (page + json.dumps(record) + json.dumps(manifest))
 
 
 def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
@@ -239,8 +234,7 @@ def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_no
         (written / "small" / f"{name}.json").parent.mkdir(exist_ok=True)
         write_json(written / "small" / f"{name}.json", {})
     words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]
-    assert main(words) == 0
-    assert {path.stem for path in (written / "small").iterdir()} == {run.id, "own", "folder"}
+    assert (main(words), {path.stem for path in (written / "small").iterdir()}) == (0, {run.id, "own", "folder"})
     assert (written / "outside.json").is_file()
 
 
@@ -253,8 +247,7 @@ def test_what_is_no_result_is_not_written_over(run, tmp_path, capsys, text):
     (folder / "small.json").write_text(text)
     assert main(["results", "small", str(run.path), *SHORT, "--into", str(folder)]) != 0
     assert str(folder / "small.json") in capsys.readouterr().err
-    assert (folder / "small.json").read_text() == text
-    assert [path.name for path in folder.iterdir()] == ["small.json"]
+    assert ((folder / "small.json").read_text(), [path.name for path in folder.iterdir()]) == (text, ["small.json"])
 
 
 def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_that_length(run):

@@ -19,7 +19,7 @@ from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from jobs.replays import change_manifest
-from jobs.small import SMALL, cache_of, wheelleg
+from jobs.small import SMALL, cache_of, refused, succeed, wheelleg
 from wheelleg_exp import packages as projects
 from wheelleg_exp.jobs.train import resume_overrides as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
@@ -97,8 +97,7 @@ def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> Non
     assert scalars(run) == scalars(straight)
     assert entity_digests(run / "recording.rrd") == entity_digests(straight / "recording.rrd")
     ends = [{k: v for k, v in manifest(path)["results"].items() if k != "seconds"} for path in (run, straight)]
-    assert ends[0] == ends[1]
-    assert manifest(run)["status"] == "finished"
+    assert (ends[0], manifest(run)["status"]) == (ends[1], "finished")
     assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
     assert not list(run.rglob("*.tmp"))
 
@@ -123,8 +122,7 @@ def events_left(run: Path) -> list[int]:
 
 @pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
 def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
-    said = wheelleg("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
+    succeed("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
     run = only(tmp_path)
     for total in [*stops[1:], 4]:
         resume(run, f"agent.max_iterations={total}")
@@ -183,8 +181,7 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     assert (run / "model_3.pt").exists()
     resume(run)
     require_equal(run, straight)
-    assert events_left(run) == [0, 1, 2, 3]
-    assert [entry["iteration"] for entry in manifest(run)["resumes"]] == [1, 2, 4]
+    assert (events_left(run), [entry["iteration"] for entry in manifest(run)["resumes"]]) == ([0, 1, 2, 3], [1, 2, 4])
 
 
 def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_alone(tmp_path, monkeypatch):
@@ -196,8 +193,7 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
     path = only(tmp_path)
     first, second = (line["digests"] for line in lines(path))
     assert len(first) > 3
-    assert list(second) == ["parameters"]
-    assert wheelleg("verify", path).status == 0
+    assert (list(second), wheelleg("verify", path).status) == (["parameters"], 0)
     state = torch.load(path / "model_1.pt", weights_only=True)
     assert second == digests.of_state(digests.networks(state))
     next(iter(state["actor_state_dict"].values())).view(-1)[0] += 1.0
@@ -210,8 +206,7 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
 def test_without_a_checkpoint_a_run_begins_anew(run, straight):
     for path in run.glob("model_*.pt"):
         path.unlink()
-    said = resume(run)
-    assert "resuming from the start" in said.err
+    assert "resuming from the start" in resume(run).err
     require_equal(run, straight)
     assert manifest(run)["resumes"][0]["proved"] == [0, 3]
 
@@ -230,8 +225,7 @@ def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, strai
     assert "resuming from model_1.pt, iteration 2" in said.err
     for name in ("model_3.pt.damaged", "model_2.pt.damaged"):
         (run / name).unlink()
-    changed = manifest(run)
-    assert changed["resumes"][0]["proved"] == [2, 3]
+    assert manifest(run)["resumes"][0]["proved"] == [2, 3]
     for path in (run, straight):
         assert sorted(p.name for p in path.glob("model_*.pt")) == [f"model_{i}.pt" for i in range(4)]
     for index in range(4):
@@ -245,8 +239,7 @@ def test_lost_events_are_written_anew_from_the_log(run, straight):
         path.write_bytes(path.read_bytes()[:300])
     resume(run)
     assert manifest(run)["threads"]["torch"] == torch.get_num_threads() == 1
-    assert events_left(run) == [0, 1, 2, 3]
-    assert scalars(run) == scalars(straight)
+    assert (events_left(run), scalars(run)) == ([0, 1, 2, 3], scalars(straight))
 
 
 def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
@@ -278,8 +271,7 @@ def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch
     monkeypatch.setattr(
         training_outputs, "write_bytes", lambda path, data: (synced.append(path.name), write(path, data))
     )
-    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
+    succeed("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     order = [name.split(".")[0] if name.startswith("events") else name for name in synced]
     assert order == ["iterations.jsonl", "recording.rrd", "events", "model_0.pt"]
 
@@ -304,8 +296,7 @@ def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
 
 
 def test_a_run_without_event_files_has_none_after_a_resume(tmp_path):
-    said = wheelleg("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
+    succeed("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
     run = only(tmp_path)
     resume(run, "agent.max_iterations=2")
     assert not list(run.glob("events.out.tfevents.*"))
@@ -364,8 +355,7 @@ def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straigh
         "recording.enabled=false",
         "--json",
     )
-    document = json.loads(said.out)
-    assert document["resume"]["exact"] is False
+    assert json.loads(said.out)["resume"]["exact"] is False
     entry = manifest(run)["resumes"][0]
     assert {c["key"] for c in entry["changes"]} == {
         "agent.max_iterations",
@@ -393,9 +383,7 @@ def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatc
     monkeypatch.setattr("wheelleg_exp.rl.matmul.has_units", lambda: kind == "float32")
     used = []
     monkeypatch.setattr(trainer, "chosen_matmul", lambda agent: used.append(agent["matmul"]) or agent["matmul"])
-    assert resume(run, "agent.max_iterations=6").status == 0
-    assert used == [kind]
-    assert manifest(run)["threads"]["matmul"] == kind
+    assert (resume(run, "agent.max_iterations=6").status, used, manifest(run)["threads"]["matmul"]) == (0, [kind], kind)
 
 
 def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatch):
@@ -450,10 +438,9 @@ def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
 
 def refuse(run: Path, *words: str) -> str:
     before = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and not p.name.endswith("lock")}
-    said = wheelleg("resume", run, *words)
-    assert said.status == 2, said.err
-    assert "Traceback" not in said.err
-    (message,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    said = refused("resume", run, *words)
+    assert "Traceback" not in said
+    (message,) = [line for line in said.splitlines() if line.startswith("wheelleg: error: ")]
     assert {p: p.read_bytes() for p in before} == before  # No file of the run has changed.
     return message
 
@@ -508,8 +495,7 @@ def test_a_checkpoint_of_another_run_is_no_checkpoint_of_this_one(run):
         state = checkpoint.load(run / f"model_{index}.pt")
         state["actor_state_dict"]["mlp.0.bias"] += 1.0
         (run / f"model_{index}.pt").write_bytes(checkpoint.serialize(state))
-    message = refuse(run, "agent.max_iterations=9")
-    assert "parameters differ from the logged digests of iteration 3" in message
+    assert "parameters differ from the logged digests of iteration 3" in refuse(run, "agent.max_iterations=9")
 
 
 def test_a_run_that_is_being_written_is_left_alone(run):
@@ -522,9 +508,7 @@ def test_a_run_that_is_being_written_is_left_alone(run):
 
 
 def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
-    said = wheelleg("resume", run.name[:-1], "--root", run.parents[1])
-    assert said.status == 2
-    assert f"did you mean '{run.name}'?" in said.err
+    assert f"did you mean '{run.name}'?" in refused("resume", run.name[:-1], "--root", run.parents[1])
 
 
 def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):

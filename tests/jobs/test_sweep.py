@@ -57,15 +57,13 @@ def test_all_jobs_finish(stop):
 def test_as_many_jobs_run_at_once_as_are_asked_for(stop, at_once):
     seen = Seen()
     stand_in([f"finish{i}" for i in range(4)], stop, at_once, seen).run()
-    assert seen.most_at_once() == at_once
-    assert [told[1] for told in seen.told if told[0] == "started"] == [1, 2, 3, 4]
+    assert (seen.most_at_once(), [told[1] for told in seen.told if told[0] == "started"]) == (at_once, [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize("at_once", [1, 4])
 def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
     assert stand_in(["fail", "die", "killed", "finish"], stop, at_once).run() == "failed"
-    assert _index()["status"] == "failed"
-    assert _statuses() == ["failed", "failed", "failed", "finished"]
+    assert (_index()["status"], _statuses()) == ("failed", ["failed", "failed", "failed", "finished"])
     told = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
     assert told == [
         "gone to NaN",
@@ -91,8 +89,7 @@ def test_much_talk_blocks_nobody(stop):
 
 
 def test_a_job_whose_process_ends_well_without_having_said_so_has_failed(stop):
-    assert stand_in(["leave", "finish"], stop).run() == "failed"
-    assert _statuses() == ["failed", "finished"]
+    assert (stand_in(["leave", "finish"], stop).run(), _statuses()) == ("failed", ["failed", "finished"])
     assert "ended with status 0 and did not say why" in _index()["jobs"][0]["error"]["message"]
 
 
@@ -131,15 +128,13 @@ def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch, kind):
 def test_a_stop_ends_every_job_and_starts_no_other(stop):
     seen = Seen(on_start=lambda job: job["number"] == 2 and os.kill(os.getpid(), signal.SIGINT))
     assert stand_in(["wait", "wait", "finish"], stop, 2, seen).run() == "interrupted"
-    assert _index()["status"] == "interrupted"
-    assert _statuses() == ["interrupted", "interrupted", "waiting"]
+    assert (_index()["status"], _statuses()) == ("interrupted", ["interrupted", "interrupted", "waiting"])
 
 
 def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
     runner = stand_in(["deaf", "finish"], stop, seen=Seen(on_iteration=_interrupt_twice))
     monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
-    assert runner.run() == "interrupted"
-    assert _statuses() == ["interrupted", "waiting"]
+    assert (runner.run(), _statuses()) == ("interrupted", ["interrupted", "waiting"])
     assert _index()["jobs"][0]["error"] is None
 
 
@@ -158,8 +153,7 @@ def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
 
 
 def test_a_third_stop_waits_for_nobody(stop):
-    seen = Seen(on_iteration=_interrupt_twice)
-    runner = stand_in(["stubborn"], stop, seen=seen)
+    runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
     processes = []
     end = runner._end
 
@@ -170,8 +164,7 @@ def test_a_third_stop_waits_for_nobody(stop):
             raise KeyboardInterrupt
 
     runner._end = interrupted_end
-    assert runner.run() == "interrupted"
-    assert _statuses() == ["interrupted"]
+    assert (runner.run(), _statuses()) == ("interrupted", ["interrupted"])
     assert {process.returncode for process in processes} == {-signal.SIGKILL}
 
 
@@ -265,8 +258,7 @@ def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swe
     assert {"model_2.pt", "exported/policy.onnx", "params/env.yaml", ".hydra/hydra.yaml"} <= set(ours)
     different = [name for name in ours if ours[name].read_bytes() != theirs[name].read_bytes()]
     # TorchScript writes a module's constants in the order of a set, which differs between processes.
-    assert [name for name in different if name != "exported/policy.pt"] == []
-    assert len(_iterations(alone)) == ITERATIONS
+    assert ([name for name in different if name != "exported/policy.pt"], len(_iterations(alone))) == ([], ITERATIONS)
     assert _iterations(of_sweep) == _iterations(alone)
     recorded = [entity_digests(run / "recording.rrd") for run in (of_sweep, alone)]
     assert recorded[0].keys() == recorded[1].keys()
@@ -290,16 +282,14 @@ def test_a_manifest_says_of_a_job_what_it_says_of_a_run(swept, alone):
     assert ours.keys() == theirs.keys()
     same = ("task", "status", "error", "command", "working_directory", "seeds", "versions", "threads", "hardware")
     assert [key for key in same if ours[key] != theirs[key]] == []
-    assert ours["environment_variables"] == theirs["environment_variables"]
-    assert ours["threads"]["torch"] == 1
+    assert (ours["environment_variables"], ours["threads"]["torch"]) == (theirs["environment_variables"], 1)
 
 
 @pytest.mark.train
 def test_the_index_holds_the_figures_of_the_runs(swept):
     for job in swept.index.jobs:
         manifest = RunDirectory.open(swept.index.run_of(job), swept.root).manifest()
-        assert job["results"] == manifest.results
-        assert job["results"]["iterations"] == ITERATIONS
+        assert (job["results"], job["results"]["iterations"]) == (manifest.results, ITERATIONS)
         assert (job["status"], job["error"]) == ("finished", None)
     one, other = swept.index.jobs  # Both jobs ran at the same time.
     assert max(one["started"], other["started"]) < min(one["ended"], other["ended"])

@@ -150,8 +150,7 @@ def test_one_core_is_one_physics_thread(monkeypatch):
         "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
     monkeypatch.setattr("wheelleg_exp.sim.batch_engine.usable_cores", lambda: 1)
-    assert BatchEngine(model, 2, 0).nthread == 1
-    assert BatchEngine(model, 2, 2).nthread == 2
+    assert (BatchEngine(model, 2, 0).nthread, BatchEngine(model, 2, 2).nthread) == (1, 2)
 
 
 @pytest.mark.parametrize("threads_now", [2, 3, 4, 5])
@@ -171,8 +170,7 @@ def test_activations_that_threads_part_within_a_vector_are_told(threads_now):
             assert torch.equal(one, more) or f"{rows} x {width}" in told[envs][0]
     assert bool(told[333]) or threads_now == 2
     assert bool(told[512]) == (threads_now not in (2, 4))
-    relu = {**agent, "actor": {**layer, "activation": "relu"}}
-    assert set_threads(relu, 1, samples=24 * 333)["independent"]
+    assert set_threads({**agent, "actor": {**layer, "activation": "relu"}}, 1, samples=24 * 333)["independent"]
 
 
 XEON = "processor\t: 0\nvendor_id\t: GenuineIntel\nflags\t\t: fpu avx2 avx512f avx512dq avx512cd avx512bw avx512vl\n\n"

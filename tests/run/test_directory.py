@@ -17,8 +17,7 @@ def test_the_name_is_task_time_seed_and_name(tmp_path, monkeypatch):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 42, "fast", NOW)
     assert directory.path == tmp_path / "runs" / "walk" / "2026-01-31_17-05-09_42_fast"
     assert directory.path.is_dir()
-    assert directory.id == "2026-01-31_17-05-09_42_fast"
-    assert directory.root == tmp_path / "runs"
+    assert (directory.id, directory.root) == ("2026-01-31_17-05-09_42_fast", tmp_path / "runs")
     monkeypatch.chdir(tmp_path)  # A relative root folder gives an absolute run directory.
     assert RunDirectory.create("runs", "walk", 0, now=NOW).path == tmp_path / "runs/walk/2026-01-31_17-05-09_0"
 
@@ -79,15 +78,12 @@ def test_latest_is_the_newest_start_in_any_manifest_whatever_the_name(make_run, 
 def test_latest_looks_neither_at_agents_nor_at_sweeps(make_run, tmp_path):
     run = make_run()
     root = tmp_path / "runs"
-    later = datetime.now() + timedelta(days=1)
-    agent = RunDirectory.create(root, "walk", 1, "zero", later, section="agents")
+    agent = RunDirectory.create(root, "walk", 1, "zero", datetime.now() + timedelta(days=1), section="agents")
     (agent.path / "manifest.json").write_bytes((run.path / "manifest.json").read_bytes())
     sweep = root / "sweeps" / "2030-01-01_00-00-00_1"
     sweep.mkdir(parents=True)
     (sweep / "manifest.json").write_bytes((run.path / "manifest.json").read_bytes())
-    assert agent.path.parent == root / "agents" / "walk"
-    assert agent.root == root
-    assert RunDirectory.open("latest", root) == run
+    assert (agent.path.parent, agent.root, RunDirectory.open("latest", root)) == (root / "agents" / "walk", root, run)
     assert RunDirectory.open(f"agents/walk/{agent.id}", root) == agent
 
 
@@ -105,8 +101,7 @@ def test_a_run_that_does_not_exist_is_told_with_the_nearest(make_run, tmp_path):
 
 def test_a_newest_run_that_is_damaged_is_not_passed_over(make_run, tmp_path):
     make_run(now=datetime(2026, 1, 1, tzinfo=UTC))
-    newest = make_run(now=datetime(2026, 1, 5, tzinfo=UTC))
-    (newest.path / "manifest.json").write_text("{")
+    (make_run(now=datetime(2026, 1, 5, tzinfo=UTC)).path / "manifest.json").write_text("{")
     with pytest.raises(RunDirectoryError, match="broken JSON"):
         RunDirectory.open("latest", tmp_path / "runs")
 
@@ -140,8 +135,7 @@ def test_checkpoints_are_sorted_by_number(make_run):
     for name in ("model_100.pt", "model_9.pt", "model_20.pt", "model_x.pt", "model_3.pt.tmp", "policy.pt"):
         (run.path / name).write_bytes(b"")
     assert [p.name for p in run.checkpoints()] == ["model_9.pt", "model_20.pt", "model_100.pt"]
-    assert run.latest_checkpoint().name == "model_100.pt"
-    assert run.checkpoint(20).name == "model_20.pt"
+    assert (run.latest_checkpoint().name, run.checkpoint(20).name) == ("model_100.pt", "model_20.pt")
 
 
 def test_a_missing_checkpoint_names_the_nearest(make_run):

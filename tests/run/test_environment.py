@@ -90,8 +90,7 @@ def test_what_a_config_requests_counts_unless_its_name_says_secret():
 @pytest.mark.parametrize("key", ["cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])
 def test_another_processor_or_container_shows(key, tmp_path, monkeypatch):
     before = environment.hardware()
-    info = CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile")
-    (tmp_path / "cpuinfo").write_text(info)
+    (tmp_path / "cpuinfo").write_text(CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile"))
     monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpuinfo")
     monkeypatch.setattr(environment, "usable_cores", lambda: 1000)
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=Backends))

@@ -20,8 +20,7 @@ def test_a_file_and_its_missing_folders_are_written_and_no_temporary_file_stays(
     files.write_text(path, "größe\n")
     assert path.read_bytes() == "größe\n".encode()
     files.write_bytes(path, memoryview(b"new"))
-    assert path.read_bytes() == b"new"
-    assert [p.name for p in path.parent.iterdir()] == ["c.txt"]
+    assert (path.read_bytes(), [p.name for p in path.parent.iterdir()]) == (b"new", ["c.txt"])
 
 
 def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path):
@@ -36,8 +35,7 @@ def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path
             files.write_bytes(path, bytes(2_000_000))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert caught.value.exit_code == 3
-    assert path.read_bytes() == b"old"
+    assert (caught.value.exit_code, path.read_bytes()) == (3, b"old")
     assert [p.name for p in tmp_path.iterdir()] == ["model.pt"]
 
 
@@ -151,8 +149,7 @@ def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refus
     path = tmp_path / "x"
     path.write_bytes(b"abc")
     tracemalloc.start()
-    assert files.read_bytes(path, 3) == b"abc"
-    assert files.read_text(path) == "abc"
+    assert (files.read_bytes(path, 3), files.read_text(path)) == (b"abc", "abc")
     os.truncate(path, (64 << 20) + 1)  # A sparse file uses no space on the disk.
     with pytest.raises(RunDirectoryError, match="has more than 64 MiB") as caught:
         files.read_bytes(path, 64 << 20)

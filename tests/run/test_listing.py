@@ -42,10 +42,8 @@ def test_runs_of_all_tasks_are_listed_newest_first(make_run, tmp_path):
     (tmp_path / "runs" / "walk" / "notes").mkdir()
     (tmp_path / "runs" / "README.md").write_text("")
     found = list_runs(tmp_path / "runs")
-    assert [s.id for s in found] == [b.id, c.id, a.id]
-    assert [s.task for s in found] == ["stand", "walk", "walk"]
-    assert [s.status for s in found] == ["running", "finished", "running"]
-    assert found[1].results == {"survival": 1.0}
+    assert ([s.id for s in found], [s.task for s in found]) == ([b.id, c.id, a.id], ["stand", "walk", "walk"])
+    assert ([s.status for s in found], found[1].results) == (["running", "finished", "running"], {"survival": 1.0})
     assert found[1].seeds == (3,)
 
 
@@ -68,8 +66,7 @@ def test_a_run_has_crashed_if_its_process_has_ended(make_run, tmp_path, dead_pid
 
 def test_a_damaged_run_is_listed_with_its_problem(make_run, tmp_path):
     make_run(now=START)
-    damaged = make_run(now=START + timedelta(hours=1))
-    (damaged.path / "manifest.json").write_text("{")
+    (make_run(now=START + timedelta(hours=1)).path / "manifest.json").write_text("{")
     first, second = list_runs(tmp_path / "runs")
     assert (first.status, second.status) == ("damaged", "running")
     assert "broken JSON" in first.problem
@@ -172,8 +169,7 @@ def test_what_a_play_found_and_what_was_exported_stands_beside(make_run, tmp_pat
 
 
 def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_path):
-    run = make_run(now=START)
-    (run.path / "manifest.json").unlink()
+    (make_run(now=START).path / "manifest.json").unlink()
     (found,) = list_runs(tmp_path / "runs")
     assert (found.status, found.started) == ("damaged", START)
     assert "has no manifest.json" in found.problem

@@ -27,12 +27,8 @@ def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
     monkeypatch.setenv("WHEELLEG_API_TOKEN", "hidden")
     begin(tmp_path)
     data = on_disk(tmp_path)
-    assert data["format"] == 2
-    assert data["status"] == "running"
-    assert data["command"] == ["wheelleg", "train"]
-    assert data["seeds"] == [3]
-    assert data["threads"] == {"torch": 2}
-    assert data["process"]["pid"] == os.getpid()
+    assert (data["format"], data["status"], data["command"]) == (2, "running", ["wheelleg", "train"])
+    assert (data["seeds"], data["threads"], data["process"]["pid"]) == ([3], {"torch": 2}, os.getpid())
     assert data["environment_variables"]["MKL_CBWR"] == "AVX2,STRICT"
     assert "hidden" not in json.dumps(data)
     assert data["versions"]["mujoco"].startswith("4.")
@@ -60,8 +56,7 @@ def test_the_end_lists_every_other_file_with_its_digest(tmp_path):
     (tmp_path / ".lock").write_bytes(b"{}")
     manifest.finish("finished", {"reward": 1.5})
     data = on_disk(tmp_path)
-    assert data["status"] == "finished"
-    assert data["results"] == {"reward": 1.5}
+    assert (data["status"], data["results"]) == ("finished", {"reward": 1.5})
     assert data["ended"] >= data["started"]
     assert data["files"] == {
         ".hydra/config.yaml": {"sha256": hashlib.sha256(b"").hexdigest(), "size": 0},
@@ -101,9 +96,7 @@ def test_a_later_command_gets_its_own_entry(tmp_path):
         "play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=["wheelleg", "play"]
     )
     after = on_disk(tmp_path)
-    assert after["additions"] == [entry]
-    assert entry["kind"] == "play"
-    assert entry["command"] == ["wheelleg", "play"]
+    assert (after["additions"], entry["kind"], entry["command"]) == ([entry], "play", ["wheelleg", "play"])
     assert entry["files"] == {"play/a.rrd": {"sha256": hashlib.sha256(b"abc").hexdigest(), "size": 3}}
     rest = [{k: v for k, v in data.items() if k not in ("additions", "sha256")} for data in (after, before)]
     assert rest[0] == rest[1]
@@ -175,8 +168,6 @@ def test_a_resume_keeps_what_the_run_was_before(tmp_path):
     assert data["started"] == first["started"]
     assert list(data["files"]) == ["params/env.yaml"]  # The resume rewrites the iteration log.
     (resume,) = data["resumes"]
-    assert resume["from_iteration"] == 4
-    assert resume["command"] == ["wheelleg", "resume", "x"]
-    assert resume["before"]["status"] == "interrupted"
-    assert resume["before"]["files"] == first["files"]
+    assert (resume["from_iteration"], resume["command"]) == (4, ["wheelleg", "resume", "x"])
+    assert (resume["before"]["status"], resume["before"]["files"]) == ("interrupted", first["files"])
     assert resume["before"]["threads"] == {"torch": 2}

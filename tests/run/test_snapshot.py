@@ -21,8 +21,7 @@ def run(tmp_path, repository, git):
     directory = RunDirectory.create(repository / "runs", "walk", 7)
     (repository / "package" / "new.py").write_text("y = 2\n")
     files = {"config.yaml": "a: 1\n", "overrides.yaml": "- task=walk\n"}
-    manifest = start(directory, hydra_files=files, source_roots=[repository / "package"])
-    return directory, manifest
+    return directory, start(directory, hydra_files=files, source_roots=[repository / "package"])
 
 
 def test_everything_stands_before_the_first_step(run):
@@ -33,9 +32,7 @@ def test_everything_stands_before_the_first_step(run):
     assert files == snapshot | {"manifest.json", ".manifest.lock"}
     assert (directory.hydra / "overrides.yaml").read_text() == "- task=walk\n"
     data = json.loads((directory.path / "manifest.json").read_text())
-    assert data == manifest.data
-    assert data["status"] == "running"
-    assert set(data["files"]) == snapshot
+    assert (data, data["status"], set(data["files"])) == (manifest.data, "running", snapshot)
     assert data["source"]["dirty"] is True
     assert data["source"]["tree"]
     assert not manifest.compare_files()
@@ -44,16 +41,13 @@ def test_everything_stands_before_the_first_step(run):
 def test_the_source_holds_the_change_and_not_the_run_itself(run):
     directory, _ = run
     record = json.loads((directory.source / "git.json").read_text())
-    assert record["untracked"] == ["package/new.py"]
-    assert record["folders"] == ["package"]
+    assert (record["untracked"], record["folders"]) == (["package/new.py"], ["package"])
 
 
 def test_the_parameters_read_back_equal_in_their_order(run):
     directory, _ = run
     env, agent = load_params(directory)
-    assert env == PARAMS["env"]
-    assert list(env["rewards"]) == ["b", "a"]
-    assert agent == PARAMS["agent"]
+    assert (env, list(env["rewards"]), agent) == (PARAMS["env"], ["b", "a"], PARAMS["agent"])
     assert yaml.safe_load((directory.params / "agent.yaml").read_text()) == PARAMS["agent"]
 
 
@@ -180,5 +174,4 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
     monkeypatch.setattr("wheelleg_exp.run.start_run.snapshot_source", look)
     with pytest.raises(KeyboardInterrupt):
         start(directory)
-    assert seen == ["running"]
-    assert directory.manifest().status == "interrupted"
+    assert (seen, directory.manifest().status) == (["running"], "interrupted")

@@ -158,8 +158,7 @@ def test_files_that_contradict_each_other_are_damage_though_the_manifest_was_rew
     last = out.splitlines()[-1]
     assert last.startswith(f"different: damaged: {side}: "), out
     assert words in last
-    both = [one.path for one in pair]
-    alone = wheelleg("verify", *both, "--iterations", 1)[1].splitlines()[-1]
+    alone = wheelleg("verify", *[one.path for one in pair], "--iterations", 1)[1].splitlines()[-1]
     assert alone.startswith("different" if change in ("config", "patch", "no patch") else "identical"), alone
 
 

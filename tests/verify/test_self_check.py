@@ -28,8 +28,7 @@ def run(copy_run):
 def failures(run):
     found = verify_run(run)
     wrong = {check.name: check.failures for check in found.checks if check.failures}
-    assert found.is_sound == (not wrong)
-    assert found.verdict == ("damaged" if wrong else "sound")
+    assert (found.is_sound, found.verdict) == (not wrong, "damaged" if wrong else "sound")
     assert found.lines()[-1].startswith(found.verdict)
     return wrong
 
@@ -95,8 +94,7 @@ def test_a_manifest_of_format_1_holds_by_its_values_and_says_so(run):
     assert any("its digest is of rounded values" in note for note in notes(run))
     run.manifest().add("export", [], {"a": 1})
     data = run.manifest().data
-    assert data["format"] == 2
-    assert failures(run) == {}
+    assert (data["format"], failures(run)) == (2, {})
     del data["sha256"]
     (run.path / "manifest.json").write_text(json.dumps(data))
     only(run, "manifest", "manifest.json was changed")
@@ -161,8 +159,7 @@ def test_a_contradiction_is_found_by_one_check(run, change, check, words):
     if check != "files":  # The other checks find the change although the manifest records the changed file.
         synthetic.record(run)
     wrong = failures(run)
-    assert list(wrong) == [check]
-    assert [word for word in words if word not in " ".join(wrong[check])] == []
+    assert (list(wrong), [word for word in words if word not in " ".join(wrong[check])]) == ([check], [])
 
 
 @pytest.mark.parametrize(
@@ -275,8 +272,7 @@ def test_what_decided_a_crashed_run_is_still_held_against_its_manifest(run):
 def test_a_running_run_is_sound(run):
     synthetic.crash(run)
     synthetic.edit(run, lambda data: data.update(process=this_process()))
-    assert failures(run) == {}
-    assert verify_run(run).status == "running"
+    assert (failures(run), verify_run(run).status) == ({}, "running")
 
 
 def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
@@ -331,8 +327,7 @@ def test_a_setting_that_came_from_the_environment_is_held_against_what_was_recor
     synthetic.edit_params(run, lambda env, agent: agent["algorithm"].update(gamma=0.25))
     synthetic.record(run)
     synthetic.edit(run, lambda data: data.update(config_variables=recorded))
-    told = [note for note in notes(run) if "agent.algorithm.gamma" in note]
-    assert bool(told) == (not recorded)
+    assert bool([note for note in notes(run) if "agent.algorithm.gamma" in note]) == (not recorded)
     synthetic.edit_params(run, lambda env, agent: agent.update(max_iterations=6))
     synthetic.record(run)
     only(run, "params", "agent.max_iterations")

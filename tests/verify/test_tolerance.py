@@ -21,8 +21,7 @@ def test_only_the_worst_scalar_of_the_first_iteration_that_differs_is_held_again
     off = run(value=lambda i: 1.0 if i < 7 else 1.0 + 1e-5 if i == 7 else 5.0, length=lambda i: 50.0 + 1e-5 * (i == 7))
     found = judge(run(), off, None, whole=True)
     (start,) = found.start
-    assert (start.iteration, start.name) == (7, "Loss/value")
-    assert start.off == pytest.approx(1e-5, rel=1e-3)
+    assert (start.iteration, start.name, start.off) == (7, "Loss/value", pytest.approx(1e-5, rel=1e-3))
     assert found.within
 
 
@@ -49,11 +48,9 @@ def test_the_distance_of_the_parameters_counts_where_it_is_known():
 def test_the_ends_may_be_apart_by_a_tenth_of_the_range_they_went_through(off, within):
     spread = LONG - 1  # The rewards increase from 0 to 99, and end on a plateau without noise.
     a = run(reward=lambda i: 0.0 if i < 50 else float(spread))
-    b = run(reward=lambda i: 0.0 if i < 50 else spread * (1 - END * off))
-    found = judge(a, b, None, whole=True)
+    found = judge(a, run(reward=lambda i: 0.0 if i < 50 else spread * (1 - END * off)), None, whole=True)
     (end,) = [excess for excess in found.end if excess.name == "Train/mean_reward"]
-    assert end.allowed == pytest.approx(END * spread)
-    assert end.off == pytest.approx(END * off * spread)
+    assert (end.allowed, end.off) == (pytest.approx(END * spread), pytest.approx(END * off * spread))
     assert end.within == within
 
 

@@ -52,8 +52,7 @@ def test_the_cart_drives_straight_as_far_as_it_is_told(tmp_path):
     assert abs(y) < 0.01
     assert session.status().measured["lin_vel_x"] == pytest.approx(0.3, rel=0.03)
     figures = session.meter.figures()
-    assert figures["distance_m"] == pytest.approx(x, rel=0.05)
-    assert figures["duration_s"] == pytest.approx(2.0)
+    assert (figures["distance_m"], figures["duration_s"]) == (pytest.approx(x, rel=0.05), pytest.approx(2.0))
     assert figures["tracking_rmse"]["lin_vel_x"] < 0.1
 
 
@@ -79,8 +78,7 @@ def test_a_command_stands_through_redraws_and_resets_and_beyond_its_range_it_is_
 
 
 def test_the_first_observation_shows_rest_and_not_what_was_drawn(tmp_path):
-    session = cart(tmp_path)
-    assert session.env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
+    assert cart(tmp_path).env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_a_push_adds_velocity_in_the_yaw_axes(tmp_path):
@@ -98,14 +96,12 @@ def test_a_fall_waits_until_somebody_resets(tmp_path):
     session = cart(tmp_path, terminations=LOW)
     session.step()
     assert session.fallen == "low"
-    length = int(session.env.episode_length_buf[0])
-    assert length == 1  # not reset by itself
+    assert int(session.env.episode_length_buf[0]) == 1  # not reset by itself
     session.obey(Push(0.3))  # A fallen robot is not pushed.
     assert session.meter.figures()["pushes"] == 0
     session.reset()
     assert session.fallen is None
-    assert int(session.env.episode_length_buf[0]) == 0
-    assert session.meter.figures()["falls"] == {"low": 1}
+    assert (int(session.env.episode_length_buf[0]), session.meter.figures()["falls"]) == (0, {"low": 1})
 
 
 def test_several_robots_cannot_be_driven(tmp_path):
@@ -139,5 +135,4 @@ def test_requests_of_many_threads_are_all_taken_once(tmp_path):
     while any(thread.is_alive() for thread in threads):
         taken += controls.take()
     taken += controls.take()
-    assert len(taken) == 400
-    assert controls.take() == []
+    assert (len(taken), controls.take()) == (400, [])
