@@ -64,18 +64,13 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
     assert RunDirectory.open("latest", tmp_path / "runs").path == run.path
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "broken JSON"),
-        ("[]", "not the index of a sweep"),
-        ('{"format": 1}', "not the index of a sweep"),
-        ('{"format": 2, "jobs": []}', "sweep format 2 is unknown"),
-    ],
-)
-def test_an_index_that_is_none_is_refused(tmp_path, text, told):
-    with pytest.raises(RunDirectoryError, match="cannot read"):
-        SweepIndex.load(tmp_path)
-    (tmp_path / "sweep.json").write_text(text)
-    with pytest.raises(RunDirectoryError, match=told):
+REFUSED = [(None, "cannot read"), ("{", "broken JSON"), ("[]", "not the index of a sweep")]
+REFUSED += [('{"format": 1}', "not the index of a sweep"), ('{"format": 2, "jobs": []}', "sweep format 2 is unknown")]
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED)
+def test_a_missing_or_invalid_index_is_refused(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(RunDirectoryError, match=message):
         SweepIndex.load(tmp_path)
