@@ -77,12 +77,9 @@ def test_a_difference_is_named_with_its_kind(a, b, found):
     assert [(d.name, d.kind) for d in differences(a, b)] == found
 
 
-def test_leaves_are_counted_and_equal_infinities_are_no_difference():
+def test_leaves_are_counted_and_distances_are_euclidean_without_equal_infinities():
     assert count_leaves({"a": [1, 2], "b": {"c": torch.zeros(9)}}) == 3
     assert one(torch.tensor([INF, 1.0]), torch.tensor([INF, 3.0])).largest == 2.0
-
-
-def test_relative_distance_is_euclidean_over_all_tensors():
     a = {"x": torch.tensor([3.0, 0.0]), "y": torch.tensor([4.0])}
     b = {"x": torch.tensor([0.0, 0.0]), "y": torch.tensor([10.0])}
     assert (relative_distance(a, b), relative_distance(a, a)) == (pytest.approx(math.sqrt(9 + 36) / 10), 0.0)
