@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -76,6 +78,24 @@ def cache_of(factory: pytest.TempPathFactory) -> Path:
     return factory.getbasetemp() / "wheelleg-cache"
 
 
+def only_run(root: Path) -> Path:
+    (path,) = (root / "stand").iterdir()
+    return path
+
+
+def manifest(run: Path) -> dict[str, Any]:
+    return json.loads((run / "manifest.json").read_text())
+
+
+def lines(run: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+
+
+def without_times(line: dict[str, Any]) -> dict[str, Any]:
+    """Return a line of the iteration log without the scalars that depend on the time."""
+    return {**line, "scalars": {k: v for k, v in line["scalars"].items() if not k.startswith("Perf/")}}
+
+
 _trained: dict[Path, Trained] = {}
 
 
@@ -87,8 +107,7 @@ def trained_once(factory: pytest.TempPathFactory) -> Trained:
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
             said = succeed("train", *SMALL, f"run.root={root}", "run.name=small")
-        (path,) = (root / "stand").iterdir()
-        _trained[base] = Trained(RunDirectory.open(path, root), said)
+        _trained[base] = Trained(RunDirectory.open(only_run(root), root), said)
     return _trained[base]
 
 

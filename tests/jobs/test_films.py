@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from av.error import FFmpegError
 
-from jobs.small import SMALL, cache_of, succeed, wheelleg
+from jobs.small import SMALL, only_run, succeed, wheelleg
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train.training_recording import films_from
@@ -21,11 +21,6 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.train, pytest.mark.pictures]
 FILMED = [*SMALL, "recording.video_every=2"]  # A film has 30 steps of 1/60 s.
-
-
-def only(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
 
 
 def shape(path: Path) -> tuple[int, int, int, float]:
@@ -43,13 +38,12 @@ def filmed(tmp_path_factory) -> tuple[Path, list[np.ndarray]]:
     root, drawn = tmp_path_factory.mktemp("filmed"), []
     draw = LivePictures.draw
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         patch.setattr(LivePictures, "draw", lambda self, qpos: (drawn.append(qpos), draw(self, qpos))[1])
         said = wheelleg("train", *FILMED, f"run.root={root}")
     if "drawing is not possible" in said.err:
         pytest.skip(said.err)
     assert said.status == 0, said.err
-    return only(root), drawn
+    return only_run(root), drawn
 
 
 def test_every_second_iteration_begins_a_film(filmed):
@@ -110,7 +104,7 @@ def test_a_film_that_fails_ends_the_filming_and_not_the_training(tmp_path, monke
     said = succeed("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert said.err.count("no film from iteration 0 on") == 1
     assert "the driver gave up" in said.err
-    assert (only(tmp_path / "runs") / "model_2.pt").is_file()
+    assert (only_run(tmp_path / "runs") / "model_2.pt").is_file()
 
 
 def test_films_are_chosen_by_number_and_others_files_stay(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jobs.small import TINY, refused, succeed, wheelleg
+from jobs.small import TINY, only_run, refused, succeed, wheelleg
 
 SCENE = """# @package env.scene
 defaults: [flat, _self_]
@@ -35,7 +35,7 @@ def test_a_run_is_resumed_played_and_replayed_on_the_ground_that_it_has_kept(pro
     ground = project / "assets" / "grounds" / "hills.npy"
     words = ("--config-dir", project / "configs", "scene=hills", *TINY, f"run.root={project / 'runs'}")
     succeed("train", *words, "agent.max_iterations=1")
-    (run,) = (project / "runs" / "stand").iterdir()
+    run = only_run(project / "runs")
     kept = run / "asset" / "ground" / "grounds" / "hills.npy"
     assert kept.read_bytes() == ground.read_bytes()
     sources = json.loads((run / "asset" / "asset.json").read_text())["sources"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -10,7 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from jobs.small import TINY, Trained, cache_of, copied, refused, succeed, wheelleg
+from jobs.small import TINY, Trained, copied, refused, succeed, wheelleg
+from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -30,16 +30,10 @@ def train(root: Path, source: object, *words: str) -> RunDirectory:
 def begun(trained: Trained, tmp_path_factory) -> RunDirectory:
     """Train four iterations that start with the networks of a copied run, which is removed afterwards."""
     root = tmp_path_factory.mktemp("begun")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        source = copied(trained, root / "sources")
-        run = train(root / "runs", source.path, "agent.max_iterations=4")
-        shutil.rmtree(source.path)
+    source = copied(trained, root / "sources")
+    run = train(root / "runs", source.path, "agent.max_iterations=4")
+    shutil.rmtree(source.path)
     return run
-
-
-def digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def networks(path: Path, *roles: str) -> dict[str, torch.Tensor]:
@@ -105,10 +99,10 @@ def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained
     facts = begun.manifest().data["init_from"]
     last = trained.run.latest_checkpoint()
     assert (facts["run"], facts["task"], facts["checkpoint"]) == (trained.run.id, "stand", last.name)
-    assert facts["sha256"] == digest(last)
+    assert facts["sha256"] == sha256(last)
     kept = begun.asset / facts["kept"]
-    assert facts["kept_sha256"] == digest(kept)
-    assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == digest(kept)
+    assert facts["kept_sha256"] == sha256(kept)
+    assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == sha256(kept)
 
 
 def test_the_same_networks_of_two_runs_are_one_file(begun: RunDirectory, trained: Trained, tmp_path):
@@ -141,7 +135,7 @@ def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, 
     run = train(tmp_path, trained.run.path, "agent.max_iterations=2")
     said = succeed("resume", run.path, "agent.max_iterations=4")
     assert "not exact" not in said.out + said.err
-    assert digest(run.checkpoint(3)) == digest(begun.checkpoint(3))
+    assert sha256(run.checkpoint(3)) == sha256(begun.checkpoint(3))
     said = refused("resume", run.path, "init_from=latest", "agent.max_iterations=5")
     assert "the run started with these networks" in said
 

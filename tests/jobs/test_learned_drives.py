@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE_S
 
-from jobs.small import TINY, refused, succeed, wheelleg
+from jobs.small import TINY, only_run, refused, succeed, wheelleg
 
 pytestmark = pytest.mark.train
 
@@ -63,7 +63,7 @@ def test_a_run_is_resumed_and_replayed_with_the_network_that_it_has_kept(project
     network = project / "assets" / "nets" / "leg.pt"
     words = ("--config-dir", project / "configs", "robot=learned", *TINY, f"run.root={project / 'runs'}")
     succeed("train", *words, "agent.max_iterations=1")
-    (run,) = (project / "runs" / "stand").iterdir()
+    run = only_run(project / "runs")
     kept = run / "asset" / "networks" / "nets" / "leg.pt"
     assert kept.read_bytes() == network.read_bytes()
     sources = json.loads((run / "asset" / "asset.json").read_text())["sources"]

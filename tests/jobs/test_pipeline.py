@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 import yaml
 
-from jobs.small import TINY, cache_of, refused, succeed, wheelleg
+from jobs.small import TINY, refused, succeed, wheelleg
 from wheelleg_exp.child_process import EventPipe
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
@@ -83,10 +83,9 @@ class Here:
 
 
 @pytest.fixture(autouse=True)
-def here(monkeypatch, tmp_path_factory):
+def here(monkeypatch):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     monkeypatch.setattr(runner, "run_request", Here.run)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     Here.values, Here.judged, Here.stop_after, Here.trained = [], [], None, 0
 
 
@@ -131,7 +130,6 @@ def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_request", Here.run)
         patch.setattr(circumstances, "_source_differences", lambda *_: [])
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         index = begin(tmp_path_factory.mktemp("whole"), every=1, passes=2)
         assert run(index, [1.0, 1.0, 0.2, 1.0], display=display) == "finished"
     return PipelineIndex.load(index.folder), display.notes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import os
 import shutil
@@ -19,8 +18,9 @@ from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from jobs.replays import change_manifest
-from jobs.small import SMALL, cache_of, refused, succeed, wheelleg
+from jobs.small import SMALL, cache_of, lines, manifest, only_run, refused, succeed, wheelleg, without_times
 from wheelleg_exp import packages as projects
+from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import resume_overrides as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.train import training_outputs
@@ -46,16 +46,8 @@ def _same_source(monkeypatch):
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("straight")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        said = wheelleg("train", *FOUR, f"run.root={root}")
-    assert said.status == 0, said.err
-    return only(root)
-
-
-def only(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
+    succeed("train", *FOUR, f"run.root={root}")
+    return only_run(root)
 
 
 @pytest.fixture
@@ -69,22 +61,6 @@ def resume(run: Path, *words: str, status: int = 0):
     said = wheelleg("resume", run, *words)
     assert said.status == status, said.err
     return said
-
-
-def manifest(run: Path) -> dict:
-    return json.loads((run / "manifest.json").read_text())
-
-
-def lines(run: Path) -> list[dict]:
-    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
-
-
-def without_times(line: dict) -> dict:
-    return {**line, "scalars": {k: v for k, v in line["scalars"].items() if not k.startswith("Perf/")}}
-
-
-def sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> None:
@@ -123,7 +99,7 @@ def events_left(run: Path) -> list[int]:
 @pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
 def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
     succeed("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     for total in [*stops[1:], 4]:
         resume(run, f"agent.max_iterations={total}")
     require_equal(run, straight)
@@ -149,7 +125,7 @@ def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_
     with monkeypatch.context() as patch:
         interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert said.status == 130
     assert f"resume {run.relative_to(Path.cwd()) if run.is_relative_to(Path.cwd()) else run}" in said.err
     assert sorted(path.name for path in run.glob("model_*.pt")) == ["model_0.pt", "model_1.pt"]
@@ -171,7 +147,7 @@ def killed(point: str, cache: Path, *words: str | Path) -> None:
 def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     cache = cache_of(tmp_path_factory)
     killed("checkpoint:1", cache, "train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert [path.name for path in run.glob("model_*.pt")] == ["model_0.pt"]
     killed("torn:2", cache, "resume", run)
     assert not (run / "iterations.jsonl").read_bytes().endswith(b"\n")
@@ -190,7 +166,7 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
         interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
     assert said.status == 130, said.err
-    path = only(tmp_path)
+    path = only_run(tmp_path)
     first, second = (line["digests"] for line in lines(path))
     assert len(first) > 3
     assert (list(second), wheelleg("verify", path).status) == (["parameters"], 0)
@@ -255,7 +231,7 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(training_outputs, "write_bytes", full)
         said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert said.status == 3
     assert "resume with: " in said.err
     assert manifest(run)["status"] == "failed"
@@ -278,7 +254,7 @@ def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch
 
 def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, tmp_path, tmp_path_factory):
     killed("source", cache_of(tmp_path_factory), "train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert not (run / "source" / "git.json").exists()
     assert manifest(run)["source"] == {}
     resume(run)
@@ -297,7 +273,7 @@ def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
 
 def test_a_run_without_event_files_has_none_after_a_resume(tmp_path):
     succeed("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     resume(run, "agent.max_iterations=2")
     assert not list(run.glob("events.out.tfevents.*"))
 
@@ -567,7 +543,7 @@ def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(proje
     for total in (2, 1):
         root = tmp_path / f"runs_{total}"
         assert wheelleg("train", *words, f"agent.max_iterations={total}", f"run.root={root}").status == 0
-        runs.append(only(root))
+        runs.append(only_run(root))
     projects.forget(project)
     resume(runs[1], "agent.max_iterations=2")
     assert sha256(runs[1] / "model_1.pt") == sha256(runs[0] / "model_1.pt")

@@ -24,7 +24,7 @@ import yaml
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, succeed, wheelleg
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, lines, manifest, only_run, succeed, wheelleg
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.definitions import scalar_definition
@@ -54,10 +54,6 @@ ISAAC_LAB_KEYS = {
     "Train/mean_reward",
     "Train/mean_episode_length",
 }
-
-
-def lines(run) -> list[dict]:
-    return [json.loads(line) for line in run.iterations.read_text().splitlines()]
 
 
 def checkpoints(path: Path) -> list[str]:
@@ -175,7 +171,7 @@ def test_checkpoints_are_those_of_their_iteration(trained):
 
 
 def test_there_is_one_line_an_iteration(trained):
-    found = lines(trained.run)
+    found = lines(trained.run.path)
     assert [line["iteration"] for line in found] == list(range(ITERATIONS))
     names = {"parameters", "optimizer", "environment", "streams", "log", "rest"}
     assert [set(line["digests"]) for line in found] == [names] * ITERATIONS
@@ -184,7 +180,7 @@ def test_there_is_one_line_an_iteration(trained):
 
 
 def test_the_digests_can_be_computed_again_from_the_checkpoint(trained):
-    for line in lines(trained.run):
+    for line in lines(trained.run.path):
         assert line["digest_format"] == digests.FORMAT
         assert line["digests"] == digests.of_state(checkpoint.load(trained.run.checkpoint(line["iteration"])))
 
@@ -198,12 +194,12 @@ def test_tensorboard_reads_isaac_labs_keys(trained):
     assert set(events.Tags()["scalars"]) >= keys
     for key in keys:
         assert [point.step for point in events.Scalars(key)] == list(range(ITERATIONS)), key
-    written = [line["scalars"]["Train/mean_reward"] for line in lines(trained.run)]
+    written = [line["scalars"]["Train/mean_reward"] for line in lines(trained.run.path)]
     assert [p.value for p in events.Scalars("Train/mean_reward")] == pytest.approx(written, rel=1e-6)
 
 
 def test_every_scalar_has_a_definition(trained):
-    for line in lines(trained.run):
+    for line in lines(trained.run.path):
         assert [key for key in line["scalars"] if scalar_definition(key) is None] == []
 
 
@@ -222,14 +218,9 @@ def test_the_recording_holds_the_samples_that_were_asked_for(trained):
 
 def test_the_recording_holds_the_training_curves(trained):
     recording = Recording(trained.run.recording)
-    written = [line["scalars"]["Loss/value"] for line in lines(trained.run)]
+    written = [line["scalars"]["Loss/value"] for line in lines(trained.run.path)]
     assert recording.values("training/Loss/value").ravel().tolist() == pytest.approx(written)
     assert "num_envs: 16" in (recording.document("config") or "")
-
-
-def only_run(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
 
 
 def status_of(path: Path) -> tuple[str, dict | None]:
@@ -265,7 +256,7 @@ def test_a_run_that_goes_to_nan_fails(tmp_path, observations_fail):
     path = only_run(tmp_path)
     status, error = status_of(path)
     assert (status, error["type"], checkpoints(path)) == ("failed", "SimulationFailure", ["model_0.pt"])
-    assert len(lines(RunDirectory.open(path, tmp_path))) == 1
+    assert len(lines(path)) == 1
     Recording(path / "recording.rrd")
 
 
@@ -432,7 +423,7 @@ def test_a_signal_stops_the_training_after_its_iteration(stopped, number):
     assert status == 130, err
     assert status_of(path)[0] == "interrupted"
     run = RunDirectory.open(path, path.parent.parent)
-    done = [line["iteration"] for line in lines(run)]
+    done = [line["iteration"] for line in lines(path)]
     assert (done, checkpoint.load(run.latest_checkpoint())["iter"]) == (list(range(len(done))), done[-1])
     assert [word for word in ("interrupted", run.latest_checkpoint().name) if word not in err] == []
     assert f"resume {path.relative_to(path.parents[1].parent)}" in err or "resume stand" in err
@@ -443,7 +434,7 @@ def test_a_closed_terminal_stops_the_training_after_its_iteration(stopped):
     status, path, _, _ = stopped[signal.SIGHUP]
     assert (status, status_of(path)[0]) == (130, "interrupted")
     run = RunDirectory.open(path, path.parent.parent)
-    assert checkpoint.load(run.latest_checkpoint())["iter"] == lines(run)[-1]["iteration"]
+    assert checkpoint.load(run.latest_checkpoint())["iter"] == lines(path)[-1]["iteration"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
