@@ -16,17 +16,21 @@ import torch
 import yaml
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from jobs.replays import change_manifest
 from jobs.small import SMALL, cache_of, lines, manifest, only_run, refused, succeed, wheelleg, without_times
 from wheelleg_exp import packages as projects
+from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import resume_overrides as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.train import training_outputs
+from wheelleg_exp.mdp import rewards
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
-from wheelleg_exp.rl import checkpoint, digests
-from wheelleg_exp.run.manifest import SNAPSHOT
+from wheelleg_exp.rl import checkpoint, digests, trainer
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import summarize
 from wheelleg_exp.run.run_lock import RunLock
@@ -87,13 +91,9 @@ def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
 
 def events_left(run: Path) -> list[int]:
     """Return the steps of one scalar in the event files, including repeats."""
-    from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
-
-    found = []
-    for path in sorted(run.glob("events.out.tfevents.*")):
-        for event in EventFileLoader(str(path)).Load():
-            found += [event.step for value in event.summary.value if value.tag == "Loss/value"]
-    return found
+    files = sorted(run.glob("events.out.tfevents.*"))
+    events = [event for path in files for event in EventFileLoader(str(path)).Load()]
+    return [event.step for event in events for value in event.summary.value if value.tag == "Loss/value"]
 
 
 @pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
@@ -188,11 +188,10 @@ def test_without_a_checkpoint_a_run_begins_anew(run, straight):
 
 
 def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, straight):
-    data = (run / "model_3.pt").read_bytes()
+    data, flipped = (run / "model_3.pt").read_bytes(), bytearray((run / "model_2.pt").read_bytes())
     (run / "model_3.pt").write_bytes(data[: len(data) // 2])
-    data = bytearray((run / "model_2.pt").read_bytes())
-    data[len(data) // 2] ^= 1
-    (run / "model_2.pt").write_bytes(data)
+    flipped[len(flipped) // 2] ^= 1
+    (run / "model_2.pt").write_bytes(flipped)
     with (run / "iterations.jsonl").open("a") as file:
         file.write('{"iteration": 4, "dig')
     crash(run)
@@ -219,8 +218,6 @@ def test_lost_events_are_written_anew_from_the_log(run, straight):
 
 
 def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
-    from wheelleg_exp.errors import SimulationFailure
-
     write = training_outputs.write_bytes
 
     def full(path, data):
@@ -271,14 +268,11 @@ def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
     require_equal(run, straight)
 
 
-def test_a_run_without_event_files_has_none_after_a_resume(tmp_path):
-    succeed("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
-    run = only_run(tmp_path)
-    resume(run, "agent.max_iterations=2")
-    assert not list(run.glob("events.out.tfevents.*"))
-
-
-def test_event_files_from_before_a_logger_was_switched_off_stay_as_they_are(run):
+def test_a_run_without_a_logger_writes_no_event_files_and_a_resume_leaves_present_ones_unchanged(run, tmp_path):
+    succeed("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path / 'without'}")
+    without = only_run(tmp_path / "without")
+    resume(without, "agent.max_iterations=2")
+    assert not list(without.glob("events.out.tfevents.*"))
     before = {path: sha256(path) for path in run.glob("events.out.tfevents.*")}
     resume(run, "agent.max_iterations=5", "agent.logger=null")
     assert {path: sha256(path) for path in run.glob("events.out.tfevents.*")} == before
@@ -323,22 +317,11 @@ def test_damage_that_a_resume_does_not_mend_ends_exactness_and_is_not_forgotten(
 
 
 def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straight):
-    said = resume(
-        run,
-        "agent.max_iterations=5",
-        "env.rewards.alive.weight=2.5",
-        "agent.algorithm.learning_rate=0.0005",
-        "recording.enabled=false",
-        "--json",
-    )
+    changed = {"env.rewards.alive.weight": 2.5, "agent.algorithm.learning_rate": 0.0005, "agent.max_iterations": 5}
+    said = resume(run, *(f"{key}={value}" for key, value in changed.items()), "recording.enabled=false", "--json")
     assert json.loads(said.out)["resume"]["exact"] is False
     entry = manifest(run)["resumes"][0]
-    assert {c["key"] for c in entry["changes"]} == {
-        "agent.max_iterations",
-        "env.rewards.alive.weight",
-        "agent.algorithm.learning_rate",
-        "recording.enabled",
-    }
+    assert {c["key"] for c in entry["changes"]} == {*changed, "recording.enabled"}
     assert len(entry["why"]) == 2
     assert "env.rewards.alive.weight was 5.0 and is 2.5" in entry["why"]
     assert "not exact" in said.err
@@ -346,15 +329,13 @@ def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straigh
     assert "agent.algorithm.learning_rate=0.0005" in (run / ".hydra" / "overrides.yaml").read_text()
     assert lines(run)[4]["scalars"]["Loss/learning_rate"] != lines(straight)[3]["scalars"]["Loss/learning_rate"]
     assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
-    assert resume(run, "agent.max_iterations=6", "agent.torch_threads=2").status == 0
+    resume(run, "agent.max_iterations=6", "agent.torch_threads=2")
     assert manifest(run)["resumes"][1]["exact"] is True
     assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
 
 
 @pytest.mark.parametrize("kind", ["float32", "bfloat16"])
 def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatch, kind):
-    from wheelleg_exp.rl import trainer
-
     change_manifest(run, threads={**manifest(run)["threads"], "matmul": kind})
     monkeypatch.setattr("wheelleg_exp.rl.matmul.has_units", lambda: kind == "float32")
     used = []
@@ -363,8 +344,6 @@ def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatc
 
 
 def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatch):
-    from wheelleg_exp.run.manifest import Manifest
-
     with monkeypatch.context() as patch:
         patch.setattr(Manifest, "write_pending", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
@@ -376,8 +355,6 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
 
 
 def test_another_machine_ends_exactness(run, monkeypatch):
-    from wheelleg_exp.run import environment
-
     present = environment.versions()
     monkeypatch.setattr(environment, "versions", lambda: {**present, "mujoco": "4.0.1"})
     monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
@@ -385,18 +362,13 @@ def test_another_machine_ends_exactness(run, monkeypatch):
     said = resume(run)
     entry = manifest(run)["resumes"][0]
     assert entry["exact"] is False
-    assert {(d["section"], d["name"]) for d in entry["differences"]} == {
-        ("versions", "mujoco"),
-        ("environment_variables", "ATEN_CPU_CAPABILITY"),
-    }
+    differences = {("versions", "mujoco"), ("environment_variables", "ATEN_CPU_CAPABILITY")}
+    assert {(d["section"], d["name"]) for d in entry["differences"]} == differences
     assert "4.0.1" in said.err
 
 
 def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
-    from wheelleg_exp.mdp import rewards
-
-    calls = []
-    function = rewards.is_alive
+    calls, function = [], rewards.is_alive
 
     @functools.wraps(function)
     def is_alive(env):
@@ -459,10 +431,7 @@ def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
     ],
 )
 def test_a_damaged_run_is_told_before_anything_changes(run, name, content, said):
-    if content is None:
-        (run / name).unlink()
-    else:
-        (run / name).write_bytes(content)
+    (run / name).unlink() if content is None else (run / name).write_bytes(content)
     assert said in refuse(run, "agent.max_iterations=9")
 
 
@@ -490,12 +459,8 @@ def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
 def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):
     words = ["env.sim.nconmax=64", "env.sim.njmax=99", "env.sim.graph=false", "env.sim.graph_step=true"]
     tree, changes = resume_changes.change_settings(resume_changes.recorded_tree(RunDirectory(run)), words)
-    assert {change.key: change.b for change in changes} == {
-        "env.sim.nconmax": 64,
-        "env.sim.njmax": 99,
-        "env.sim.graph": False,
-        "env.sim.graph_step": True,
-    }
+    found = {"nconmax": 64, "njmax": 99, "graph": False, "graph_step": True}
+    assert {change.key: change.b for change in changes} == {f"env.sim.{key}": value for key, value in found.items()}
     assert tree["env"]["sim"]["nconmax"] == 64
 
 
@@ -511,10 +476,9 @@ def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
     assert "KeyError" not in message
 
 
+DECLARED = '[project]\nname = "pet"\nversion = "0"\n[project.entry-points."wheelleg_exp.packages"]\npet = "pet"\n'
 PROJECT = {
-    "pyproject.toml": (
-        '[project]\nname = "pet"\nversion = "0"\n[project.entry-points."wheelleg_exp.packages"]\npet = "pet"\n'
-    ),
+    "pyproject.toml": DECLARED,
     "pet/__init__.py": "",
     "pet/terms.py": (
         "import torch\nfrom wheelleg_exp.managers import TermBase\n\n\n"
