@@ -45,12 +45,15 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
 
 
-def test_the_first_rollout_is_made_with_the_other_run_s_networks_to_the_bit(trained: Trained, tmp_path):
-    run = train(
-        tmp_path, trained.run.path, "agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed", "seed=5"
-    )
+def test_the_first_rollout_has_the_networks_of_the_other_run_or_its_policy_alone(trained: Trained, tmp_path):
+    frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
     last = trained.run.latest_checkpoint()
+    run = train(tmp_path / "5", trained.run.path, *frozen, "seed=5")
     assert same(networks(run.checkpoint(0), "actor", "critic"), networks(last, "actor", "critic"))
+    run = train(tmp_path, trained.run.path, *frozen, "init_from_what=policy")
+    drawn = train(tmp_path, "null", *frozen)
+    assert same(networks(run.checkpoint(0), "actor"), networks(last, "actor"))
+    assert same(networks(run.checkpoint(0), "critic"), networks(drawn.checkpoint(0), "critic"))
 
 
 def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
@@ -60,15 +63,6 @@ def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
     assert [word for word in ("agent.actor.activation", "was trained with") if word not in said] == []
     said = wheelleg("check", *words, "init_from=nothing", "--json")
     assert (said.status, [mistake["key"] for mistake in json.loads(said.out)["mistakes"]]) == (2, ["init_from"])
-
-
-def test_the_policy_alone_leaves_the_critic_as_it_is_drawn(trained: Trained, tmp_path):
-    frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
-    run = train(tmp_path, trained.run.path, *frozen, "init_from_what=policy")
-    drawn = train(tmp_path, "null", *frozen)
-    last = trained.run.latest_checkpoint()
-    assert same(networks(run.checkpoint(0), "actor"), networks(last, "actor"))
-    assert same(networks(run.checkpoint(0), "critic"), networks(drawn.checkpoint(0), "critic"))
 
 
 def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(trained: Trained, tmp_path):
@@ -82,9 +76,12 @@ def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(trained: 
     assert steps == {"networks": before / 3, "learning": before + before / 3}  # The source run has three iterations.
 
 
-def test_a_checkpoint_can_be_named_itself(trained: Trained, tmp_path):
+def test_a_checkpoint_can_be_named_and_equal_networks_of_two_runs_have_one_digest(begun, trained: Trained, tmp_path):
     run = train(tmp_path, trained.run.checkpoint(0), "agent.max_iterations=1")
     assert run.manifest().data["init_from"]["checkpoint"] == "model_0.pt"
+    source = copied(trained, tmp_path / "sources")
+    run = train(tmp_path / "runs", source.path.rename(source.path.with_name("another")), "agent.max_iterations=1")
+    assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
 
 
 def test_a_checkpoint_that_is_not_there_is_told_with_the_nearest_that_is(trained: Trained):
@@ -103,14 +100,6 @@ def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained
     kept = begun.asset / facts["kept"]
     assert facts["kept_sha256"] == sha256(kept)
     assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == sha256(kept)
-
-
-def test_the_same_networks_of_two_runs_are_one_file(begun: RunDirectory, trained: Trained, tmp_path):
-    source = copied(trained, tmp_path / "sources")
-    moved = source.path.with_name("another")
-    source.path.rename(moved)
-    run = train(tmp_path / "runs", moved, "agent.max_iterations=1")
-    assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
 
 
 def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
@@ -143,31 +132,28 @@ def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, 
 TERMS = "observation@env.observations.policy.terms"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["init_from=nobody"], ["init_from: there is no run 'nobody'"]),
-        ([f"+{TERMS}=[base_height]"], ["env.observations.policy.terms.base_height: is new"]),
-        (
-            [f"{TERMS}=[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel]"],
-            ["env.observations.policy.terms.last_action: is missing"],
-        ),
-        (["env.observations.policy.history_length=3"], ["env.observations.policy.history_length", "has 5 and this 3"]),
-        (["agent.actor.activation=relu"], ["agent.actor.activation", "has elu and this relu"]),
-        (
-            ["env.observations.policy.terms.joint_pos_rel.asset_cfg.joint_names=['.*']"],
-            [
-                "[16, 135] there and [16, 145] here",
-                "note: env.observations.policy.terms.joint_pos_rel.asset_cfg.joint_names was",
-            ],
-        ),
-        (["action@env.actions=[wheel_vel,leg_pos]"], ["env.actions:", "in the order leg_pos, wheel_vel"]),
-    ],
-)
-def test_what_does_not_fit_is_named(trained: Trained, tmp_path, words, said):
-    found = refused("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", *words)
-    for text in said:
-        assert text in found
+POLICY = "env.observations.policy"
+MISTAKES = [
+    ("init_from=nobody", ["init_from: there is no run 'nobody'"]),
+    (f"+{TERMS}=[base_height]", [f"{POLICY}.terms.base_height: is new"]),
+    (
+        f"{TERMS}=[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel]",
+        [f"{POLICY}.terms.last_action: is missing"],
+    ),
+    (f"{POLICY}.history_length=3", [f"{POLICY}.history_length", "has 5 and this 3"]),
+    ("agent.actor.activation=relu", ["agent.actor.activation", "has elu and this relu"]),
+    (
+        f"{POLICY}.terms.joint_pos_rel.asset_cfg.joint_names=['.*']",
+        ["[16, 135] there and [16, 145] here", f"note: {POLICY}.terms.joint_pos_rel.asset_cfg.joint_names was"],
+    ),
+    ("action@env.actions=[wheel_vel,leg_pos]", ["env.actions:", "in the order leg_pos, wheel_vel"]),
+]
+
+
+@pytest.mark.parametrize(("word", "messages"), MISTAKES)
+def test_a_setting_that_does_not_fit_the_networks_is_named(trained: Trained, tmp_path, word, messages):
+    found = refused("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", word)
+    assert [text for text in messages if text not in found] == []
     assert not list(tmp_path.iterdir())
 
 

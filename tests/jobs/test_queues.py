@@ -101,23 +101,18 @@ def test_jobs_that_fail_or_die_are_named_and_stop_no_other(stop):
     assert "ended with status 7 and did not say why: the last words" in jobs[2]["error"]["message"]
 
 
-def test_a_stop_ends_what_runs_and_takes_what_waits_out_of_the_queue(stop):
-    seen = Seen(on_start=lambda job: os.kill(os.getpid(), signal.SIGINT))
-    runner, _ = swept(["wait", "finish"], stop, seen, full=1)
-    assert (runner.run(), [job["status"] for job in index()["jobs"]]) == ("interrupted", ["interrupted", "waiting"])
-    assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
-
-
-def test_a_job_that_waits_counts_as_waiting(stop):
+def test_a_stop_ends_running_jobs_and_removes_waiting_jobs_from_the_queue(stop):
     moments = []
 
-    def look(job):
+    def interrupt(job):
         moments.append([each["status"] for each in index()["jobs"]])
-        stop.requested = True
+        os.kill(os.getpid(), signal.SIGINT)
 
-    runner, _ = swept(["wait", "finish"], stop, Seen(on_start=look), full=1)
-    runner.run()
+    seen = Seen(on_start=interrupt)
+    runner, _ = swept(["wait", "finish"], stop, seen, full=1)
+    assert (runner.run(), [job["status"] for job in index()["jobs"]]) == ("interrupted", ["interrupted", "waiting"])
     assert moments == [["running", "waiting"]]
+    assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
 
 
 def test_a_job_that_its_queue_loses_has_failed(stop):
