@@ -77,6 +77,10 @@ def checked(folder: Path) -> dict:
     return dict(np.load(folder / "check.npz"))
 
 
+def joined(targets: dict) -> np.ndarray:
+    return np.stack([targets[name] for name in ("position", "velocity", "effort")])
+
+
 def exported(run: RunDirectory, output: Path | None = None, checkpoint: Path | None = None):
     return export(run, checkpoint, output, ["wheelleg", "export"])
 
@@ -120,6 +124,14 @@ def test_an_export_whose_runner_differs_writes_nothing(trained, tmp_path, monkey
     assert list((tmp_path / "made").iterdir()) == []
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_header_that_differs_stops_the_export(trained, tmp_path, monkeypatch):
+    made = job.c_header
+    monkeypatch.setattr(job, "c_header", lambda *a: made(*a).replace("v[0] *= 0.25f", "v[0] *= 0.26f"))
+    with pytest.raises(SimulationFailure, match="its c_double differ by"):
+        exported(trained.run, tmp_path / "bundle")
+
+
 def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     said = alone(bundle, "runner.py")
     assert said.returncode == 0, said.stderr
@@ -135,13 +147,13 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     assert "note: base_velocity is outside of its range: lin_vel_x 2, trained 0 to 0" in said.stdout
     said = alone(bundle, "simulate.py", "--seconds", "3")
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
-    said = alone(bundle, "simulate.py", "--command", "1", "2")
-    assert (said.returncode, "{'base_velocity': 3}" in said.stderr) == (2, True)
-    said = alone(bundle, "simulate.py", "--command", "nan", "0", "0")
-    assert (said.returncode, "finite numbers" in said.stderr) == (2, True)
-    for seconds in ("nan", "inf", "-1", "0"):
-        said = alone(bundle, "simulate.py", "--seconds", seconds)
-        assert (said.returncode, "a number of at least 0.01667" in said.stderr) == (2, True)
+    mistakes = {"--command 1 2": "{'base_velocity': 3}", "--command nan 0 0": "finite numbers"}
+    seconds = dict.fromkeys(
+        [f"--seconds {value}" for value in ("nan", "inf", "-1", "0")], "a number of at least 0.01667"
+    )
+    for words, message in (mistakes | seconds).items():
+        said = alone(bundle, "simulate.py", *words.split())
+        assert (said.returncode, message in said.stderr) == (2, True)
 
 
 def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, runner):
@@ -174,17 +186,11 @@ def test_targets_follow_from_actions_by_hand(bundle, runner):
     np.testing.assert_array_equal(targets["effort"], 0)
 
 
-def test_a_missing_or_wrong_reading_is_told_by_name(bundle, runner):
-    with pytest.raises(ValueError, match="'base_ang_vel' must be 3 numbers"):
-        runner.Policy(bundle).step({"joint_pos": np.zeros(6)})
-
-
 def test_gravity_follows_from_the_orientation(runner):
     half = np.sqrt(0.5)
-    np.testing.assert_allclose(runner.projected_gravity([1, 0, 0, 0]), [0, 0, -1], atol=1e-7)
-    np.testing.assert_allclose(runner.projected_gravity([half, half, 0, 0]), [0, -1, 0], atol=1e-7)  # rolled
-    np.testing.assert_allclose(runner.projected_gravity([half, 0, half, 0]), [1, 0, 0], atol=1e-7)  # nose down
-    np.testing.assert_allclose(runner.projected_gravity([half, 0, 0, half]), [0, 0, -1], atol=1e-7)  # turned
+    rolled, nose_down, turned = [half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half]
+    found = [runner.projected_gravity(quaternion) for quaternion in ([1, 0, 0, 0], rolled, nose_down, turned)]
+    np.testing.assert_allclose(found, [[0, 0, -1], [0, -1, 0], [1, 0, 0], [0, 0, -1]], atol=1e-7)
 
 
 def test_the_specification_holds_what_a_deployer_needs(bundle):
@@ -205,10 +211,8 @@ def test_the_specification_holds_what_a_deployer_needs(bundle):
 
 def test_a_bundle_below_its_run_is_of_the_run(run):
     first, second = exported(run), exported(run, checkpoint=run.checkpoint(0))
-    assert [made.folder.relative_to(run.path).as_posix() for made in (first, second)] == [
-        "exported/bundle",
-        "exported/bundle-2",
-    ]
+    folders = [run.exported / "bundle", run.exported / "bundle-2"]
+    assert [made.folder for made in (first, second)] == folders
     entries = [entry for entry in run.manifest().data["additions"] if entry["kind"] == "export"]
     assert [entry["results"]["checkpoint"] for entry in entries] == ["model_2.pt", "model_0.pt"]
     assert "exported/bundle/robot/robot.xml" in entries[0]["files"]
@@ -256,9 +260,8 @@ def edited(run: RunDirectory, part: str, change) -> RunDirectory:
 
 def test_what_needs_the_simulation_is_refused_by_name(run):
     def look_at_the_world(env):
-        env["observations"]["policy"]["terms"]["base_ang_vel"] = {
-            "_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"
-        }
+        node = {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}
+        env["observations"]["policy"]["terms"]["base_ang_vel"] = node
 
     with pytest.raises(ConfigError, match="root_lin_vel_w") as told:
         exported(edited(run, "env", look_at_the_world))
@@ -268,43 +271,36 @@ def test_what_needs_the_simulation_is_refused_by_name(run):
     assert list(run.exported.glob(".*")) == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("class_name", "RNNModel"), ("distribution_cfg", {"class_name": "BetaDistribution"}), ("activation", "gelu")],
-)
+UNKNOWN = {"class_name": "RNNModel", "distribution_cfg": {"class_name": "BetaDistribution"}, "activation": "gelu"}
+
+
+@pytest.mark.parametrize(("key", "value"), UNKNOWN.items())
 def test_a_network_that_the_runner_does_not_know_is_refused_by_name(run, key, value):
     with pytest.raises(ConfigError, match=r"a runner does not know") as told:
         exported(edited(run, "agent", lambda agent: agent["actor"].update({key: value})))
     assert told.value.key.startswith(f"agent.actor.{key}")
 
 
+TERMS = "env.observations.policy.terms"
+SENSED = "sensors/imu_ang_vel,sensors/imu_projected_gravity,sensors/imu_orientation"
+MODIFIERS = "wheelleg_exp.mdp.modifiers"
+FILTER = f"{{_target_: {MODIFIERS}.DigitalFilter, A: [-0.5], B: [0.3, 0.2]}}"
 VARIANTS = {
     "missed_command": ["task=walk"],
     "no_history": [
-        "env.observations.policy.history_length=0",
-        "action@env.actions=[leg_pos_delayed,wheel_vel]",
-        "agent.actor.obs_normalization=true",
-        "+agent.clip_actions=0.05",
+        *("env.observations.policy.history_length=0", "action@env.actions=[leg_pos_delayed,wheel_vel]"),
+        *("agent.actor.obs_normalization=true", "+agent.clip_actions=0.05", f"+{TERMS}.joint_vel_rel.clip=[-0.2,0.2]"),
         "env.commands.base_velocity.ranges.lin_vel_x=[-0.3,0.3]",
-        "+env.observations.policy.terms.joint_vel_rel.clip=[-0.2,0.2]",
-        "observation@env.observations.policy.terms=[base_ang_vel,base_roll_pitch,velocity_commands,joint_pos_rel_late,"
-        "joint_vel_rel,last_action,gait_phase,base_lin_vel,joint_effort,base_height,sensors/imu_ang_vel,"
-        "sensors/imu_projected_gravity,sensors/imu_orientation]",
-        "+sensor@env.scene.sensors=imu",
-        "env.scene.sensors.imu.offset.rot=[0.5,0.5,0.5,0.5]",
+        f"observation@{TERMS}=[base_ang_vel,base_roll_pitch,velocity_commands,joint_pos_rel_late,joint_vel_rel,"
+        f"last_action,gait_phase,base_lin_vel,joint_effort,base_height,{SENSED}]",
+        *("+sensor@env.scene.sensors=imu", "env.scene.sensors.imu.offset.rot=[0.5,0.5,0.5,0.5]"),
     ],
     "by_time": [
-        "+env.observations.policy.history_order=time",
-        "env.observations.policy.history_length=3",
-        "env.observations.policy.enable_corruption=true",
-        "action@env.actions=[leg_pos_ema,wheel_rel_pos]",
-        "env.robot.actuators.wheels.stiffness=1.0",
-        "robot=motor",
-        "agent.actor.activation=tanh",
-        "+env.observations.policy.terms.joint_vel_rel.modifiers=[{_target_: wheelleg_exp.mdp.modifiers.DigitalFilter, "
-        "A: [-0.5], B: [0.3, 0.2]}, {_target_: wheelleg_exp.mdp.modifiers.Clip, bounds: [-3.0, 3.0]}]",
-        "+env.observations.policy.terms.base_ang_vel.modifiers=[{_target_: wheelleg_exp.mdp.modifiers.Integrator, "
-        "dt: 0.1}]",
+        *("+env.observations.policy.history_order=time", "env.observations.policy.history_length=3"),
+        *("env.observations.policy.enable_corruption=true", "action@env.actions=[leg_pos_ema,wheel_rel_pos]"),
+        *("env.robot.actuators.wheels.stiffness=1.0", "robot=motor", "agent.actor.activation=tanh"),
+        f"+{TERMS}.joint_vel_rel.modifiers=[{FILTER}, {{_target_: {MODIFIERS}.Clip, bounds: [-3.0, 3.0]}}]",
+        f"+{TERMS}.base_ang_vel.modifiers=[{{_target_: {MODIFIERS}.Integrator, dt: 0.1}}]",
     ],
 }
 
@@ -402,8 +398,8 @@ int main(void) {
 def test_the_header_in_c_does_the_same(bundle, tmp_path):
     hold_c_header(bundle, tmp_path)
     (place := tmp_path / "changed").mkdir()
-    (place / "check.npz").write_bytes((bundle / "check.npz").read_bytes())
-    (place / "policy.json").write_bytes((bundle / "policy.json").read_bytes())
+    for name in ("check.npz", "policy.json"):
+        (place / name).write_bytes((bundle / name).read_bytes())
     (place / "policy.h").write_text((bundle / "policy.h").read_text().replace("v[0] *= 0.25f", "v[0] *= 0.26f"))
     with pytest.raises(AssertionError):
         hold_c_header(place, place)
@@ -473,7 +469,7 @@ def test_a_correct_policy_that_amplifies_its_last_action_passes_the_check(bundle
             policy.reset()
         targets = policy.step({k.removeprefix("reading:"): v[step] for k, v in recorded.items() if ":" in k})
         recorded["observations"][step] = policy.observation
-        recorded["targets"][step] = np.stack([targets[name] for name in ("position", "velocity", "effort")])
+        recorded["targets"][step] = joined(targets)
         policy.action = recorded["actions"][step] = policy.action + np.float32(1e-7)  # a rounding error
     recorded["actions_float32"] = recorded["actions"]
     np.savez(tmp_path / "check.npz", **recorded)
@@ -499,14 +495,6 @@ def test_a_header_that_cannot_be_compared_is_not_shipped(trained, tmp_path, monk
     assert "c_float" not in made.differences
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-def test_a_header_that_differs_stops_the_export(trained, tmp_path, monkeypatch):
-    made = job.c_header
-    monkeypatch.setattr(job, "c_header", lambda *a: made(*a).replace("v[0] *= 0.25f", "v[0] *= 0.26f"))
-    with pytest.raises(SimulationFailure, match="its c_double differ by"):
-        exported(trained.run, tmp_path / "bundle")
-
-
 def steady(spec: dict) -> dict[str, np.ndarray]:
     """Return readings of a robot that stands still at its default pose."""
     known = {"projected_gravity": [0, 0, -1], "joint_pos": spec["default_joint_pos"]}
@@ -520,15 +508,13 @@ def by_c(folder: Path, place: Path, rows: list[dict], *flags: str) -> tuple[np.n
     return found[:, 0], found[:, -(3 * len(spec_of(folder)["joint_names"])) :].reshape(len(rows), 3, -1)
 
 
-def joined(targets: dict) -> np.ndarray:
-    return np.stack([targets[name] for name in ("position", "velocity", "effort")])
-
-
 BROKEN = [("base_ang_vel", np.nan), ("joint_vel", np.inf), ("joint_pos", -np.inf), ("joint_vel", 3e38)]
 
 
-def test_readings_that_are_not_finite_change_nothing(bundle, runner):
+def test_readings_that_are_missing_or_not_finite_are_refused_and_change_nothing(bundle, runner):
     policy, clean = runner.Policy(bundle), runner.Policy(bundle)
+    with pytest.raises(ValueError, match="'base_ang_vel' must be 3 numbers"):
+        policy.step({"joint_pos": np.zeros(6)})
     good = steady(policy.spec)
     for name, value in [*BROKEN, ("base_ang_vel", None)]:
         bad = {k: [*list(v[:-1]), value] if k == name else v for k, v in good.items()}
