@@ -13,15 +13,17 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 
 @pytest.fixture(autouse=True)
-def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def _own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _threads() -> Iterator[None]:
+def _cache_and_threads(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Set the cache folder before the fixtures of a module, and restore the number of threads after its tests."""
     before = torch.get_num_threads()
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        yield
     torch.set_num_threads(before)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,8 +61,39 @@ def wheelleg(*words: str | Path) -> Words:
     return Words(status, out.getvalue(), err.getvalue())
 
 
+def succeed(*words: str | Path) -> Words:
+    said = wheelleg(*words)
+    assert said.status == 0, said.out + said.err
+    return said
+
+
+def refused(*words: str | Path) -> str:
+    """Return the error output of a command that must refuse its input."""
+    said = wheelleg(*words)
+    assert said.status == 2, said.out + said.err
+    return said.err
+
+
 def cache_of(factory: pytest.TempPathFactory) -> Path:
     return factory.getbasetemp() / "wheelleg-cache"
+
+
+def only_run(root: Path) -> Path:
+    (path,) = (root / "stand").iterdir()
+    return path
+
+
+def manifest(run: Path) -> dict[str, Any]:
+    return json.loads((run / "manifest.json").read_text())
+
+
+def lines(run: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+
+
+def without_times(line: dict[str, Any]) -> dict[str, Any]:
+    """Return a line of the iteration log without the scalars that depend on the time."""
+    return {**line, "scalars": {k: v for k, v in line["scalars"].items() if not k.startswith("Perf/")}}
 
 
 _trained: dict[Path, Trained] = {}
@@ -73,10 +106,8 @@ def trained_once(factory: pytest.TempPathFactory) -> Trained:
         root = factory.mktemp("trained") / "runs"
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
-            said = wheelleg("train", *SMALL, f"run.root={root}", "run.name=small")
-        assert said.status == 0, said.err
-        (path,) = (root / "stand").iterdir()
-        _trained[base] = Trained(RunDirectory.open(path, root), said)
+            said = succeed("train", *SMALL, f"run.root={root}", "run.name=small")
+        _trained[base] = Trained(RunDirectory.open(only_run(root), root), said)
     return _trained[base]
 
 

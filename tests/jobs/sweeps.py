@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from jobs.small import SMALL, Words, cache_of, wheelleg
+from jobs.small import SMALL, Words, cache_of, succeed
 from wheelleg_exp.jobs.run_sweep import LocalLauncher, SweepRunner
 from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.run_index import SweepIndex
@@ -136,8 +136,7 @@ def swept_once(factory: pytest.TempPathFactory) -> Swept:
             patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
             seeds = "seed=" + ",".join(map(str, SEEDS))
             launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-            said = wheelleg("train", "-m", seeds, *SMALL, "run.name=small", *launcher)
-        assert said.status == 0, said.err
+            said = succeed("train", "-m", seeds, *SMALL, "run.name=small", *launcher)
         (index,) = (folder / "runs" / "sweeps").iterdir()
         _swept[base] = Swept(index, SweepIndex.load(index), said)
     return _swept[base]

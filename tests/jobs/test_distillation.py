@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -12,7 +11,8 @@ import onnxruntime
 import pytest
 import torch
 
-from jobs.small import NUM_ENVS, Trained, cache_of, wheelleg
+from jobs.small import NUM_ENVS, Trained, copied, lines, only_run, refused, succeed
+from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -27,46 +27,30 @@ WORDS = [
 
 
 def train(root: Path, teacher: Path, *words: str) -> RunDirectory:
-    said = wheelleg("train", *WORDS, f"agent.teacher_checkpoint={teacher}", f"run.root={root}", *words)
-    assert said.status == 0, said.err
-    return RunDirectory.open(next((root / "stand").iterdir()), root)
+    succeed("train", *WORDS, f"agent.teacher_checkpoint={teacher}", f"run.root={root}", *words)
+    return RunDirectory.open(only_run(root), root)
 
 
 @pytest.fixture(scope="module")
 def student(trained: Trained, tmp_path_factory) -> RunDirectory:
     """Return six iterations of a student whose teacher's run is removed afterwards."""
     root = tmp_path_factory.mktemp("student")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        teacher = root / "teachers" / trained.run.id
-        shutil.copytree(trained.run.path, teacher)
-        run = train(root / "runs", teacher, "agent.max_iterations=6")
-        shutil.rmtree(teacher)
+    teacher = copied(trained, root / "teachers")
+    run = train(root / "runs", teacher.path, "agent.max_iterations=6")
+    shutil.rmtree(teacher.path)
     return run
 
 
-def digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def test_the_student_comes_to_answer_as_its_teacher_does(student: RunDirectory):
-    lines = [json.loads(line) for line in student.iterations.read_text().splitlines()]
-    losses = [line["scalars"]["Loss/behavior"] for line in lines]
+def test_the_student_approaches_its_teacher_which_is_the_trained_actor_and_stays_unchanged(student, trained: Trained):
+    losses = [line["scalars"]["Loss/behavior"] for line in lines(student.path)]
     assert losses[-1] < 0.2 * losses[0]
-
-
-def test_the_teacher_is_the_run_s_actor_and_stays_so(student: RunDirectory, trained: Trained):
     actor = checkpoint.load(trained.run.latest_checkpoint())["actor_state_dict"]
     for path in student.checkpoints():
         teacher = checkpoint.load(path)["teacher_state_dict"]
         assert teacher.keys() == actor.keys()
         assert all(torch.equal(teacher[name], actor[name]) for name in actor)
-
-
-def test_the_run_keeps_its_teacher_with_its_digest(student: RunDirectory, trained: Trained):
-    kept = student.asset / "networks" / "teacher.pt"
-    assert digest(kept) == digest(trained.run.latest_checkpoint())
-    assert json.loads((student.asset / "asset.json").read_text())["sources"]["networks/teacher.pt"] == digest(kept)
+    recorded = json.loads((student.asset / "asset.json").read_text())["sources"]["networks/teacher.pt"]
+    assert sha256(student.asset / "networks" / "teacher.pt") == sha256(trained.run.latest_checkpoint()) == recorded
 
 
 def test_the_exported_policy_is_the_student(student: RunDirectory):
@@ -88,30 +72,22 @@ def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, tr
     shutil.copyfile(trained.run.latest_checkpoint(), teacher)
     run = train(tmp_path / "runs", teacher, "agent.max_iterations=2")
     teacher.unlink()
-    said = wheelleg("resume", run.path, "agent.max_iterations=6")
-    assert said.status == 0, said.err
+    said = succeed("resume", run.path, "agent.max_iterations=6")
     assert "not exact" not in said.out + said.err
-    assert digest(run.checkpoint(5)) == digest(student.checkpoint(5))
+    assert sha256(run.checkpoint(5)) == sha256(student.checkpoint(5))
 
 
 def test_a_student_plays(student: RunDirectory, tmp_path):
-    path = tmp_path / "runs" / "stand" / student.id
-    shutil.copytree(student.path, path)
-    said = wheelleg("play", path, "recording.enabled=false")
-    assert said.status == 0, said.err
+    succeed("play", shutil.copytree(student.path, tmp_path / "runs" / "stand" / student.id), "recording.enabled=false")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["agent.teacher_checkpoint=nobody"], "agent.teacher_checkpoint"),
-        (["agent.teacher.hidden_dims=[8,8]"], "agent.teacher and agent.obs_groups.teacher"),
-    ],
-)
-def test_a_teacher_that_cannot_teach_is_told(trained: Trained, tmp_path, words, said):
+MISTAKES = [("agent.teacher_checkpoint=nobody", "agent.teacher_checkpoint")]
+MISTAKES += [("agent.teacher.hidden_dims=[8,8]", "agent.teacher and agent.obs_groups.teacher")]
+
+
+@pytest.mark.parametrize(("word", "message"), MISTAKES)
+def test_an_unsuitable_teacher_is_refused_in_one_line(trained: Trained, tmp_path, word, message):
     teacher = f"agent.teacher_checkpoint={trained.run.path}"
-    found = wheelleg("train", *WORDS, teacher, f"run.root={tmp_path}", *words)
-    assert found.status == 2
-    assert said in found.err
-    assert len(found.err.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())
+    found = refused("train", *WORDS, teacher, f"run.root={tmp_path}", word)
+    assert message in found
+    assert (len(found.strip().splitlines()), list(tmp_path.iterdir())) == (1, [])

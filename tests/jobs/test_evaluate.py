@@ -8,7 +8,7 @@ import json
 import pytest
 import torch
 
-from wheelleg_exp.cli.main import main
+from jobs.small import refused, succeed, wheelleg
 from wheelleg_exp.jobs.evaluate_policy import evaluation_settings
 from wheelleg_exp.rl import checkpoint
 
@@ -17,67 +17,46 @@ pytestmark = pytest.mark.train
 SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.5", "protocol.stand.survival_s=[0.5]")
 
 
-def test_an_evaluation_is_kept_recorded_and_verified(run, capsys):
-    assert main(["evaluate", str(run.path), *SHORT, "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+def test_an_evaluation_is_stored_recorded_and_verified(run):
+    said = json.loads(succeed("evaluate", run.path, *SHORT, "--json").out)
     (folder,) = run.evaluation.iterdir()
-    kept = json.loads((folder / "evaluation.json").read_text())
+    stored = json.loads((folder / "evaluation.json").read_text())
     with (folder / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     mean = sum(float(row["time_to_failure_s"]) for row in rows) / 3
-    assert kept["metrics"]["stand/time_to_failure"]["value"] == pytest.approx(mean)
-    assert kept["metrics"] == said["metrics"]
+    assert stored["metrics"]["stand/time_to_failure"]["value"] == pytest.approx(mean)
+    assert stored["metrics"] == said["metrics"]
     assert [row["ended_by"] for row in rows].count("") == 3 - sum(row["survived"] == "0" for row in rows)
     entry = run.manifest().data["additions"][-1]
-    assert (entry["kind"], entry["results"]["scenarios_sha256"]) == ("evaluation", kept["scenarios_sha256"])
-    assert main(["verify", str(run.path)]) == 0
-    (folder / "evaluation.json").write_text(json.dumps({**kept, "seed": 1}))
-    capsys.readouterr()
-    assert main(["verify", str(run.path)]) == 1
-    assert "evaluation.json" in capsys.readouterr().out
+    assert (entry["kind"], entry["results"]["scenarios_sha256"]) == ("evaluation", stored["scenarios_sha256"])
+    succeed("verify", run.path)
+    (folder / "evaluation.json").write_text(json.dumps({**stored, "seed": 1}))
+    found = wheelleg("verify", run.path)
+    assert (found.status, "evaluation.json" in found.out) == (1, True)
 
 
-def test_a_protocol_that_is_not_there_is_told_with_the_nearest(run, capsys):
-    assert main(["evaluate", str(run.path), "protocol=stnd"]) == 2
-    assert "stand" in capsys.readouterr().err
+REFUSED = {("protocol=stnd",): ["stand"], ("env.robot.asset=other.usd",): ["env.robot.asset"]}
+REFUSED[("env.num_envs=4", "agent.device=cuda")] = ["protocol.stand.episodes", "env.sim.device"]  # all keys at once
 
 
-def test_another_robot_is_refused(run, capsys):
-    assert main(["evaluate", str(run.path), "env.robot.asset=other.usd"]) == 2
-    assert "env.robot.asset" in capsys.readouterr().err
+@pytest.mark.parametrize(("overrides", "words"), REFUSED.items())
+def test_a_wrong_protocol_robot_or_unread_override_is_refused(run, overrides, words):
+    said = refused("evaluate", run.path, *overrides)
+    assert [word for word in words if word not in said] == []
 
 
-@pytest.mark.parametrize(
-    "override",
-    [
-        "env.rewards.alive.weight=9",
-        "~env.rewards.alive",
-        "env.num_envs=4",
-        "env.episode_length_s=9.0",
-        "env.events.push_robot.velocity_range.x=[-1.0,1.0]",
-        "env.terminations.time_out=null",
-        "agent.device=cuda",
-        "agent.algorithm.gamma=0.5",
-        "agent.critic.activation=relu",
-        "agent.max_iterations=3",
-    ],
-)
-def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override, capsys):
-    assert main(["evaluate", str(run.path), *SHORT, "env.decimation=3", override]) == 2
-    said = capsys.readouterr().err
-    assert (
-        f"{override.lstrip('~').partition('=')[0]}: this command ignores the key (override {override}); expected"
-        in said
-    )
+UNREAD = ["env.rewards.alive.weight=9", "~env.rewards.alive", "env.num_envs=4", "env.episode_length_s=9.0"]
+UNREAD += ["env.events.push_robot.velocity_range.x=[-1.0,1.0]", "env.terminations.time_out=null", "agent.device=cuda"]
+UNREAD += ["agent.algorithm.gamma=0.5", "agent.critic.activation=relu", "agent.max_iterations=3"]
+
+
+@pytest.mark.parametrize("override", UNREAD)
+def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override):
+    said = refused("evaluate", run.path, *SHORT, "env.decimation=3", override)
+    key = override.lstrip("~").partition("=")[0]
+    assert f"{key}: this command ignores the key (override {override}); expected" in said
     assert "env.decimation" not in said
     assert not run.evaluation.exists()
-
-
-def test_every_unread_override_is_named_at_once(run, capsys):
-    assert main(["evaluate", str(run.path), "env.num_envs=4", "agent.device=cuda"]) == 2
-    said = capsys.readouterr().err
-    assert "protocol.stand.episodes" in said
-    assert "env.sim.device" in said
 
 
 @pytest.mark.parametrize(
@@ -98,14 +77,12 @@ def test_what_an_evaluation_reads_can_be_changed(run, override):
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "export"])
-def test_a_policy_with_nan_is_an_error_of_its_checkpoint(run, command, capsys):
+def test_a_policy_with_nan_is_an_error_of_its_checkpoint(run, command):
     path = run.latest_checkpoint()
     state = checkpoint.load(path)
     name, weights = next(iter(state["actor_state_dict"].items()))
     weights.view(-1)[3] = torch.nan
     path.write_bytes(checkpoint.serialize(state))
-    assert main([command, str(run.path)]) == 2
-    said = capsys.readouterr().err
-    assert path.name in said
-    assert f"actor.{name} are NaN or inf" in said
+    said = refused(command, run.path)
+    assert [word for word in (path.name, f"actor.{name} are NaN or inf") if word not in said] == []
     assert not run.evaluation.exists()

@@ -11,7 +11,7 @@ import shutil
 import numpy as np
 import pytest
 
-from jobs.small import TINY, Trained, cache_of, copied, wheelleg
+from jobs.small import TINY, Trained, copied, only_run, succeed, wheelleg
 from wheelleg_exp.mdp import rewards
 from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 
@@ -37,11 +37,9 @@ def spoil(patch: pytest.MonkeyPatch, calls: range, rows: slice = slice(None)) ->
 def failing(tmp_path_factory) -> Trained:
     root = tmp_path_factory.mktemp("failing") / "runs"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         spoil(patch, range(48, 10**9))
         said = wheelleg("train", *WORDS, f"run.root={root}")
-    (path,) = (root / "stand").iterdir()
-    return Trained(RunDirectory.open(path, root), said)
+    return Trained(RunDirectory.open(only_run(root), root), said)
 
 
 @pytest.fixture
@@ -49,32 +47,24 @@ def failed(failing, tmp_path) -> RunDirectory:
     return copied(failing, tmp_path)
 
 
-def test_it_ends_with_status_3_and_names_the_term_and_the_iteration(failing):
-    assert failing.said.status == 3
-    assert "error: env.rewards.alive: numbers of this key were not finite" in failing.said.err
-    assert "by control step 49, in iteration 2" in failing.said.err
-    assert FAILURE in failing.said.err
-    assert "Traceback" not in failing.said.err
-
-
-def test_what_it_failed_with_can_be_loaded_and_read(failing):
+def test_the_training_ends_with_status_3_and_names_the_term_the_iteration_and_a_file_of_its_state(failing):
+    words = ["error: env.rewards.alive: numbers of this key were not finite", "by control step 49, in iteration 2"]
+    assert [word for word in (*words, FAILURE) if word not in failing.said.err] == []
+    assert (failing.said.status, "Traceback" in failing.said.err) == (3, False)
     with np.load(failing.run.path / FAILURE, allow_pickle=False) as arrays:
-        about = json.loads(str(arrays["about"]))
-        kept = dict(arrays)
+        about, state = json.loads(str(arrays["about"])), dict(arrays)
     assert (about["key"], about["iteration"]) == ("env.rewards.alive", 2)
     column = about["reward_terms"].index("alive")
-    assert np.isnan(kept["rewards"][:, column]).all()
-    assert np.isfinite(np.delete(kept["rewards"], column, axis=1)).all()
-    assert kept["env_ids"].tolist() == list(range(16))
-    assert np.isfinite(kept["state"]).all()
-    assert kept["action"].shape == (16, 6)
-    assert kept["model.body_mass"].shape[0] == 16
+    assert np.isnan(state["rewards"][:, column]).all()
+    assert np.isfinite(np.delete(state["rewards"], column, axis=1)).all()
+    assert np.isfinite(state["state"]).all()
+    assert state["env_ids"].tolist() == list(range(16))
+    assert (state["action"].shape, state["model.body_mass"].shape[0]) == ((16, 6), 16)
 
 
 def test_manifest_and_list_tell_it_and_the_last_whole_checkpoint_is_kept(failing):
     manifest = failing.run.manifest().data
-    assert manifest["status"] == "failed"
-    assert manifest["failure"]["key"] == "env.rewards.alive"
+    assert (manifest["status"], manifest["failure"]["key"]) == ("failed", "env.rewards.alive")
     assert FAILURE in manifest["files"]
     listed = json.loads(wheelleg("list", "runs", "--root", failing.run.root, "--json").out)
     (run,) = listed if isinstance(listed, list) else listed["runs"]
@@ -85,9 +75,7 @@ def test_manifest_and_list_tell_it_and_the_last_whole_checkpoint_is_kept(failing
 
 
 def test_verify_finds_it_sound_and_a_lost_or_changed_file_wrong(failing, failed):
-    said = wheelleg("verify", failing.run.path)
-    assert said.status == 0, said.out
-    assert "env.rewards.alive in iteration 2" in said.out
+    assert "env.rewards.alive in iteration 2" in succeed("verify", failing.run.path).out
     np.savez(failed.path / FAILURE, about=np.array(json.dumps({"key": "env.sim", "iteration": 2})))
     assert wheelleg("verify", failed.path).status == 1
     (failed.path / FAILURE).unlink()
@@ -95,11 +83,9 @@ def test_verify_finds_it_sound_and_a_lost_or_changed_file_wrong(failing, failed)
 
 
 def test_a_resume_goes_on_from_there_as_if_it_had_not_failed(failed, tmp_path):
-    straight = wheelleg("train", *WORDS, f"run.root={tmp_path / 'straight'}")
-    assert straight.status == 0, straight.err
-    (other,) = (tmp_path / "straight" / "stand").iterdir()
-    resumed = wheelleg("resume", failed.path)
-    assert resumed.status == 0, resumed.err
+    succeed("train", *WORDS, f"run.root={tmp_path / 'straight'}")
+    other = only_run(tmp_path / "straight")
+    succeed("resume", failed.path)
     assert not (failed.path / FAILURE).exists()
     assert (failed.path / "model_3.pt").read_bytes() == (other / "model_3.pt").read_bytes()
     manifest = failed.manifest().data
@@ -113,7 +99,7 @@ def test_a_learning_rate_that_blows_up_fails_with_the_algorithms_key(tmp_path):
     assert said.status == 3
     assert "error: agent.algorithm: the actor's " in said.err
     assert "in the update of iteration 0" in said.err
-    (path,) = (tmp_path / "stand").iterdir()
+    path = only_run(tmp_path)
     assert not list(path.glob("model_*.pt"))
     with np.load(path / FAILURE, allow_pickle=False) as arrays:
         assert arrays["learning_rate"] == pytest.approx(1e30)
@@ -126,7 +112,7 @@ def test_a_single_episode_that_ends_so_is_told_at_the_end_and_in_the_list(tmp_pa
     assert said.status == 0
     assert note in said.out
     assert note in wheelleg("list", "runs", "--root", tmp_path).out.replace("\n    ", " ")
-    (path,) = (tmp_path / "stand").iterdir()
+    path = only_run(tmp_path)
     assert RunDirectory(path).manifest().results["non_finite"] == {"env.rewards.alive": 1}
     shutil.rmtree(path / "exported")
     page = tmp_path / "report.html"
@@ -134,20 +120,15 @@ def test_a_single_episode_that_ends_so_is_told_at_the_end_and_in_the_list(tmp_pa
     assert note in page.read_text(encoding="utf-8")
 
 
-def test_a_play_whose_rewards_are_none_says_so_and_has_no_return(run, monkeypatch):
-    spoil(monkeypatch, range(10**9))
-    said = wheelleg("play", run.path, "recording.enabled=false", "--json")
-    assert said.status == 3
+def test_a_play_reports_rewards_that_are_not_finite_and_leaves_their_episodes_out(run, monkeypatch):
+    with monkeypatch.context() as patch:
+        spoil(patch, range(10**9))
+        said = wheelleg("play", run.path, "recording.enabled=false", "--json")
     figures = json.loads(said.out)["figures"]
-    assert figures["mean_return"] is None
-    assert figures["non_finite"] == {"env.rewards.alive": 16}
+    assert (said.status, figures["mean_return"], figures["non_finite"]) == (3, None, {"env.rewards.alive": 16})
     assert "error: env.rewards.alive: " in said.err
-
-
-def test_a_play_of_which_one_episode_ends_so_leaves_it_out_and_says_so(run, monkeypatch):
-    spoil(monkeypatch, range(3, 4), rows=slice(3, 4))
-    said = wheelleg("play", run.path, "recording.enabled=false", "play.settle_s=0")
-    assert said.status == 0, said.err
+    spoil(monkeypatch, range(3, 4), rows=slice(3, 4))  # one episode
+    said = succeed("play", run.path, "recording.enabled=false", "play.settle_s=0")
     assert "ended by numbers that are not finite: env.rewards.alive  1" in said.out
 
 
@@ -170,8 +151,7 @@ def test_a_policy_whose_actions_are_none_fails_its_play(run, monkeypatch):
 @pytest.mark.parametrize("agent", ["zero-agent", "random-agent"])
 def test_an_agent_whose_rewards_are_none_says_so(agent, tmp_path, monkeypatch):
     spoil(monkeypatch, range(10**9))
-    words = [*TINY, "recording.enabled=false", f"run.root={tmp_path}", "--steps", "5"]
-    said = wheelleg(agent, *words)
+    said = wheelleg(agent, *[*TINY, "recording.enabled=false", f"run.root={tmp_path}", "--steps", "5"])
     assert said.status == 3
     assert "error: env.rewards.alive: " in said.err
     assert "ended by numbers that are not finite: env.rewards.alive" in said.out

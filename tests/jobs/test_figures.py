@@ -25,7 +25,8 @@ class FakeEnv:
         self.sensor = SimpleNamespace(
             body_names=["wheel", "leg"], data=SimpleNamespace(net_forces_w=torch.zeros(3, 2, 3))
         )
-        self.scene = _Scene(SimpleNamespace(data=self.data), self.sensor)
+        self.scene = _Scene(contact_forces=self.sensor)
+        self.scene.robot = SimpleNamespace(data=self.data)
         fired = {"time_out": torch.zeros(3, dtype=torch.bool), "fell": torch.zeros(3, dtype=torch.bool)}
         self.fired = fired
         self.termination_manager = _Terminations(fired)
@@ -47,12 +48,8 @@ class FakeEnv:
         self.episode_length_buf[self.termination_manager.dones] = 0
 
 
-class _Scene:
-    def __init__(self, robot, sensor):
-        self.robot, self._sensor = robot, sensor
-
-    def __getitem__(self, name):
-        return self._sensor
+class _Scene(dict):
+    robot: SimpleNamespace
 
 
 class _Terminations:
@@ -101,8 +98,7 @@ def test_a_case_by_hand():
     observe(env, meter, heights=(0.33, 9.0, 9.0), pitches=(0.2, 1.0, 1.0), rewards=(1.0, 7.0, 7.0), out=(0,))
     figures = meter.figures()
     assert not meter.running.any()
-    assert figures.episodes == 3
-    assert figures.survival == pytest.approx(1 / 3)
+    assert (figures.episodes, figures.survival) == (3, pytest.approx(1 / 3))
     errors, angles = (0.01, -0.02, 0.03), (0.1, -0.3, 0.2)
     assert figures.height_rmse_m == pytest.approx(math.sqrt(sum(e * e for e in errors) / 3), rel=1e-5)
     assert figures.height_mean_m == pytest.approx((0.31 + 0.28 + 0.33) / 3)
@@ -123,8 +119,7 @@ def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_
     figures = meter.figures()
     assert figures.non_finite == figures.as_dict()["non_finite"] == {"env.sim": 1}
     assert figures.mean_return == pytest.approx((3.0 + 12.0) / 2)
-    assert figures.height_mean_m == pytest.approx((3 * 0.2 + 0.3 + 3 * 0.4) / 7)
-    assert figures.settled_steps == 7
+    assert (figures.height_mean_m, figures.settled_steps) == (pytest.approx((3 * 0.2 + 0.3 + 3 * 0.4) / 7), 7)
 
 
 def test_a_fall_at_the_time_out_is_no_survival_and_counts_once():
@@ -214,18 +209,12 @@ def test_contacts_by_hand():
     assert leg == ContactFigures("leg", pytest.approx(1 / 3), 1.0, pytest.approx(1 / 3), 3)
 
 
-def test_the_length_of_a_force_counts():
+def test_the_length_of_a_force_counts_and_only_after_the_settling_time():
     env = FakeEnv()
-    meter = ContactMeter(env, "contact_forces", settle_s=0.0, upright_rad=0.3)
+    meter, late = (ContactMeter(env, "contact_forces", settle_s=s, upright_rad=0.3) for s in (0.0, 10.0))
     env.set()
     env.sensor.data.net_forces_w = torch.tensor([[[3.0, 0.0, 4.0], [0.0, -2.0, 0.0]]] * 3)
     meter.observe()
+    late.observe()
     assert [row.mean_n for row in meter.figures()] == pytest.approx([5.0, 2.0])
-
-
-def test_nobody_who_stood_carries_nothing():
-    env = FakeEnv()
-    meter = ContactMeter(env, "contact_forces", settle_s=10.0, upright_rad=0.3)
-    contact(env, [[1.0, 1.0]] * 3)
-    meter.observe()
-    assert meter.figures() == []
+    assert late.figures() == []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from av.error import FFmpegError
 
-from jobs.small import SMALL, cache_of, wheelleg
+from jobs.small import SMALL, only_run, succeed, wheelleg
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train.training_recording import films_from
@@ -21,11 +21,6 @@ from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.train, pytest.mark.pictures]
 FILMED = [*SMALL, "recording.video_every=2"]  # A film has 30 steps of 1/60 s.
-
-
-def only(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
 
 
 def shape(path: Path) -> tuple[int, int, int, float]:
@@ -43,13 +38,12 @@ def filmed(tmp_path_factory) -> tuple[Path, list[np.ndarray]]:
     root, drawn = tmp_path_factory.mktemp("filmed"), []
     draw = LivePictures.draw
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         patch.setattr(LivePictures, "draw", lambda self, qpos: (drawn.append(qpos), draw(self, qpos))[1])
         said = wheelleg("train", *FILMED, f"run.root={root}")
     if "drawing is not possible" in said.err:
         pytest.skip(said.err)
     assert said.status == 0, said.err
-    return only(root), drawn
+    return only_run(root), drawn
 
 
 def test_every_second_iteration_begins_a_film(filmed):
@@ -77,8 +71,7 @@ def test_a_film_changes_no_number_and_is_in_the_manifest(filmed, trained):
     files = RunDirectory.open(path, path.parents[1]).manifest().data["files"]
     for name in ("videos/iteration_0.mp4", "videos/iteration_2.mp4"):
         assert files[name]["sha256"] == sha256(path / name)
-    said = wheelleg("verify", path)
-    assert said.status == 0, said.out
+    succeed("verify", path)
 
 
 def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, tmp_path):
@@ -89,18 +82,15 @@ def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, t
     before, digest = kept.stat().st_mtime_ns, sha256(later)
     later.write_bytes(b"of a training that was not")
     (path / "videos" / ".iteration_2.mp4.tmp").write_bytes(b"half")
-    said = wheelleg("resume", path)
-    assert said.status == 0, said.err
-    assert (kept.stat().st_mtime_ns, sha256(later)) == (before, digest)
-    assert len(list((path / "videos").iterdir())) == 2
+    succeed("resume", path)
+    assert (kept.stat().st_mtime_ns, sha256(later), len(list((path / "videos").iterdir()))) == (before, digest, 2)
     assert wheelleg("verify", path).status == 0
 
 
 def test_a_machine_that_cannot_draw_says_so_before_there_is_a_run(tmp_path, monkeypatch):
     monkeypatch.setattr(renderer, "backends", lambda: ("none",))
     said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
-    assert said.status == 2
-    assert said.err.count("recording.video_every: drawing is not possible on this machine") == 1
+    assert (said.status, said.err.count("recording.video_every: drawing is not possible on this machine")) == (2, 1)
     assert "expected 0 for no films, or a driver" in " ".join(said.err.split())
     assert not (tmp_path / "runs").exists()
 
@@ -111,11 +101,10 @@ def test_a_film_that_fails_ends_the_filming_and_not_the_training(tmp_path, monke
         raise error
 
     monkeypatch.setattr(video_file, "write", fail)
-    said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
-    assert said.status == 0, said.err
+    said = succeed("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert said.err.count("no film from iteration 0 on") == 1
     assert "the driver gave up" in said.err
-    assert (only(tmp_path / "runs") / "model_2.pt").is_file()
+    assert (only_run(tmp_path / "runs") / "model_2.pt").is_file()
 
 
 def test_films_are_chosen_by_number_and_others_files_stay(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jobs.small import TINY, wheelleg
+from jobs.small import TINY, only_run, refused, succeed, wheelleg
 
 SCENE = """# @package env.scene
 defaults: [flat, _self_]
@@ -34,9 +34,8 @@ def project(tmp_path: Path) -> Path:
 def test_a_run_is_resumed_played_and_replayed_on_the_ground_that_it_has_kept(project):
     ground = project / "assets" / "grounds" / "hills.npy"
     words = ("--config-dir", project / "configs", "scene=hills", *TINY, f"run.root={project / 'runs'}")
-    said = wheelleg("train", *words, "agent.max_iterations=1")
-    assert said.status == 0, said.err
-    (run,) = (project / "runs" / "stand").iterdir()
+    succeed("train", *words, "agent.max_iterations=1")
+    run = only_run(project / "runs")
     kept = run / "asset" / "ground" / "grounds" / "hills.npy"
     assert kept.read_bytes() == ground.read_bytes()
     sources = json.loads((run / "asset" / "asset.json").read_text())["sources"]
@@ -45,15 +44,11 @@ def test_a_run_is_resumed_played_and_replayed_on_the_ground_that_it_has_kept(pro
     ground.unlink()
     assert wheelleg("resume", run, "agent.max_iterations=2").status == 0
     assert wheelleg("play", run, "env.episode_length_s=0.2").status == 0
-    said = wheelleg("replay", run)
-    assert said.status == 0, said.out + said.err
-    assert "identical" in said.out
+    assert "identical" in succeed("replay", run).out
 
 
 def test_a_ground_that_is_not_there_is_found_by_the_check(project):
     words = ("--config-dir", project / "configs", "scene=hills")
     assert wheelleg("check", *words).status == 0
-    said = wheelleg("check", *words, "env.scene.terrain.file=grounds/hlils.npy")
-    assert said.status == 2
-    assert "env.scene.terrain.file" in said.err
-    assert "did you mean 'grounds/hills.npy'?" in said.err
+    said = refused("check", *words, "env.scene.terrain.file=grounds/hlils.npy")
+    assert [word for word in ("env.scene.terrain.file", "did you mean 'grounds/hills.npy'?") if word not in said] == []

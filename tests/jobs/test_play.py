@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 
-from jobs.small import ITERATIONS
+from jobs.small import ITERATIONS, manifest
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.jobs import play_policy as play_job
 from wheelleg_exp.jobs.job_display import Display
@@ -71,31 +71,31 @@ def test_figures_are_those_of_the_recorded_heights_and_pitches(run):
     recording, figures = Recording(done.recording), done.figures
     heights, pitches = (recording.values(f"base/{name}").ravel() for name in ("height", "pitch"))
     settled = slice(6, None)
-    assert figures.episodes == 1
-    assert figures.height_mean_m == pytest.approx(heights[settled].mean(), rel=1e-4)
+    assert (figures.episodes, figures.height_mean_m) == (1, pytest.approx(heights[settled].mean(), rel=1e-4))
     assert figures.height_rmse_m == pytest.approx(math.sqrt(((heights[settled] - 0.07) ** 2).mean()), rel=1e-4)
     assert figures.pitch_rms_deg == pytest.approx(
         math.degrees(math.sqrt((pitches[settled] ** 2).mean())), rel=1e-3, abs=1e-3
     )
     total = recording.values("rewards/total").ravel() / 60
-    assert figures.mean_return == pytest.approx(total.sum(), rel=1e-4)
-    survived = len(heights) == 18
-    assert figures.survival == float(survived)
+    assert (figures.mean_return, figures.survival) == (pytest.approx(total.sum(), rel=1e-4), float(len(heights) == 18))
     assert sum(figures.ended_by.values()) >= 1
 
 
-def test_the_manifest_gets_an_entry(run):
-    before = json.loads((run.path / "manifest.json").read_text())
-    done = played(run, "env.num_envs=2", "seed=7")
-    data = json.loads((run.path / "manifest.json").read_text())
+def test_a_play_changes_nothing_of_the_training_and_adds_an_entry_to_the_manifest(run):
+    files = [*run.path.glob("*"), run.params / "env.yaml"]
+    contents = {p: p.read_bytes() for p in files if p.is_file() and p.name != "manifest.json"}
+    before = manifest(run.path)
+    done = played(run, "env.num_envs=3", "env.episode_length_s=0.1", "seed=7")
+    assert (done.figures.episodes, done.figures.survival) == (3, 1.0)  # No robot falls in 0.1 s.
+    assert {path: path.read_bytes() for path in contents} == contents
+    data = manifest(run.path)
     (entry,) = data["additions"]
     assert (entry["kind"], entry["command"]) == ("play", ["wheelleg", "play"])
     folder = done.folder.relative_to(run.path)
     assert set(entry["files"]) == {f"{folder}/figures.json", f"{folder}/recording.rrd"}
     for name, record in entry["files"].items():
         assert record["sha256"] == hashlib.sha256((run.path / name).read_bytes()).hexdigest()
-    changed = {"additions", "sha256"}
-    assert {key: data[key] for key in before.keys() - changed} == {key: before[key] for key in before.keys() - changed}
+    assert [key for key in before if data[key] != before[key]] == ["additions", "sha256"]
     assert not run.manifest().compare_files()
 
 
@@ -110,8 +110,7 @@ def test_figures_and_recording_say_which_policy_was_played_and_how_it_did(run):
     recording = Recording(done.recording)
     about = recording.properties["wheelleg"]
     assert (about["purpose"], about["agent"], about["task"]) == ("play", "policy", "stand")
-    assert (about["run_id"], about["seed"], about["num_envs"]) == (run.id, 7, 2)
-    assert about["checkpoint"] == "model_1.pt"
+    assert (about["run_id"], about["seed"], about["num_envs"], about["checkpoint"]) == (run.id, 7, 2, "model_1.pt")
     assert about["checkpoint_sha256"] == hashlib.sha256(run.checkpoint(1).read_bytes()).hexdigest()
     texts = {name: recording.document(name).splitlines() for name in recording.documents()}
     assert json.loads("\n".join(texts["figures"][1:-1])) == content
@@ -125,8 +124,7 @@ def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
     recording = Recording(done.recording)
     assert not recording.has_rows("base/height")
     (text,) = recording.table("log/recording").column("text").to_pylist()
-    assert text == ["the limit of 0 MB is reached; later steps are not recorded"]
-    assert done.figures.episodes == 1
+    assert (text, done.figures.episodes) == (["the limit of 0 MB is reached; later steps are not recorded"], 1)
 
 
 def test_plays_without_a_recording_have_none_and_do_not_share_a_folder(run):
@@ -134,15 +132,6 @@ def test_plays_without_a_recording_have_none_and_do_not_share_a_folder(run):
     assert len({done.folder for done in made}) == 3
     assert made[0].recording is None
     assert [p.name for p in made[0].folder.iterdir()] == ["figures.json"]
-
-
-def test_a_play_changes_nothing_of_the_training(run):
-    files = [*run.path.glob("*"), run.params / "env.yaml"]
-    before = {p: p.read_bytes() for p in files if p.is_file() and p.name != "manifest.json"}
-    done = played(run, "env.num_envs=3", "env.episode_length_s=0.1")
-    assert done.figures.episodes == 3
-    assert done.figures.survival == 1.0  # No robot falls in 0.1 s.
-    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_the_same_seed_plays_the_same(run):
@@ -211,8 +200,7 @@ def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):
         played(run, override)
     assert key in str(caught.value)
     assert override != "env.num_evns=4" or caught.value.nearest == "env.num_envs"
-    assert plays(run) == []
-    assert (run.path / "manifest.json").read_bytes() == before
+    assert (plays(run), (run.path / "manifest.json").read_bytes()) == ([], before)
 
 
 @pytest.mark.parametrize(
@@ -241,14 +229,12 @@ def test_a_damaged_run_is_told(run, name, damage):
         played(run)
     message = str(caught.value)
     assert "model_" in message if name.startswith("model") else file.name in message
-    assert len(message.splitlines()) == 1
-    assert plays(run) == []
+    assert (len(message.splitlines()), plays(run)) == (1, [])
 
 
 def test_a_robot_with_meshes_is_played_from_the_run_alone(run, monkeypatch, tmp_path):
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "empty"))
     moved = tmp_path / "elsewhere"
     shutil.move(run.path, moved)
-    done = played(RunDirectory.open(moved, tmp_path), "env.num_envs=1")
-    assert done.recording.is_relative_to(moved)
+    assert played(RunDirectory.open(moved, tmp_path), "env.num_envs=1").recording.is_relative_to(moved)
     assert not (tmp_path / "empty").exists()

@@ -85,8 +85,7 @@ def index() -> dict:
 def test_all_jobs_are_handed_in_together_and_heard(stop):
     seen = Seen()
     runner, queue = swept(["finish1", "finish2", "talk"], stop, seen)
-    assert runner.run() == "finished"
-    assert queue.handed_in == [3]
+    assert (runner.run(), queue.handed_in) == ("finished", [3])
     assert ("iteration", 1, 1, 1) in seen.told
     assert [job["run"] for job in index()["jobs"]] == [f"../../stand/{what}" for what in ("finish1", "finish2", "talk")]
     assert sum(told[0] == "note" and told[1] == 3 for told in seen.told) == 22000
@@ -102,24 +101,18 @@ def test_jobs_that_fail_or_die_are_named_and_stop_no_other(stop):
     assert "ended with status 7 and did not say why: the last words" in jobs[2]["error"]["message"]
 
 
-def test_a_stop_ends_what_runs_and_takes_what_waits_out_of_the_queue(stop):
-    seen = Seen(on_start=lambda job: os.kill(os.getpid(), signal.SIGINT))
-    runner, _ = swept(["wait", "finish"], stop, seen, full=1)
-    assert runner.run() == "interrupted"
-    assert [job["status"] for job in index()["jobs"]] == ["interrupted", "waiting"]
-    assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
-
-
-def test_a_job_that_waits_counts_as_waiting(stop):
+def test_a_stop_ends_running_jobs_and_removes_waiting_jobs_from_the_queue(stop):
     moments = []
 
-    def look(job):
+    def interrupt(job):
         moments.append([each["status"] for each in index()["jobs"]])
-        stop.requested = True
+        os.kill(os.getpid(), signal.SIGINT)
 
-    runner, _ = swept(["wait", "finish"], stop, Seen(on_start=look), full=1)
-    runner.run()
+    seen = Seen(on_start=interrupt)
+    runner, _ = swept(["wait", "finish"], stop, seen, full=1)
+    assert (runner.run(), [job["status"] for job in index()["jobs"]]) == ("interrupted", ["interrupted", "waiting"])
     assert moments == [["running", "waiting"]]
+    assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
 
 
 def test_a_job_that_its_queue_loses_has_failed(stop):
@@ -146,8 +139,7 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     monkeypatch.setattr(runner, "_reap", lambda: (looks.append(1), reap()))
     with pytest.raises(ConfigError, match="did not take the jobs"):
         runner.run()
-    assert len(looks) == 1
-    assert index()["status"] == "failed"
+    assert (len(looks), index()["status"]) == (1, "failed")
     assert [job["status"] for job in index()["jobs"]] == ["failed", "failed"]
 
 
@@ -155,8 +147,7 @@ def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
     runner, queue = swept(["finish"], stop)
     start = queue.start
     queue.start = lambda *args: (start(*args), os.kill(os.getpid(), signal.SIGINT))[0]
-    assert runner.run() == "interrupted"
-    assert queue.handed_in == []
+    assert (runner.run(), queue.handed_in) == ("interrupted", [])
     assert [job["status"] for job in index()["jobs"]] == ["waiting"]
 
 

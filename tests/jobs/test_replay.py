@@ -16,7 +16,8 @@ import pytest
 from patience import PATIENCE_S, wait_until
 
 from jobs.replays import ITERATIONS, LEANING, TERM, change_manifest, commit, digests, git, make_checkout, train
-from jobs.small import Words, cache_of, wheelleg
+from jobs.small import Words, manifest, wheelleg
+from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.run.source_snapshot import RECORD_NAME
 
 pytestmark = pytest.mark.train
@@ -36,14 +37,12 @@ PROJECT_TASK = LEANING.replace("leaning}", "lab_stand}").replace(
 def place(tmp_path_factory):
     """Return a folder with a run of a removed dirty tree and a fresh clone of its commit."""
     place = tmp_path_factory.mktemp("replay")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        checkout = make_checkout(place / "theirs")
-        (checkout / "configs" / "task" / "leaning.yaml").write_text(LEANING)
-        (checkout / "wheelleg_exp" / "mdp" / "leaning.py").write_text(TERM)
-        with (checkout / "configs" / "task" / "stand.yaml").open("a") as file:
-            file.write("# a note\n")
-        run = train(checkout, "task=leaning", "run.name=first", root=checkout / "runs")
+    checkout = make_checkout(place / "theirs")
+    (checkout / "configs" / "task" / "leaning.yaml").write_text(LEANING)
+    (checkout / "wheelleg_exp" / "mdp" / "leaning.py").write_text(TERM)
+    with (checkout / "configs" / "task" / "stand.yaml").open("a") as file:
+        file.write("# a note\n")
+    run = train(checkout, "task=leaning", "run.name=first", root=checkout / "runs")
     git(place, "clone", "-q", str(checkout), str(place / "mine"))
     shutil.move(run, place / "handed_over")
     shutil.rmtree(checkout)
@@ -75,8 +74,9 @@ def replay(run: Path, *words: str | Path) -> tuple[Words, dict]:
     return said, json.loads(said.out) if said.out else {}
 
 
-def manifest_of(run: Path | str) -> dict:
-    return json.loads((Path(run) / "manifest.json").read_text())
+def change_record(run: Path, **changes: object) -> None:
+    path = run / "source" / RECORD_NAME
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
 def lines_of(run: Path) -> list[str]:
@@ -93,8 +93,7 @@ def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(pla
     assert "plus the run's patch" in said.err.splitlines()[0]
     assert f"training {ITERATIONS}/{ITERATIONS}" in said.err
     assert found["composed"] == {"equal": True, "difference": None}
-    assert found["asset"] == {"converted": True, "note": None}
-    assert (digests(run), digests(clone)) == before
+    assert (found["asset"], (digests(run), digests(clone))) == ({"converted": True, "note": None}, before)
     assert not list(scratch.glob("wheelleg*"))
 
     new = Path(found["replay"])
@@ -102,13 +101,11 @@ def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(pla
     assert new.name.endswith("_0_first_replay")
     for k in range(ITERATIONS):
         assert (new / f"model_{k}.pt").read_bytes() == (run / f"model_{k}.pt").read_bytes(), k
-    old, manifest = manifest_of(run), manifest_of(new)
-    assert manifest["status"] == "finished"
-    assert manifest["replay_of"] == old["id"]
-    assert manifest["replay"]["snapshot"]["source/source.patch"] == old["files"]["source/source.patch"]["sha256"]
-    assert manifest["replay"]["asset"] == found["asset"]
-    assert manifest["replay"]["composed"] == found["composed"]
-    assert manifest["additions"][-1]["results"]["verdict"] == "identical"
+    old, made = manifest(run), manifest(new)
+    assert (made["status"], made["replay_of"]) == ("finished", old["id"])
+    assert made["replay"]["snapshot"]["source/source.patch"] == old["files"]["source/source.patch"]["sha256"]
+    assert (made["replay"]["asset"], made["replay"]["composed"]) == (found["asset"], found["composed"])
+    assert made["additions"][-1]["results"]["verdict"] == "identical"
     records = [json.loads((folder / "source" / RECORD_NAME).read_text()) for folder in (run, new)]
     assert records[0]["tree"] == records[1]["tree"]
     assert "configs/task/leaning.yaml" in records[0]["untracked"]
@@ -121,9 +118,7 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
     other = tmp_path / "other"
     git(tmp_path, "clone", "-q", str(clone), str(other))
     git(other, "apply", "--cached", "-", stdin=forged)
-    record = json.loads((run / "source" / RECORD_NAME).read_text())
-    record |= {"tree": git(other, "write-tree"), "patch_sha256": hashlib.sha256(forged).hexdigest()}
-    (run / "source" / RECORD_NAME).write_text(json.dumps(record))
+    change_record(run, tree=git(other, "write-tree"), patch_sha256=hashlib.sha256(forged).hexdigest())
     patch.write_bytes(forged)
     identity = json.loads((run / "asset" / "asset.json").read_text())
     identity["sources"] = dict.fromkeys(identity["sources"], "0" * 64)
@@ -135,7 +130,7 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
     assert found["comparison"]["first_divergence"]["iteration"] == 0
     assert found["asset"]["converted"] is False
     assert "is not the recorded one: the replay simulates the saved MJCF" in said.err
-    assert manifest_of(found["replay"])["status"] == "interrupted"
+    assert manifest(Path(found["replay"]))["status"] == "interrupted"
     kept = Path(found["kept"])
     assert kept.parent.parent == scratch
     (code,) = kept.glob("*/*/wheelleg_exp/mdp/leaning.py")
@@ -144,21 +139,20 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
 
 
 def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
-    text = "".join(lines_of(run)[:2]) + lines_of(run)[2][:40]
-    (run / "iterations.jsonl").write_text(text)
+    (run / "iterations.jsonl").write_text("".join(lines_of(run)[:2]) + lines_of(run)[2][:40])
     for name in ("model_2.pt", "exported", "recording.rrd"):
         path = run / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    manifest = manifest_of(run)
+    made = manifest(run)
     snapshot = (".hydra/", "params/", "source/", "asset/", "environment.txt")
     change_manifest(
         run,
         status="running",
         ended=None,
-        process=manifest["process"] | {"boot_id": "another"},
-        files={name: entry for name, entry in manifest["files"].items() if name.startswith(snapshot)},
-        versions=manifest["versions"] | {"torch": "1.0.0"},
-        environment_variables=manifest["environment_variables"] | {"OMP_NUM_THREADS": "1", "LD_PRELOAD": "their.so"},
+        process=made["process"] | {"boot_id": "another"},
+        files={name: entry for name, entry in made["files"].items() if name.startswith(snapshot)},
+        versions=made["versions"] | {"torch": "1.0.0"},
+        environment_variables=made["environment_variables"] | {"OMP_NUM_THREADS": "1", "LD_PRELOAD": "their.so"},
     )
     said, found = replay(run, "--repository", clone)
     assert "differs: torch was 1.0.0, is " in said.err
@@ -167,8 +161,8 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
     assert said.status == 0, said.err
     assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("identical", 2, True)
     new = Path(found["replay"])
-    assert manifest_of(new)["environment_variables"]["OMP_NUM_THREADS"] == "1"
-    assert "LD_PRELOAD" not in manifest_of(new)["environment_variables"]
+    assert manifest(new)["environment_variables"]["OMP_NUM_THREADS"] == "1"
+    assert "LD_PRELOAD" not in manifest(new)["environment_variables"]
     parts = found["comparison"]["parts"]
     assert {parts[name]["state"] for name in ("digests", "scalars", "checkpoints")} == {"equal"}
     assert (new / "model_1.pt").read_bytes() == (run / "model_1.pt").read_bytes()
@@ -237,21 +231,24 @@ def refused(run: Path, *words: str | Path) -> str:
     return said.err
 
 
-@pytest.mark.parametrize("name", [".hydra/config.yaml", "params/env.yaml", "source/source.patch", "asset/robot.xml"])
-def test_a_changed_snapshot_is_refused(run, clone, name):
-    path = run / name
-    path.write_bytes(path.read_bytes().replace(b"1", b"2", 1))
-    assert f"{name} is not what the manifest recorded" in refused(run, "--repository", clone)
+def _change(name):
+    return lambda run: (run / name).write_bytes((run / name).read_bytes().replace(b"1", b"2", 1))
 
 
-def test_a_file_that_is_not_the_runs_own_is_refused(run, clone):
-    (run / "source" / "source_2.patch").write_text("")
-    assert "source/source_2.patch is not in the manifest" in refused(run, "--repository", clone)
+SNAPSHOT = (".hydra/config.yaml", "params/env.yaml", "source/source.patch", "asset/robot.xml")
+REFUSED = [(_change(name), f"{name} is not what the manifest recorded", ()) for name in SNAPSHOT]
+REFUSED += [(lambda run: None, "from 1 to the 3 that the run has", ("--iterations", number)) for number in ("0", "4")]
+REFUSED += [
+    (lambda run: (run / "source/source_2.patch").touch(), "source/source_2.patch is not in the manifest", ()),
+    (lambda run: (run / "params/agent.yaml").unlink(), "params/agent.yaml is missing", ()),
+    (lambda run: change_manifest(run, status="running", process=this_process()), "is still running", ()),
+]
 
 
-def test_a_missing_file_is_refused(run, clone):
-    (run / "params" / "agent.yaml").unlink()
-    assert "params/agent.yaml is missing" in refused(run, "--repository", clone)
+@pytest.mark.parametrize(("change", "message", "words"), REFUSED)
+def test_a_changed_or_running_run_or_a_wrong_number_of_iterations_is_refused(run, clone, change, message, words):
+    change(run)
+    assert message in refused(run, "--repository", clone, *words)
 
 
 def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
@@ -259,29 +256,12 @@ def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
     elsewhere.mkdir()
     git(elsewhere, "init", "-q")
     said = refused(run, "--repository", elsewhere)
-    assert "no repository here contains commit" in said
-    assert "--repository" in said
+    assert [word for word in ("no repository here contains commit", "--repository") if word not in said] == []
     assert "git fetch" in said
 
 
-def test_a_run_that_goes_on_is_refused(run, clone):
-    from wheelleg_exp.run.run_lock import this_process
-
-    change_manifest(run, status="running", process=this_process())
-    assert "is still running" in refused(run, "--repository", clone)
-
-
-@pytest.mark.parametrize("number", ["0", "4"])
-def test_a_wrong_number_of_iterations_is_refused(run, clone, number):
-    assert "from 1 to the 3 that the run has" in refused(run, "--repository", clone, "--iterations", number)
-
-
 def test_a_source_that_was_not_kept_is_told(run, clone):
-    path = run / "source" / RECORD_NAME
-    note = "the patch has 80 MB"
-    path.write_text(
-        json.dumps(json.loads(path.read_text()) | {"patch": None, "status": "patch_too_large", "note": note})
-    )
+    change_record(run, patch=None, status="patch_too_large", note="the patch has 80 MB")
     change_manifest(run)
     assert "was not captured (patch_too_large): the patch has 80 MB" in refused(run, "--repository", clone)
 
@@ -292,9 +272,7 @@ def test_code_from_before_replays_is_told(run, tmp_path):
     (old / "wheelleg_exp" / "__init__.py").write_text("")
     commit(old)
     (run / "source" / "source.patch").write_bytes(b"")
-    path = run / "source" / RECORD_NAME
     facts = {"commit": git(old, "rev-parse", "HEAD"), "tree": git(old, "rev-parse", "HEAD^{tree}"), "patch_bytes": 0}
-    facts["patch_sha256"] = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
-    path.write_text(json.dumps(json.loads(path.read_text()) | facts))
+    change_record(run, **facts, patch_sha256=hashlib.sha256(b"").hexdigest())
     change_manifest(run)
     assert "is from before runs could be replayed" in refused(run, "--repository", old)

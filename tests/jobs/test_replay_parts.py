@@ -53,13 +53,9 @@ def request(**changes) -> Request:
     return Request(**{"protocol": PROTOCOL, **known, **lists, **changes})
 
 
-def test_a_request_arrives_as_it_was_sent_and_without_keys_of_a_newer_program():
+def test_a_request_is_read_without_keys_of_a_newer_program_and_refused_with_another_protocol():
     assert Request.read(request().line()) == request()
-    line = json.dumps(asdict(request()) | {"invented_later": 1}).encode()
-    assert Request.read(line) == request()
-
-
-def test_a_request_of_another_protocol_is_refused():
+    assert Request.read(json.dumps(asdict(request()) | {"invented_later": 1}).encode()) == request()
     with pytest.raises(WheellegError, match=rf"protocol {PROTOCOL + 1}.*expected {PROTOCOL}"):
         Request.read(request(protocol=PROTOCOL + 1).line())
 
@@ -100,16 +96,13 @@ def places(tmp_path):
     return replay_boot.RestoredFinder({"wheelleg_exp": str(tmp_path), "lab_terms": str(tmp_path)})
 
 
-def test_a_module_comes_from_its_restored_folder(places, tmp_path):
-    assert places.find_spec("wheelleg_exp").origin == str(tmp_path / "wheelleg_exp" / "__init__.py")
-    spec = places.find_spec("wheelleg_exp.there", [str(tmp_path / "wheelleg_exp")])
-    assert spec.origin == str(tmp_path / "wheelleg_exp" / "there.py")
+def test_a_module_comes_from_its_restored_folder_alone(places, tmp_path):
+    folder = tmp_path / "wheelleg_exp"
+    assert places.find_spec("wheelleg_exp").origin == str(folder / "__init__.py")
+    assert places.find_spec("wheelleg_exp.there", [str(folder)]).origin == str(folder / "there.py")
     assert places.find_spec("numpy") is None
-
-
-def test_a_module_that_the_restored_program_lacks_is_not_taken_from_todays(places, tmp_path):
     with pytest.raises(ModuleNotFoundError, match=r"restored source holds no module wheelleg_exp\.cli"):
-        places.find_spec("wheelleg_exp.cli", [str(tmp_path / "wheelleg_exp")])
+        places.find_spec("wheelleg_exp.cli", [str(folder)])
 
 
 def test_the_boot_code_imports_nothing_of_this_program():
@@ -130,8 +123,7 @@ def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
     source = RestoredSource(config_dirs=[configs])
     for folder in (lab, lab / "configs", package / "deep", tmp_path / "loose.py", configs):
         _register(folder, source)
-    assert set(source.projects) == {lab}
-    assert source.places == {"terms": package.parent, "loose": tmp_path}
+    assert (set(source.projects), source.places) == ({lab}, {"terms": package.parent, "loose": tmp_path})
 
 
 def test_the_innermost_restored_folder_of_a_path_counts(tmp_path):
@@ -214,9 +206,8 @@ def test_every_repository_is_restored_in_a_folder_of_its_own_name(program, lab, 
     assert [folder.parent.name for folder in source.config_dirs] == ["lab"]
     assert (source.config_dirs[0] / "a.yaml").is_file()
     assert source.notes == []
-    assert describe_code(run).startswith(
-        f"replay runs the code of commit {git(program, 'rev-parse', 'HEAD')[:12]} plus "
-    )
+    commit_id = git(program, "rev-parse", "HEAD")[:12]
+    assert describe_code(run).startswith(f"replay runs the code of commit {commit_id} plus ")
     assert "the code of 1 more source folder of it" in describe_code(run)
 
 
@@ -225,8 +216,7 @@ def test_a_repository_of_the_users_that_is_nowhere_is_told(program, lab, tmp_pat
     commit_id = git(lab, "rev-parse", "HEAD")
     lab.rename(tmp_path / "moved")
     source = restored(run, tmp_path)
-    assert [tree.how for tree in source.trees] == ["restored", "missing"]
-    assert source.config_dirs == []
+    assert ([tree.how for tree in source.trees], source.config_dirs) == (["restored", "missing"], [])
     (note,) = source.notes
     assert f"no repository here contains commit {commit_id[:12]}; see --repository" in note
 
@@ -251,8 +241,7 @@ def test_what_was_not_captured_is_named(program, lab, tmp_path):
         "submodules were not captured with the run, and are empty: library",
         f"'{plain / 'helper.py'}' was not captured with the run, and is used as it is now",
     ]
-    assert [tree.how for tree in source.trees] == ["restored", "in place"]
-    assert source.places["helper"] == plain
+    assert ([tree.how for tree in source.trees], source.places["helper"]) == (["restored", "in place"], plain)
 
 
 def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:
@@ -285,16 +274,13 @@ def test_variables_that_were_kept_or_have_a_default_need_not_be_set(tmp_path, mo
     replay_run._config(run, run.manifest())
 
 
-def test_what_the_config_asked_for_in_vain_is_unset(tmp_path, monkeypatch):
-    run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME,x}'}\n", monkeypatch)
-    monkeypatch.setenv("RUN_NAME", "later")
-    assert "RUN_NAME" not in replay_run._environ(run, run.manifest())
-
-
-def test_a_name_that_comes_from_a_variable_is_that_of_the_run(tmp_path, monkeypatch):
+def test_a_variable_has_its_value_at_the_start_of_the_run_or_is_unset(tmp_path, monkeypatch):
     run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME}'}\n", monkeypatch, RUN_NAME="mine")
     made = replay_run._request(run, run.manifest(), 1, tmp_path, tmp_path, RestoredSource(), [])
     assert made.name == "mine_replay"
+    run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME,x}'}\n", monkeypatch)
+    monkeypatch.setenv("RUN_NAME", "later")
+    assert "RUN_NAME" not in replay_run._environ(run, run.manifest())
 
 
 def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(tmp_path):

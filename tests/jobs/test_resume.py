@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import os
 import shutil
@@ -17,16 +16,21 @@ import torch
 import yaml
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from jobs.replays import change_manifest
-from jobs.small import SMALL, cache_of, wheelleg
+from jobs.small import SMALL, cache_of, lines, manifest, only_run, refused, succeed, wheelleg, without_times
 from wheelleg_exp import packages as projects
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import resume_overrides as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.train import training_outputs
+from wheelleg_exp.mdp import rewards
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
-from wheelleg_exp.rl import checkpoint, digests
-from wheelleg_exp.run.manifest import SNAPSHOT
+from wheelleg_exp.rl import checkpoint, digests, trainer
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import summarize
 from wheelleg_exp.run.run_lock import RunLock
@@ -46,16 +50,8 @@ def _same_source(monkeypatch):
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("straight")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        said = wheelleg("train", *FOUR, f"run.root={root}")
-    assert said.status == 0, said.err
-    return only(root)
-
-
-def only(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
+    succeed("train", *FOUR, f"run.root={root}")
+    return only_run(root)
 
 
 @pytest.fixture
@@ -71,22 +67,6 @@ def resume(run: Path, *words: str, status: int = 0):
     return said
 
 
-def manifest(run: Path) -> dict:
-    return json.loads((run / "manifest.json").read_text())
-
-
-def lines(run: Path) -> list[dict]:
-    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
-
-
-def without_times(line: dict) -> dict:
-    return {**line, "scalars": {k: v for k, v in line["scalars"].items() if not k.startswith("Perf/")}}
-
-
-def sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> None:
     """Compare all files of a run with those of the uninterrupted run."""
     for pattern in ("model_*.pt", "exported/*.onnx", "exported/*.json", "params/*"):
@@ -97,8 +77,7 @@ def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> Non
     assert scalars(run) == scalars(straight)
     assert entity_digests(run / "recording.rrd") == entity_digests(straight / "recording.rrd")
     ends = [{k: v for k, v in manifest(path)["results"].items() if k != "seconds"} for path in (run, straight)]
-    assert ends[0] == ends[1]
-    assert manifest(run)["status"] == "finished"
+    assert (ends[0], manifest(run)["status"]) == (ends[1], "finished")
     assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
     assert not list(run.rglob("*.tmp"))
 
@@ -112,20 +91,15 @@ def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
 
 def events_left(run: Path) -> list[int]:
     """Return the steps of one scalar in the event files, including repeats."""
-    from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
-
-    found = []
-    for path in sorted(run.glob("events.out.tfevents.*")):
-        for event in EventFileLoader(str(path)).Load():
-            found += [event.step for value in event.summary.value if value.tag == "Loss/value"]
-    return found
+    files = sorted(run.glob("events.out.tfevents.*"))
+    events = [event for path in files for event in EventFileLoader(str(path)).Load()]
+    return [event.step for event in events for value in event.summary.value if value.tag == "Loss/value"]
 
 
 @pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
 def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
-    said = wheelleg("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
-    run = only(tmp_path)
+    succeed("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
+    run = only_run(tmp_path)
     for total in [*stops[1:], 4]:
         resume(run, f"agent.max_iterations={total}")
     require_equal(run, straight)
@@ -151,7 +125,7 @@ def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_
     with monkeypatch.context() as patch:
         interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert said.status == 130
     assert f"resume {run.relative_to(Path.cwd()) if run.is_relative_to(Path.cwd()) else run}" in said.err
     assert sorted(path.name for path in run.glob("model_*.pt")) == ["model_0.pt", "model_1.pt"]
@@ -173,7 +147,7 @@ def killed(point: str, cache: Path, *words: str | Path) -> None:
 def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     cache = cache_of(tmp_path_factory)
     killed("checkpoint:1", cache, "train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert [path.name for path in run.glob("model_*.pt")] == ["model_0.pt"]
     killed("torn:2", cache, "resume", run)
     assert not (run / "iterations.jsonl").read_bytes().endswith(b"\n")
@@ -183,8 +157,7 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     assert (run / "model_3.pt").exists()
     resume(run)
     require_equal(run, straight)
-    assert events_left(run) == [0, 1, 2, 3]
-    assert [entry["iteration"] for entry in manifest(run)["resumes"]] == [1, 2, 4]
+    assert (events_left(run), [entry["iteration"] for entry in manifest(run)["resumes"]]) == ([0, 1, 2, 3], [1, 2, 4])
 
 
 def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_alone(tmp_path, monkeypatch):
@@ -193,11 +166,10 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
         interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
     assert said.status == 130, said.err
-    path = only(tmp_path)
+    path = only_run(tmp_path)
     first, second = (line["digests"] for line in lines(path))
     assert len(first) > 3
-    assert list(second) == ["parameters"]
-    assert wheelleg("verify", path).status == 0
+    assert (list(second), wheelleg("verify", path).status) == (["parameters"], 0)
     state = torch.load(path / "model_1.pt", weights_only=True)
     assert second == digests.of_state(digests.networks(state))
     next(iter(state["actor_state_dict"].values())).view(-1)[0] += 1.0
@@ -210,18 +182,16 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
 def test_without_a_checkpoint_a_run_begins_anew(run, straight):
     for path in run.glob("model_*.pt"):
         path.unlink()
-    said = resume(run)
-    assert "resuming from the start" in said.err
+    assert "resuming from the start" in resume(run).err
     require_equal(run, straight)
     assert manifest(run)["resumes"][0]["proved"] == [0, 3]
 
 
 def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, straight):
-    data = (run / "model_3.pt").read_bytes()
+    data, flipped = (run / "model_3.pt").read_bytes(), bytearray((run / "model_2.pt").read_bytes())
     (run / "model_3.pt").write_bytes(data[: len(data) // 2])
-    data = bytearray((run / "model_2.pt").read_bytes())
-    data[len(data) // 2] ^= 1
-    (run / "model_2.pt").write_bytes(data)
+    flipped[len(flipped) // 2] ^= 1
+    (run / "model_2.pt").write_bytes(flipped)
     with (run / "iterations.jsonl").open("a") as file:
         file.write('{"iteration": 4, "dig')
     crash(run)
@@ -230,8 +200,7 @@ def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, strai
     assert "resuming from model_1.pt, iteration 2" in said.err
     for name in ("model_3.pt.damaged", "model_2.pt.damaged"):
         (run / name).unlink()
-    changed = manifest(run)
-    assert changed["resumes"][0]["proved"] == [2, 3]
+    assert manifest(run)["resumes"][0]["proved"] == [2, 3]
     for path in (run, straight):
         assert sorted(p.name for p in path.glob("model_*.pt")) == [f"model_{i}.pt" for i in range(4)]
     for index in range(4):
@@ -245,13 +214,10 @@ def test_lost_events_are_written_anew_from_the_log(run, straight):
         path.write_bytes(path.read_bytes()[:300])
     resume(run)
     assert manifest(run)["threads"]["torch"] == torch.get_num_threads() == 1
-    assert events_left(run) == [0, 1, 2, 3]
-    assert scalars(run) == scalars(straight)
+    assert (events_left(run), scalars(run)) == ([0, 1, 2, 3], scalars(straight))
 
 
 def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
-    from wheelleg_exp.errors import SimulationFailure
-
     write = training_outputs.write_bytes
 
     def full(path, data):
@@ -262,7 +228,7 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(training_outputs, "write_bytes", full)
         said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert said.status == 3
     assert "resume with: " in said.err
     assert manifest(run)["status"] == "failed"
@@ -278,15 +244,14 @@ def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch
     monkeypatch.setattr(
         training_outputs, "write_bytes", lambda path, data: (synced.append(path.name), write(path, data))
     )
-    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
+    succeed("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     order = [name.split(".")[0] if name.startswith("events") else name for name in synced]
     assert order == ["iterations.jsonl", "recording.rrd", "events", "model_0.pt"]
 
 
 def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, tmp_path, tmp_path_factory):
     killed("source", cache_of(tmp_path_factory), "train", *FOUR, f"run.root={tmp_path}")
-    run = only(tmp_path)
+    run = only_run(tmp_path)
     assert not (run / "source" / "git.json").exists()
     assert manifest(run)["source"] == {}
     resume(run)
@@ -303,15 +268,11 @@ def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
     require_equal(run, straight)
 
 
-def test_a_run_without_event_files_has_none_after_a_resume(tmp_path):
-    said = wheelleg("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
-    run = only(tmp_path)
-    resume(run, "agent.max_iterations=2")
-    assert not list(run.glob("events.out.tfevents.*"))
-
-
-def test_event_files_from_before_a_logger_was_switched_off_stay_as_they_are(run):
+def test_a_run_without_a_logger_writes_no_event_files_and_a_resume_leaves_present_ones_unchanged(run, tmp_path):
+    succeed("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path / 'without'}")
+    without = only_run(tmp_path / "without")
+    resume(without, "agent.max_iterations=2")
+    assert not list(without.glob("events.out.tfevents.*"))
     before = {path: sha256(path) for path in run.glob("events.out.tfevents.*")}
     resume(run, "agent.max_iterations=5", "agent.logger=null")
     assert {path: sha256(path) for path in run.glob("events.out.tfevents.*")} == before
@@ -356,23 +317,11 @@ def test_damage_that_a_resume_does_not_mend_ends_exactness_and_is_not_forgotten(
 
 
 def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straight):
-    said = resume(
-        run,
-        "agent.max_iterations=5",
-        "env.rewards.alive.weight=2.5",
-        "agent.algorithm.learning_rate=0.0005",
-        "recording.enabled=false",
-        "--json",
-    )
-    document = json.loads(said.out)
-    assert document["resume"]["exact"] is False
+    changed = {"env.rewards.alive.weight": 2.5, "agent.algorithm.learning_rate": 0.0005, "agent.max_iterations": 5}
+    said = resume(run, *(f"{key}={value}" for key, value in changed.items()), "recording.enabled=false", "--json")
+    assert json.loads(said.out)["resume"]["exact"] is False
     entry = manifest(run)["resumes"][0]
-    assert {c["key"] for c in entry["changes"]} == {
-        "agent.max_iterations",
-        "env.rewards.alive.weight",
-        "agent.algorithm.learning_rate",
-        "recording.enabled",
-    }
+    assert {c["key"] for c in entry["changes"]} == {*changed, "recording.enabled"}
     assert len(entry["why"]) == 2
     assert "env.rewards.alive.weight was 5.0 and is 2.5" in entry["why"]
     assert "not exact" in said.err
@@ -380,27 +329,21 @@ def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straigh
     assert "agent.algorithm.learning_rate=0.0005" in (run / ".hydra" / "overrides.yaml").read_text()
     assert lines(run)[4]["scalars"]["Loss/learning_rate"] != lines(straight)[3]["scalars"]["Loss/learning_rate"]
     assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
-    assert resume(run, "agent.max_iterations=6", "agent.torch_threads=2").status == 0
+    resume(run, "agent.max_iterations=6", "agent.torch_threads=2")
     assert manifest(run)["resumes"][1]["exact"] is True
     assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
 
 
 @pytest.mark.parametrize("kind", ["float32", "bfloat16"])
 def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatch, kind):
-    from wheelleg_exp.rl import trainer
-
     change_manifest(run, threads={**manifest(run)["threads"], "matmul": kind})
     monkeypatch.setattr("wheelleg_exp.rl.matmul.has_units", lambda: kind == "float32")
     used = []
     monkeypatch.setattr(trainer, "chosen_matmul", lambda agent: used.append(agent["matmul"]) or agent["matmul"])
-    assert resume(run, "agent.max_iterations=6").status == 0
-    assert used == [kind]
-    assert manifest(run)["threads"]["matmul"] == kind
+    assert (resume(run, "agent.max_iterations=6").status, used, manifest(run)["threads"]["matmul"]) == (0, [kind], kind)
 
 
 def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatch):
-    from wheelleg_exp.run.manifest import Manifest
-
     with monkeypatch.context() as patch:
         patch.setattr(Manifest, "write_pending", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
@@ -412,8 +355,6 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
 
 
 def test_another_machine_ends_exactness(run, monkeypatch):
-    from wheelleg_exp.run import environment
-
     present = environment.versions()
     monkeypatch.setattr(environment, "versions", lambda: {**present, "mujoco": "4.0.1"})
     monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
@@ -421,18 +362,13 @@ def test_another_machine_ends_exactness(run, monkeypatch):
     said = resume(run)
     entry = manifest(run)["resumes"][0]
     assert entry["exact"] is False
-    assert {(d["section"], d["name"]) for d in entry["differences"]} == {
-        ("versions", "mujoco"),
-        ("environment_variables", "ATEN_CPU_CAPABILITY"),
-    }
+    differences = {("versions", "mujoco"), ("environment_variables", "ATEN_CPU_CAPABILITY")}
+    assert {(d["section"], d["name"]) for d in entry["differences"]} == differences
     assert "4.0.1" in said.err
 
 
 def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
-    from wheelleg_exp.mdp import rewards
-
-    calls = []
-    function = rewards.is_alive
+    calls, function = [], rewards.is_alive
 
     @functools.wraps(function)
     def is_alive(env):
@@ -450,10 +386,9 @@ def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
 
 def refuse(run: Path, *words: str) -> str:
     before = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and not p.name.endswith("lock")}
-    said = wheelleg("resume", run, *words)
-    assert said.status == 2, said.err
-    assert "Traceback" not in said.err
-    (message,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    said = refused("resume", run, *words)
+    assert "Traceback" not in said
+    (message,) = [line for line in said.splitlines() if line.startswith("wheelleg: error: ")]
     assert {p: p.read_bytes() for p in before} == before  # No file of the run has changed.
     return message
 
@@ -496,10 +431,7 @@ def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
     ],
 )
 def test_a_damaged_run_is_told_before_anything_changes(run, name, content, said):
-    if content is None:
-        (run / name).unlink()
-    else:
-        (run / name).write_bytes(content)
+    (run / name).unlink() if content is None else (run / name).write_bytes(content)
     assert said in refuse(run, "agent.max_iterations=9")
 
 
@@ -508,8 +440,7 @@ def test_a_checkpoint_of_another_run_is_no_checkpoint_of_this_one(run):
         state = checkpoint.load(run / f"model_{index}.pt")
         state["actor_state_dict"]["mlp.0.bias"] += 1.0
         (run / f"model_{index}.pt").write_bytes(checkpoint.serialize(state))
-    message = refuse(run, "agent.max_iterations=9")
-    assert "parameters differ from the logged digests of iteration 3" in message
+    assert "parameters differ from the logged digests of iteration 3" in refuse(run, "agent.max_iterations=9")
 
 
 def test_a_run_that_is_being_written_is_left_alone(run):
@@ -522,20 +453,14 @@ def test_a_run_that_is_being_written_is_left_alone(run):
 
 
 def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
-    said = wheelleg("resume", run.name[:-1], "--root", run.parents[1])
-    assert said.status == 2
-    assert f"did you mean '{run.name}'?" in said.err
+    assert f"did you mean '{run.name}'?" in refused("resume", run.name[:-1], "--root", run.parents[1])
 
 
 def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):
     words = ["env.sim.nconmax=64", "env.sim.njmax=99", "env.sim.graph=false", "env.sim.graph_step=true"]
     tree, changes = resume_changes.change_settings(resume_changes.recorded_tree(RunDirectory(run)), words)
-    assert {change.key: change.b for change in changes} == {
-        "env.sim.nconmax": 64,
-        "env.sim.njmax": 99,
-        "env.sim.graph": False,
-        "env.sim.graph_step": True,
-    }
+    found = {"nconmax": 64, "njmax": 99, "graph": False, "graph_step": True}
+    assert {change.key: change.b for change in changes} == {f"env.sim.{key}": value for key, value in found.items()}
     assert tree["env"]["sim"]["nconmax"] == 64
 
 
@@ -551,10 +476,9 @@ def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
     assert "KeyError" not in message
 
 
+DECLARED = '[project]\nname = "pet"\nversion = "0"\n[project.entry-points."wheelleg_exp.packages"]\npet = "pet"\n'
 PROJECT = {
-    "pyproject.toml": (
-        '[project]\nname = "pet"\nversion = "0"\n[project.entry-points."wheelleg_exp.packages"]\npet = "pet"\n'
-    ),
+    "pyproject.toml": DECLARED,
     "pet/__init__.py": "",
     "pet/terms.py": (
         "import torch\nfrom wheelleg_exp.managers import TermBase\n\n\n"
@@ -583,7 +507,7 @@ def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(proje
     for total in (2, 1):
         root = tmp_path / f"runs_{total}"
         assert wheelleg("train", *words, f"agent.max_iterations={total}", f"run.root={root}").status == 0
-        runs.append(only(root))
+        runs.append(only_run(root))
     projects.forget(project)
     resume(runs[1], "agent.max_iterations=2")
     assert sha256(runs[1] / "model_1.pt") == sha256(runs[0] / "model_1.pt")

@@ -40,8 +40,7 @@ def test_the_stock_task_depends_on_this_package_alone():
 
 
 def test_a_project_counts_as_a_whole(mine):
-    composed = compose(["task=shelf_of_roots_task"], config_dirs=[mine / "configs"])
-    assert source_roots(composed) == [STOCK, mine]
+    assert source_roots(compose(["task=shelf_of_roots_task"], config_dirs=[mine / "configs"])) == [STOCK, mine]
 
 
 def test_a_plain_config_folder_and_one_of_the_search_path_count(tmp_path):
@@ -59,8 +58,7 @@ def test_an_installed_package_that_configs_call_counts(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(package.parent))
     plain = compose(["task=stand"])
     called = compose(["task=stand", "+env.rewards.odd={_target_: of_roots.calm, weight: 1.0}"])
-    assert source_roots(plain) == [STOCK]
-    assert source_roots(called) == [STOCK, package]
+    assert (source_roots(plain), source_roots(called)) == ([STOCK], [STOCK, package])
 
 
 def test_what_is_imported_from_elsewhere_is_found(tmp_path, monkeypatch):
@@ -69,8 +67,7 @@ def test_what_is_imported_from_elsewhere_is_found(tmp_path, monkeypatch):
     write(tmp_path / "package_of_roots" / "__init__.py", "")
     monkeypatch.syspath_prepend(str(tmp_path))
     before = loaded_outside([STOCK])
-    names = ["helper_of_roots", "package_of_roots.inner"]
-    for name in names:
+    for name in ["helper_of_roots", "package_of_roots.inner"]:
         importlib.import_module(name)
     found = loaded_outside([STOCK])
     for name in [n for n in sys.modules if n.endswith("_of_roots") or "_of_roots." in n]:

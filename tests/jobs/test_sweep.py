@@ -12,9 +12,11 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE_S, wait_until
 
-from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
+from jobs.small import ITERATIONS, SMALL, cache_of, lines, manifest, only_run, succeed, trained_once, without_times
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.child_process import EventPipe, run_job
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs import run_sweep as runner_module
 from wheelleg_exp.jobs.run_sweep import LocalLauncher
@@ -57,22 +59,16 @@ def test_all_jobs_finish(stop):
 def test_as_many_jobs_run_at_once_as_are_asked_for(stop, at_once):
     seen = Seen()
     stand_in([f"finish{i}" for i in range(4)], stop, at_once, seen).run()
-    assert seen.most_at_once() == at_once
-    assert [told[1] for told in seen.told if told[0] == "started"] == [1, 2, 3, 4]
+    assert (seen.most_at_once(), [told[1] for told in seen.told if told[0] == "started"]) == (at_once, [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize("at_once", [1, 4])
 def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
     assert stand_in(["fail", "die", "killed", "finish"], stop, at_once).run() == "failed"
-    assert _index()["status"] == "failed"
-    assert _statuses() == ["failed", "failed", "failed", "finished"]
-    told = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
-    assert told == [
-        "gone to NaN",
-        "its process ended with status 7 and did not say why: the last words",
-        "its process was ended by SIGKILL (out of memory?)",
-        None,
-    ]
+    assert (_index()["status"], _statuses()) == ("failed", ["failed", "failed", "failed", "finished"])
+    *told, last = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
+    died = "its process ended with status 7 and did not say why: the last words"
+    assert (told, last) == (["gone to NaN", died, "its process was ended by SIGKILL (out of memory?)"], None)
 
 
 def test_a_program_that_cannot_start_ends_the_sweep(stop):
@@ -91,27 +87,18 @@ def test_much_talk_blocks_nobody(stop):
 
 
 def test_a_job_whose_process_ends_well_without_having_said_so_has_failed(stop):
-    assert stand_in(["leave", "finish"], stop).run() == "failed"
-    assert _statuses() == ["failed", "finished"]
+    assert (stand_in(["leave", "finish"], stop).run(), _statuses()) == ("failed", ["failed", "finished"])
     assert "ended with status 0 and did not say why" in _index()["jobs"][0]["error"]["message"]
 
 
-def test_the_index_tells_what_runs_at_every_moment(stop):
-    moments = []
+def test_the_index_describes_each_job_while_it_runs(stop):
+    moments, runs = [], []
     seen = Seen(on_start=lambda job: moments.append(_statuses()))
+    seen.on_iteration = lambda job: runs.append(_index()["jobs"][job["number"] - 1]["run"])
     stand_in(["finish1", "fail", "finish3"], stop, seen=seen).run()
-    assert moments == [
-        ["running", "waiting", "waiting"],
-        ["finished", "running", "waiting"],
-        ["finished", "failed", "running"],
-    ]
-
-
-def test_the_index_names_the_run_while_the_job_runs(stop):
-    runs = []
-    seen = Seen(on_iteration=lambda job: runs.append(_index()["jobs"][job["number"] - 1]["run"]))
-    stand_in(["finish1", "finish2"], stop, seen=seen).run()
-    assert runs == ["../../stand/finish1", "../../stand/finish2"]
+    first, second = ["running", "waiting", "waiting"], ["finished", "running", "waiting"]
+    assert moments == [first, second, ["finished", "failed", "running"]]
+    assert runs == ["../../stand/finish1", "../../stand/finish3"]
 
 
 @pytest.mark.parametrize("kind", [SimulationFailure, RunDirectoryError])
@@ -131,21 +118,19 @@ def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch, kind):
 def test_a_stop_ends_every_job_and_starts_no_other(stop):
     seen = Seen(on_start=lambda job: job["number"] == 2 and os.kill(os.getpid(), signal.SIGINT))
     assert stand_in(["wait", "wait", "finish"], stop, 2, seen).run() == "interrupted"
-    assert _index()["status"] == "interrupted"
-    assert _statuses() == ["interrupted", "interrupted", "waiting"]
+    assert (_index()["status"], _statuses()) == ("interrupted", ["interrupted", "interrupted", "waiting"])
+
+
+def _interrupt_twice(_job):
+    for _ in range(2):
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
     runner = stand_in(["deaf", "finish"], stop, seen=Seen(on_iteration=_interrupt_twice))
     monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
-    assert runner.run() == "interrupted"
-    assert _statuses() == ["interrupted", "waiting"]
+    assert (runner.run(), _statuses()) == ("interrupted", ["interrupted", "waiting"])
     assert _index()["jobs"][0]["error"] is None
-
-
-def _interrupt_twice(_job):
-    os.kill(os.getpid(), signal.SIGINT)
-    os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
@@ -158,8 +143,7 @@ def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
 
 
 def test_a_third_stop_waits_for_nobody(stop):
-    seen = Seen(on_iteration=_interrupt_twice)
-    runner = stand_in(["stubborn"], stop, seen=seen)
+    runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
     processes = []
     end = runner._end
 
@@ -170,16 +154,13 @@ def test_a_third_stop_waits_for_nobody(stop):
             raise KeyboardInterrupt
 
     runner._end = interrupted_end
-    assert runner.run() == "interrupted"
-    assert _statuses() == ["interrupted"]
+    assert (runner.run(), _statuses()) == ("interrupted", ["interrupted"])
     assert {process.returncode for process in processes} == {-signal.SIGKILL}
 
 
 def test_jobs_stop_when_the_sweep_itself_is_killed():
-    request = JobRequest("train", ["wait"], [], []).line()
     job = subprocess.Popen([sys.executable, "-c", STAND_IN], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert job.stdin
-    job.stdin.write(request)
+    job.stdin.write(JobRequest("train", ["wait"], [], []).line())
     job.stdin.flush()
     out, _ = job.communicate(timeout=PATIENCE_S)
     assert json.loads(out.splitlines()[-1])["status"] == "interrupted"
@@ -197,24 +178,13 @@ def _ended(request: JobRequest, stop: StopRequest) -> tuple[int, dict]:
         return status, json.loads(lines.read().splitlines()[-1])
 
 
-def test_a_job_whose_files_have_changed_since_the_check_does_not_train(stop):
+def test_a_job_that_is_stopped_early_or_has_a_mistake_leaves_no_run_and_gives_the_reason(stop):
     status, told = _ended(_request(*SMALL, digest="another"), stop)
     assert (status, told["status"]) == (2, "failed")
     assert "have changed since the sweep was checked" in told["error"]["message"]
-    assert not Path("runs").exists()
-
-
-def test_a_job_with_a_mistake_says_it(stop):
     status, told = _ended(_request("env.num_envs=0"), stop)
-    assert status == 2
+    assert (status, told["error"]["type"]) == (2, ConfigError.__name__)
     assert told["error"]["message"].startswith("env.num_envs: 0 is out of range")
-    assert told["error"]["type"] == ConfigError.__name__
-
-
-def test_a_job_that_is_stopped_before_it_has_begun_leaves_no_run(stop):
-    from wheelleg_exp.config.composing.compose import compose
-    from wheelleg_exp.config.composing.compose_sweep import digest_of
-
     stop.requested = True
     status, told = _ended(_request(*SMALL, digest=digest_of(compose(SMALL))), stop)
     assert (status, told["status"]) == (130, "interrupted")
@@ -230,31 +200,19 @@ def swept(tmp_path_factory):
 def alone(swept, tmp_path_factory):
     """Train the second run of the sweep again, with the command in its manifest."""
     run = swept.index.run_of(swept.index.jobs[1])
-    command = json.loads((run / "manifest.json").read_text())["command"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(swept.folder.parent.parent.parent)
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        said = wheelleg(*command[1:])
-    assert said.status == 0, said.err
+        succeed(*manifest(run)["command"][1:])
     (path,) = [path for path in run.parent.iterdir() if path.name.endswith("_1_small") and path != run]
     return path
 
 
 def _files(run: Path) -> dict[str, Path]:
-    """Return the files that hold no times, and not the source: others may work in the checkout meanwhile."""
+    """Return the files that contain no times, without the source: others may work in the checkout meanwhile."""
     files = {path.relative_to(run).as_posix(): path for path in run.rglob("*") if path.is_file()}
-    return {
-        name: path
-        for name, path in files.items()
-        if name not in GROWING and ".tfevents." not in name and not name.startswith("source/")
-    }
-
-
-def _iterations(run: Path) -> list[dict]:
-    lines = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
-    for line in lines:
-        line["scalars"] = {key: value for key, value in line["scalars"].items() if not key.startswith("Perf/")}
-    return lines
+    excluded = (*GROWING, "events.out.tfevents.", "source/")
+    return {name: path for name, path in files.items() if not name.startswith(excluded)}
 
 
 @pytest.mark.train
@@ -265,51 +223,33 @@ def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swe
     assert {"model_2.pt", "exported/policy.onnx", "params/env.yaml", ".hydra/hydra.yaml"} <= set(ours)
     different = [name for name in ours if ours[name].read_bytes() != theirs[name].read_bytes()]
     # TorchScript writes a module's constants in the order of a set, which differs between processes.
-    assert [name for name in different if name != "exported/policy.pt"] == []
-    assert len(_iterations(alone)) == ITERATIONS
-    assert _iterations(of_sweep) == _iterations(alone)
+    assert ([name for name in different if name != "exported/policy.pt"], len(lines(alone))) == ([], ITERATIONS)
+    assert [without_times(a) for a in lines(of_sweep)] == [without_times(b) for b in lines(alone)]
     recorded = [entity_digests(run / "recording.rrd") for run in (of_sweep, alone)]
     assert recorded[0].keys() == recorded[1].keys()
     assert [key for key in recorded[0] if recorded[0][key] != recorded[1][key] and "Perf/" not in key] == []
+    ours, theirs = manifest(of_sweep), manifest(alone)
+    assert ours.keys() == theirs.keys()
+    same = ("task", "status", "error", "command", "working_directory", "seeds", "versions", "threads", "hardware")
+    assert [key for key in (*same, "environment_variables") if ours[key] != theirs[key]] == []
+    assert ours["threads"]["torch"] == 1
 
 
 @pytest.mark.train
-def test_every_job_computes_what_its_seed_says(swept, tmp_path_factory):
+def test_every_job_trains_a_listed_run_with_its_seed_and_the_index_has_its_results(swept, tmp_path_factory):
     zero, one = (swept.index.run_of(job) for job in swept.index.jobs)
     trained = trained_once(tmp_path_factory).run.path  # of seed 0
     model = f"model_{ITERATIONS - 1}.pt"
     assert (zero / model).read_bytes() == (trained / model).read_bytes()
     assert (zero / model).read_bytes() != (one / model).read_bytes()
-
-
-@pytest.mark.train
-def test_a_manifest_says_of_a_job_what_it_says_of_a_run(swept, alone):
-    ours, theirs = (
-        json.loads((run / "manifest.json").read_text()) for run in (swept.index.run_of(swept.index.jobs[1]), alone)
-    )
-    assert ours.keys() == theirs.keys()
-    same = ("task", "status", "error", "command", "working_directory", "seeds", "versions", "threads", "hardware")
-    assert [key for key in same if ours[key] != theirs[key]] == []
-    assert ours["environment_variables"] == theirs["environment_variables"]
-    assert ours["threads"]["torch"] == 1
-
-
-@pytest.mark.train
-def test_the_index_holds_the_figures_of_the_runs(swept):
     for job in swept.index.jobs:
-        manifest = RunDirectory.open(swept.index.run_of(job), swept.root).manifest()
-        assert job["results"] == manifest.results
-        assert job["results"]["iterations"] == ITERATIONS
+        results = RunDirectory.open(swept.index.run_of(job), swept.root).manifest().results
+        assert (job["results"], results["iterations"]) == (results, ITERATIONS)
         assert (job["status"], job["error"]) == ("finished", None)
-    one, other = swept.index.jobs  # Both jobs ran at the same time.
-    assert max(one["started"], other["started"]) < min(one["ended"], other["ended"])
-
-
-@pytest.mark.train
-def test_the_runs_are_ordinary_ones_and_the_sweep_is_none(swept):
-    runs = {swept.index.run_of(job) for job in swept.index.jobs}
+    first, other = swept.index.jobs  # Both jobs ran at the same time.
+    assert max(first["started"], other["started"]) < min(first["ended"], other["ended"])
     listed = {run.path.resolve() for run in list_runs(swept.root)}
-    assert runs <= listed
+    assert {zero, one} <= listed
     assert {path.parent.name for path in listed} == {"stand"}
     assert RunDirectory.open("latest", swept.root).path in listed
 
@@ -330,8 +270,8 @@ def test_an_interrupt_stops_the_sweep_and_keeps_what_was_trained(tmp_path, tmp_p
     out, err = job.communicate(timeout=PATIENCE_S)
     assert job.returncode == 130, err.decode()
     assert (_index()["status"], _statuses()) == ("interrupted", ["interrupted", "waiting"])
-    (run,) = (tmp_path / "runs" / "stand").iterdir()
+    run = only_run(tmp_path / "runs")
     directory = RunDirectory.open(run, tmp_path / "runs")
     assert directory.manifest().status == "interrupted"
-    assert directory.latest_checkpoint().name == f"model_{len(_iterations(run)) - 1}.pt"
+    assert directory.latest_checkpoint().name == f"model_{len(lines(run)) - 1}.pt"
     assert b"0 of 2 jobs finished" in out

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 
+import mujoco
 import pytest
 import torch
 from patience import PATIENCE_S
@@ -17,6 +18,7 @@ from wheelleg_exp.jobs import torch_threads, training_job
 from wheelleg_exp.jobs.torch_threads import set_threads, thread_notes
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE, one_thread
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.stop_request import StopRequest
 
 pytestmark = pytest.mark.slow
@@ -142,16 +144,10 @@ def test_cores_that_a_process_may_not_run_on_do_not_count():
 
 
 def test_one_core_is_one_physics_thread(monkeypatch):
-    import mujoco
-
-    from wheelleg_exp.sim.batch_engine import BatchEngine
-
-    model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
-    )
+    ball = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    model = mujoco.MjModel.from_xml_string(ball)
     monkeypatch.setattr("wheelleg_exp.sim.batch_engine.usable_cores", lambda: 1)
-    assert BatchEngine(model, 2, 0).nthread == 1
-    assert BatchEngine(model, 2, 2).nthread == 2
+    assert (BatchEngine(model, 2, 0).nthread, BatchEngine(model, 2, 2).nthread) == (1, 2)
 
 
 @pytest.mark.parametrize("threads_now", [2, 3, 4, 5])
@@ -171,8 +167,7 @@ def test_activations_that_threads_part_within_a_vector_are_told(threads_now):
             assert torch.equal(one, more) or f"{rows} x {width}" in told[envs][0]
     assert bool(told[333]) or threads_now == 2
     assert bool(told[512]) == (threads_now not in (2, 4))
-    relu = {**agent, "actor": {**layer, "activation": "relu"}}
-    assert set_threads(relu, 1, samples=24 * 333)["independent"]
+    assert set_threads({**agent, "actor": {**layer, "activation": "relu"}}, 1, samples=24 * 333)["independent"]
 
 
 XEON = "processor\t: 0\nvendor_id\t: GenuineIntel\nflags\t\t: fpu avx2 avx512f avx512dq avx512cd avx512bw avx512vl\n\n"

@@ -24,115 +24,77 @@ import yaml
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, wheelleg
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, lines, manifest, only_run, succeed, wheelleg
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.definitions import scalar_definition
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import Interrupted
+from wheelleg_exp.errors import Interrupted, SimulationFailure
+from wheelleg_exp.jobs.train import run_training, training_outputs
+from wheelleg_exp.mdp import observations
+from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl import export as export_module
 from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 pytestmark = pytest.mark.train
 
+TERMINATIONS = ("time_out", "base_contact", "leg_contact", "non_finite_state")
 ISAAC_LAB_KEYS = {
-    *(f"Episode_Termination/{term}" for term in ("time_out", "base_contact", "leg_contact", "non_finite_state")),
-    "Metrics/base_velocity/error_vel_xy",
-    "Metrics/base_velocity/error_vel_yaw",
-    "Curriculum/lin_vel_z_weight",
-    "Loss/value",
-    "Loss/surrogate",
-    "Loss/entropy",
-    "Loss/learning_rate",
-    "Policy/mean_std",
-    "Perf/total_fps",
-    "Perf/collection_time",
-    "Perf/learning_time",
-    "Train/mean_reward",
-    "Train/mean_episode_length",
+    *(f"Episode_Termination/{term}" for term in TERMINATIONS),
+    *("Metrics/base_velocity/error_vel_xy", "Metrics/base_velocity/error_vel_yaw", "Curriculum/lin_vel_z_weight"),
+    *("Loss/value", "Loss/surrogate", "Loss/entropy", "Loss/learning_rate", "Policy/mean_std"),
+    *("Perf/total_fps", "Perf/collection_time", "Perf/learning_time"),
+    *("Train/mean_reward", "Train/mean_episode_length"),
 }
-
-
-def lines(run) -> list[dict]:
-    return [json.loads(line) for line in run.iterations.read_text().splitlines()]
+FILES = "manifest.json .hydra/config.yaml .hydra/hydra.yaml .hydra/overrides.yaml params/env.yaml params/agent.yaml "
+FILES += "source/git.json environment.txt iterations.jsonl asset/asset.json asset/robot.xml asset/report.json "
+FILES += "recording.rrd exported/policy.pt exported/policy.onnx exported/policy.json"
 
 
 def checkpoints(path: Path) -> list[str]:
     return sorted(file.name for file in path.glob("model_*.pt"))
 
 
-def test_every_file_is_there(trained):
+def test_every_file_exists_in_a_folder_named_after_task_time_seed_and_name(trained):
     path = trained.run.path
-    for name in (
-        "manifest.json",
-        ".hydra/config.yaml",
-        ".hydra/hydra.yaml",
-        ".hydra/overrides.yaml",
-        "params/env.yaml",
-        "params/agent.yaml",
-        "source/git.json",
-        "environment.txt",
-        "iterations.jsonl",
-        "asset/asset.json",
-        "asset/robot.xml",
-        "asset/report.json",
-        "recording.rrd",
-        "exported/policy.pt",
-        "exported/policy.onnx",
-        "exported/policy.json",
-    ):
-        assert (path / name).is_file(), name
-        assert (path / name).stat().st_size > 0, name
+    assert [name for name in FILES.split() if not (path / name).is_file() or not (path / name).stat().st_size] == []
     assert checkpoints(path) == [f"model_{k}.pt" for k in range(ITERATIONS)]
-    assert len(list(path.glob("events.out.tfevents.*"))) == 1
-    assert not list(path.rglob("*.tmp"))
-
-
-def test_the_name_tells_task_time_seed_and_name(trained):
-    path = trained.run.path
+    assert (len(list(path.glob("events.out.tfevents.*"))), list(path.rglob("*.tmp"))) == (1, [])
     assert path.parent.name == "stand"
     time.strptime(path.name.removesuffix("_0_small"), "%Y-%m-%d_%H-%M-%S")
 
 
-def test_the_manifest_tells_how_it_went(trained):
-    data = json.loads((trained.run.path / "manifest.json").read_text())
+def test_the_manifest_describes_the_end_and_has_the_sha256_of_every_other_file(trained):
+    path, data = trained.run.path, manifest(trained.run.path)
     assert (data["status"], data["error"], data["task"], data["seeds"]) == ("finished", None, "stand", [0])
-    assert data["results"]["iterations"] == ITERATIONS
-    assert data["results"]["checkpoint"] == f"model_{ITERATIONS - 1}.pt"
+    assert (data["results"]["iterations"], data["results"]["checkpoint"]) == (ITERATIONS, f"model_{ITERATIONS - 1}.pt")
     assert data["threads"]["torch"] == data["threads"]["physics"] == 1
     assert data["ended"] >= data["started"]
-
-
-def test_the_manifest_holds_the_sha256_of_every_other_file(trained):
-    path = trained.run.path
-    recorded = json.loads((path / "manifest.json").read_text())["files"]
     present = {str(f.relative_to(path)) for f in path.rglob("*") if f.is_file()}
-    assert present - set(recorded) <= {"manifest.json", ".lock", ".manifest.lock"}
-    for name, record in recorded.items():
-        data = (path / name).read_bytes()
-        assert record == {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}, name
+    assert present - set(data["files"]) <= {"manifest.json", ".lock", ".manifest.lock"}
+    for name, record in data["files"].items():
+        content = (path / name).read_bytes()
+        assert record == {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}, name
 
 
 def test_hydras_files_compose_the_same_config_again(trained):
-    overrides = yaml.safe_load((trained.run.hydra / "overrides.yaml").read_text())
-    config = yaml.safe_load((trained.run.hydra / "config.yaml").read_text())
+    overrides, config = (yaml.safe_load((trained.run.hydra / f"{x}.yaml").read_text()) for x in ("overrides", "config"))
     composed = compose(overrides).config
     assert composed["env"] == yaml.safe_load((trained.run.params / "env.yaml").read_text())
-    assert composed["seed"] == config["seed"]
-    assert f"env.num_envs={NUM_ENVS}" in overrides
+    assert (composed["seed"], f"env.num_envs={NUM_ENVS}" in overrides) == (config["seed"], True)
 
 
-def test_the_robot_is_kept_with_the_hash_of_its_sources(trained):
-    kept = json.loads((trained.run.asset / "asset.json").read_text())
-    assert kept["source"] == "wheelleg/wheelleg.usda"
-    from wheelleg_exp.paths import assets_dir
-
-    for name, digest in kept["sources"].items():
+def test_the_robot_is_stored_with_the_hash_of_its_sources(trained):
+    identity = json.loads((trained.run.asset / "asset.json").read_text())
+    assert (identity["source"], "wheelleg.usda" in identity["sources"]) == ("wheelleg/wheelleg.usda", True)
+    for name, digest in identity["sources"].items():
         assert hashlib.sha256((assets_dir() / "wheelleg" / name).read_bytes()).hexdigest() == digest
-    assert "wheelleg.usda" in kept["sources"]
 
 
 @pytest.fixture(scope="module")
@@ -146,10 +108,8 @@ def rebuilt(trained, params):
     return ManagerBasedRLEnv(params[0], trained.run.asset / "robot.xml", 0)
 
 
-def test_the_parameters_build_the_same_environment(trained, rebuilt, tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        original = build_env(compose(["task=stand", *SMALL]).config)
+def test_the_parameters_build_the_same_environment(trained, rebuilt):
+    original = build_env(compose(["task=stand", *SMALL]).config)
     kept = json.loads((trained.run.asset / "asset.json").read_text())["model_sha256"]
     assert rebuilt.scene.model_digest() == original.scene.model_digest() == kept
     first, second = rebuilt.reset(seed=0)[0], original.reset(seed=0)[0]
@@ -159,35 +119,28 @@ def test_the_parameters_build_the_same_environment(trained, rebuilt, tmp_path_fa
 def test_the_parameters_and_a_checkpoint_build_the_exported_policy(trained, params, rebuilt):
     adapter = RslRlVecEnv(rebuilt)
     policy = load_policy(trained.run.latest_checkpoint(), adapter, params[1])
-    observations = adapter.get_observations()
+    seen = adapter.get_observations()
     with torch.no_grad():
-        expected = policy(observations).numpy()
+        expected = policy(seen).numpy()
     session = onnxruntime.InferenceSession(trained.run.exported / "policy.onnx")
-    (found,) = session.run(None, {session.get_inputs()[0].name: observations["policy"].numpy()})
+    (found,) = session.run(None, {session.get_inputs()[0].name: seen["policy"].numpy()})
     np.testing.assert_allclose(found, expected, atol=1e-5)
-    scripted = torch.jit.load(trained.run.exported / "policy.pt")(observations["policy"])
+    scripted = torch.jit.load(trained.run.exported / "policy.pt")(seen["policy"])
     np.testing.assert_allclose(scripted.detach().numpy(), expected, atol=1e-5)
     assert json.loads((trained.run.exported / "policy.json").read_text())["iteration"] == ITERATIONS - 1
 
 
-def test_checkpoints_are_those_of_their_iteration(trained):
-    for k in range(ITERATIONS):
-        assert checkpoint.load(trained.run.checkpoint(k))["iter"] == k
-
-
-def test_there_is_one_line_an_iteration(trained):
-    found = lines(trained.run)
+def test_each_iteration_has_a_line_with_defined_scalars_and_the_digests_of_its_checkpoint(trained):
+    found = lines(trained.run.path)
     assert [line["iteration"] for line in found] == list(range(ITERATIONS))
-    names = {"parameters", "optimizer", "environment", "streams", "log", "rest"}
-    assert [set(line["digests"]) for line in found] == [names] * ITERATIONS
-    for part in ("parameters", "optimizer", "environment", "streams", "log"):
-        assert len({line["digests"][part] for line in found}) == ITERATIONS, part
-
-
-def test_the_digests_can_be_computed_again_from_the_checkpoint(trained):
-    for line in lines(trained.run):
-        assert line["digest_format"] == digests.FORMAT
-        assert line["digests"] == digests.of_state(checkpoint.load(trained.run.checkpoint(line["iteration"])))
+    names = ("parameters", "optimizer", "environment", "streams", "log")
+    assert [set(line["digests"]) for line in found] == [{*names, "rest"}] * ITERATIONS
+    assert [part for part in names if len({line["digests"][part] for line in found}) != ITERATIONS] == []
+    for line in found:
+        state = checkpoint.load(trained.run.checkpoint(line["iteration"]))
+        assert state["iter"] == line["iteration"]
+        assert (line["digest_format"], line["digests"]) == (digests.FORMAT, digests.of_state(state))
+        assert [key for key in line["scalars"] if scalar_definition(key) is None] == []
 
 
 def test_tensorboard_reads_isaac_labs_keys(trained):
@@ -199,13 +152,8 @@ def test_tensorboard_reads_isaac_labs_keys(trained):
     assert set(events.Tags()["scalars"]) >= keys
     for key in keys:
         assert [point.step for point in events.Scalars(key)] == list(range(ITERATIONS)), key
-    written = [line["scalars"]["Train/mean_reward"] for line in lines(trained.run)]
+    written = [line["scalars"]["Train/mean_reward"] for line in lines(trained.run.path)]
     assert [p.value for p in events.Scalars("Train/mean_reward")] == pytest.approx(written, rel=1e-6)
-
-
-def test_every_scalar_has_a_definition(trained):
-    for line in lines(trained.run):
-        assert [key for key in line["scalars"] if scalar_definition(key) is None] == []
 
 
 def test_the_manifest_counts_each_environment_s_last_episode_once(trained):
@@ -215,68 +163,42 @@ def test_the_manifest_counts_each_environment_s_last_episode_once(trained):
     assert sum(n for name, n in counts.items() if "time_out" in name) == int(state[0].sum())
 
 
-def test_the_recording_holds_the_samples_that_were_asked_for(trained):
+def test_the_recording_contains_the_requested_samples_and_the_training_curves(trained):
     recording = Recording(trained.run.recording)
     table = recording.table("base/height")
     assert table.column("step").to_pylist() == [*range(1, 37), *range(55, 73)]
     assert table.column("iteration").to_pylist() == [0] * 24 + [1] * 12 + [2] * 18
-
-
-def test_the_recording_holds_the_training_curves(trained):
-    recording = Recording(trained.run.recording)
-    written = [line["scalars"]["Loss/value"] for line in lines(trained.run)]
+    written = [line["scalars"]["Loss/value"] for line in lines(trained.run.path)]
     assert recording.values("training/Loss/value").ravel().tolist() == pytest.approx(written)
     assert "num_envs: 16" in (recording.document("config") or "")
 
 
-def only_run(root: Path) -> Path:
-    (path,) = (root / "stand").iterdir()
-    return path
+def status_of(path: Path) -> str:
+    return manifest(path)["status"]
 
 
-def status_of(path: Path) -> tuple[str, dict | None]:
-    data = json.loads((path / "manifest.json").read_text())
-    return data["status"], data["error"]
-
-
-@pytest.fixture
-def observations_fail(monkeypatch):
-    """Make the angular velocity of one environment NaN from the second iteration on."""
-    from wheelleg_exp.mdp import observations
-
-    function, calls = observations.base_ang_vel, []
+def test_a_run_whose_observations_become_nan_fails(tmp_path, monkeypatch):
+    function = observations.base_ang_vel
 
     @functools.wraps(function)
     def spoiled(env):
-        calls.append(None)
         value = function(env).clone()
-        if env.common_step_counter > 30:
+        if env.common_step_counter > 30:  # in the second iteration
             value[3] = float("nan")
         return value
 
     monkeypatch.setattr(observations, "base_ang_vel", spoiled)
-
-
-def test_a_run_that_goes_to_nan_fails(tmp_path, observations_fail):
     said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
-    assert said.status == 3
-    message = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
-    assert len(message) == 1
-    assert "policy" in message[0]
+    (message,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert "policy" in message
     assert "Traceback" not in said.err
     path = only_run(tmp_path)
-    status, error = status_of(path)
-    assert status == "failed"
-    assert error["type"] == "SimulationFailure"
-    assert checkpoints(path) == ["model_0.pt"]
-    assert len(lines(RunDirectory.open(path, tmp_path))) == 1
+    assert (said.status, status_of(path), len(lines(path))) == (3, "failed", 1)
+    assert (manifest(path)["error"]["type"], checkpoints(path)) == ("SimulationFailure", ["model_0.pt"])
     Recording(path / "recording.rrd")
 
 
 def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
-    from wheelleg_exp.errors import SimulationFailure
-    from wheelleg_exp.sim.batch_engine import BatchEngine
-
     step, calls = BatchEngine.step, []
 
     def broken(self):
@@ -287,13 +209,8 @@ def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
 
     monkeypatch.setattr(BatchEngine, "step", broken)
     said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
-    assert said.status == 3
+    assert (said.status, status_of(only_run(tmp_path))) == (3, "failed")
     assert "physics failed: row 3" in said.err
-    assert status_of(only_run(tmp_path))[0] == "failed"
-
-
-def _break_the_manifest(path):
-    (path / "manifest.json").write_text("[" * 100_000)
 
 
 def _close_the_folder(path):
@@ -303,16 +220,14 @@ def _close_the_folder(path):
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "message"),
     [
         (shutil.rmtree, "was removed while it was written"),
-        (_break_the_manifest, "broken JSON: the text is nested too deeply"),
+        (lambda path: (path / "manifest.json").write_text("[" * 100_000), "broken JSON: the text is nested too deeply"),
         (_close_the_folder, "cannot write"),
     ],
 )
-def test_a_run_directory_that_goes_bad_while_it_is_written_fails_the_run(tmp_path, monkeypatch, damage, said):
-    from wheelleg_exp.jobs.train import training_outputs
-
+def test_a_run_directory_that_is_damaged_during_the_training_fails_the_run(tmp_path, monkeypatch, damage, message):
     write = training_outputs.Outputs.checkpoint
 
     def spoiled(self, iteration):
@@ -323,44 +238,31 @@ def test_a_run_directory_that_goes_bad_while_it_is_written_fails_the_run(tmp_pat
     monkeypatch.setattr(training_outputs.Outputs, "checkpoint", spoiled)
     told = wheelleg("train", *SMALL, "agent.max_iterations=2", "recording.enabled=false", f"run.root={tmp_path}")
     assert told.status == 3, told.err
-    (message,) = [line for line in told.err.splitlines() if line.startswith("wheelleg: error: ")]
-    assert said in message
+    (error,) = [line for line in told.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert message in error
     assert not list(tmp_path.glob("stand/*/model_1.pt")) or damage is not shutil.rmtree
 
 
-def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monkeypatch):
-    from wheelleg_exp.rl.trainer import Trainer
-
-    def interrupted(self):
-        raise Interrupted
-
-    monkeypatch.setattr(Trainer, "_collect", interrupted)
-    said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
-    assert said.status == 130
-    path = only_run(tmp_path)
-    assert status_of(path)[0] == "interrupted"
-    assert checkpoints(path) == []
-
-
-def test_an_interrupt_during_the_export_is_no_failure(tmp_path, monkeypatch):
-    from wheelleg_exp.jobs.train import run_training
-
+@pytest.mark.parametrize(
+    ("owner", "name", "left"),
+    [(Trainer, "_collect", []), (run_training, "export_policy", ["model_0.pt"])],
+    ids=["before the first iteration", "during the export"],
+)
+def test_an_interrupt_is_no_failure(tmp_path, monkeypatch, owner, name, left):
     def interrupted(*_):
         raise Interrupted
 
-    monkeypatch.setattr(run_training, "export_policy", interrupted)
-    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
-    assert said.status == 130
-    assert status_of(only_run(tmp_path))[0] == "interrupted"
+    monkeypatch.setattr(owner, name, interrupted)
+    assert wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}").status == 130
+    path = only_run(tmp_path)
+    assert (status_of(path), checkpoints(path)) == ("interrupted", left)
 
 
 def test_a_policy_that_cannot_be_exported_is_told_in_one_line_with_its_key(tmp_path, monkeypatch):
-    from wheelleg_exp.rl import export
-
     def refuses(_policy):
         raise TypeError("missing a required argument: 'h_in'\n\nand a report of many lines")
 
-    monkeypatch.setattr(export, "onnx", refuses)
+    monkeypatch.setattr(export_module, "onnx", refuses)
     said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     assert said.status == 3
     (error,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
@@ -376,20 +278,14 @@ def test_handlers_of_signals_come_back(trained):
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
     """Return exit status, run, and output of three long trainings, each stopped by a signal."""
-    environment = {**os.environ, "WHEELLEG_CACHE": str(cache_of(tmp_path_factory))}
     processes = {}
     master, slave = os.openpty()
     os.set_blocking(master, False)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         root = tmp_path_factory.mktemp(number.name)
         words = [*SMALL, "agent.max_iterations=100000", "agent.save_interval=1000", f"run.root={root}"]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *words],
-            **_streams(number, slave),
-            text=True,
-            cwd=root,
-            env=environment,
-        )
+        command = [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *words]
+        process = subprocess.Popen(command, **_streams(number, slave), text=True, cwd=root)
         processes[number] = (process, root)
     os.close(slave)
     answers = {}
@@ -433,39 +329,24 @@ def _signal_each_after(processes: dict, terminal: int, iterations: int) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_training_after_its_iteration(stopped, number):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_or_a_closed_terminal_stops_the_training_after_its_iteration(stopped, number):
     status, path, _, err = stopped[number]
-    assert status == 130, err
-    assert status_of(path)[0] == "interrupted"
+    assert (status, status_of(path)) == (130, "interrupted"), err
     run = RunDirectory.open(path, path.parent.parent)
-    done = [line["iteration"] for line in lines(run)]
-    assert done == list(range(len(done)))
-    assert checkpoint.load(run.latest_checkpoint())["iter"] == done[-1]
-    assert "interrupted" in err
-    assert run.latest_checkpoint().name in err
+    done = [line["iteration"] for line in lines(path)]
+    assert (done, checkpoint.load(run.latest_checkpoint())["iter"]) == (list(range(len(done))), done[-1])
+    findings = run.manifest().compare_files()
+    assert not findings, findings
+    Recording(path / "recording.rrd")
+    newest = max(path.glob("model_*.pt"), key=lambda p: p.stat().st_mtime)
+    assert manifest(path)["results"]["checkpoint"] == newest.name
+    if number is signal.SIGHUP:  # The process had no terminal left for messages.
+        return
+    assert [word for word in ("interrupted", run.latest_checkpoint().name) if word not in err] == []
     assert f"resume {path.relative_to(path.parents[1].parent)}" in err or "resume stand" in err
     assert "Traceback" not in err
 
 
-def test_a_closed_terminal_stops_the_training_after_its_iteration(stopped):
-    status, path, _, _ = stopped[signal.SIGHUP]
-    assert (status, status_of(path)[0]) == (130, "interrupted")
-    run = RunDirectory.open(path, path.parent.parent)
-    assert checkpoint.load(run.latest_checkpoint())["iter"] == lines(run)[-1]["iteration"]
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stopped_runs_files_are_whole(stopped, number):
-    _, path, _, _ = stopped[number]
-    findings = RunDirectory.open(path, path.parent.parent).manifest().compare_files()
-    assert not findings, findings
-    Recording(path / "recording.rrd")
-    results = json.loads((path / "manifest.json").read_text())["results"]
-    assert results["checkpoint"] == sorted(path.glob("model_*.pt"), key=lambda p: p.stat().st_mtime)[-1].name
-
-
 def test_a_stopped_run_can_be_played(stopped):
-    _, path, _, _ = stopped[signal.SIGINT]
-    said = wheelleg("play", path, "env.num_envs=2", "recording.enabled=false")
-    assert said.status == 0, said.err
+    succeed("play", stopped[signal.SIGINT][1], "env.num_envs=2", "recording.enabled=false")

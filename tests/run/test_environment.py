@@ -59,10 +59,15 @@ def test_the_text_is_the_same_twice_and_reads_as_requirements():
             Requirement(line.split("  #")[0])
 
 
-def test_variables_that_change_numbers_are_kept_and_others_are_not():
+def test_variables_that_change_numbers_or_that_a_config_requests_are_stored_unless_they_look_secret():
     environ = {"MKL_CBWR": "AVX2", "OMP_NUM_THREADS": "1", "ATEN_CPU_CAPABILITY": "avx2", "PYTHONHASHSEED": "0"}
     other = {"HOME": "/x", "AWS_SECRET_ACCESS_KEY": "k", "WHEELLEG_TOKEN": "t", "MY_OMP_X": "1"}
     assert environment.variables({**environ, **other}) == dict(sorted(environ.items()))
+    texts = ["a: ${oc.env:SPEED}\nb: ${oc.env:MY_TOKEN,x}\n", "c: '${ oc.env: SPEED, 3 } ${oc.decode:${oc.env:MASS}}'"]
+    requested = environment.requested_variables(texts)
+    assert requested == ["MASS", "MY_TOKEN", "SPEED"]
+    values = {"SPEED": "3", "MY_TOKEN": "t", "OTHER": "x", "OMP_X": "1"}
+    assert environment.variables(values, also=requested) == {"SPEED": "3", "OMP_X": "1"}
 
 
 @pytest.mark.parametrize(
@@ -79,27 +84,15 @@ def test_a_variable_that_can_change_a_result_shows(name):
     assert environment.variables({name: "a"}) != environment.variables({name: "b"})
 
 
-def test_what_a_config_requests_counts_unless_its_name_says_secret():
-    texts = ["a: ${oc.env:SPEED}\nb: ${oc.env:MY_TOKEN,x}\n", "c: '${ oc.env: SPEED, 3 } ${oc.decode:${oc.env:MASS}}'"]
-    asked = environment.requested_variables(texts)
-    assert asked == ["MASS", "MY_TOKEN", "SPEED"]
-    values = {"SPEED": "3", "MY_TOKEN": "t", "OTHER": "x", "OMP_X": "1"}
-    assert environment.variables(values, also=asked) == {"SPEED": "3", "OMP_X": "1"}
-
-
 @pytest.mark.parametrize("key", ["cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])
 def test_another_processor_or_container_shows(key, tmp_path, monkeypatch):
     before = environment.hardware()
-    info = CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile")
-    (tmp_path / "cpuinfo").write_text(info)
+    (tmp_path / "cpuinfo").write_text(CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile"))
+    backends = SimpleNamespace(cpu=SimpleNamespace(get_cpu_capability=lambda: "ANOTHER"))
     monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpuinfo")
     monkeypatch.setattr(environment, "usable_cores", lambda: 1000)
-    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=Backends))
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=backends))
     assert environment.hardware().get(key) != before.get(key)
-
-
-class Backends:
-    cpu = SimpleNamespace(get_cpu_capability=lambda: "ANOTHER")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file")
@@ -110,17 +103,15 @@ def test_the_cpu_is_read_from_the_first_block(tmp_path, monkeypatch):
     assert before["cores"] == os.cpu_count()
     json.dumps(before)
     (tmp_path / "cpuinfo").write_text(CPUINFO)
-    facts = environment.hardware()
-    assert facts["cpu"] == "AMD EPYC"
-    assert (facts["cpu_family"], facts["cpu_model"], facts["cpu_stepping"]) == ("26", "2", "1")
-    assert facts["cpu_flags"] == ["avx", "avx2", "avx512_bf16", "fma"]
+    facts = {"cpu": "AMD EPYC", "cpu_family": "26", "cpu_model": "2", "cpu_stepping": "1"}
+    facts["cpu_flags"] = ["avx", "avx2", "avx512_bf16", "fma"]
+    assert environment.hardware().items() >= facts.items()
 
 
 def test_an_absent_distribution_has_no_version(monkeypatch):
     monkeypatch.setattr(environment, "_DISTRIBUTIONS", ("wheelleg_exp", "no-such-thing"))
     found = environment.versions()
-    assert found["no-such-thing"] is None
-    assert found["wheelleg_exp"]
+    assert (found["no-such-thing"], bool(found["wheelleg_exp"])) == (None, True)
 
 
 def test_the_part_loads_neither_torch_nor_mujoco():

@@ -20,24 +20,23 @@ def test_a_file_and_its_missing_folders_are_written_and_no_temporary_file_stays(
     files.write_text(path, "größe\n")
     assert path.read_bytes() == "größe\n".encode()
     files.write_bytes(path, memoryview(b"new"))
-    assert path.read_bytes() == b"new"
-    assert [p.name for p in path.parent.iterdir()] == ["c.txt"]
+    assert (path.read_bytes(), [p.name for p in path.parent.iterdir()]) == (b"new", ["c.txt"])
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        files.write_text(path / "x" / "y.txt", "")  # A parent is a file.
 
 
 def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path):
     path = tmp_path / "model.pt"
     files.write_bytes(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(
-        resource.RLIMIT_FSIZE, (1_000_000, hard)
-    )  # The kernel refuses larger files, like a full disk does.
+    # The kernel refuses larger files, like a full disk does.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
     try:
         with pytest.raises(SimulationFailure, match=r"cannot write '.*model\.pt'") as caught:
             files.write_bytes(path, bytes(2_000_000))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert caught.value.exit_code == 3
-    assert path.read_bytes() == b"old"
+    assert (caught.value.exit_code, path.read_bytes()) == (3, b"old")
     assert [p.name for p in tmp_path.iterdir()] == ["model.pt"]
 
 
@@ -63,23 +62,10 @@ def test_a_full_disk_fails_the_run_and_a_missing_permission_is_wrong_input(code,
     assert error.exit_code == status
 
 
-def test_a_file_where_a_folder_should_be_is_told_to_people(tmp_path):
-    (tmp_path / "runs").write_text("a file")
-    with pytest.raises(RunDirectoryError, match="cannot write"):
-        files.write_text(tmp_path / "runs" / "x" / "y.txt", "")
-
-
 def test_json_takes_numpy_scalars_arrays_paths_nan_and_odd_names(tmp_path):
     name, nan = os.fsdecode(b"\xff.txt"), [float("nan"), float("inf"), -np.float64("inf")]
-    value = {
-        "a": np.float32(0.5),
-        "b": np.arange(3),
-        "c": Path("x/y"),
-        "d": np.int64(7),
-        "e": (1, 2),
-        "f": nan,
-        "g": name,
-    }
+    value = {"a": np.float32(0.5), "b": np.arange(3), "c": Path("x/y"), "d": np.int64(7)}
+    value |= {"e": (1, 2), "f": nan, "g": name}
 
     def refuse(word):
         raise AssertionError(word)
@@ -116,8 +102,6 @@ BROKEN_YAML = {
     "a reference to itself": b"a: &x [*x]",
     "what grows without bound": b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
 }
-
-
 CASES = [("x.json", content) for content in BROKEN_JSON.values()] + [("x.yaml", x) for x in BROKEN_YAML.values()]
 
 
@@ -130,29 +114,26 @@ def test_a_foreign_file_is_read_or_told(tmp_path, name, content):
     assert caught.value.exit_code == 2
 
 
-def test_broken_text_is_told_with_its_line(tmp_path):
-    (tmp_path / "x.json").write_text('{\n "a": 1,\n oops\n}')
-    with pytest.raises(RunDirectoryError, match=r"broken JSON.*x\.json:3"):
-        files.read_json(tmp_path / "x.json")
-    (tmp_path / "x.yaml").write_text("a: 1\nb: [1, 2\nc: 3\n")
-    with pytest.raises(RunDirectoryError, match=r"broken YAML.*x\.yaml:3"):
-        files.read_yaml(tmp_path / "x.yaml")
+@pytest.mark.parametrize(("name", "text"), [("x.json", '{\n "a": 1,\n oops\n}'), ("x.yaml", "a: 1\nb: [1, 2\nc: 3\n")])
+def test_broken_text_is_reported_with_its_line(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RunDirectoryError, match=rf"broken {name[2:].upper()}.*{name}:3"):
+        (files.read_json if name == "x.json" else files.read_yaml)(tmp_path / name)
 
 
 def test_sha256_is_that_of_the_content(tmp_path):
-    (tmp_path / "x").write_bytes(b"abc")
-    # FIPS 180-2, appendix B.1
-    assert files.sha256(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-    (tmp_path / "big").write_bytes(bytes(3_000_000))
-    assert files.sha256(tmp_path / "big") == hashlib.sha256(bytes(3_000_000)).hexdigest()
+    # The first digest is from FIPS 180-2, appendix B.1.
+    expected = {b"abc": "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"}
+    for content, digest in (expected | {bytes(3_000_000): hashlib.sha256(bytes(3_000_000)).hexdigest()}).items():
+        (tmp_path / "x").write_bytes(content)
+        assert files.sha256(tmp_path / "x") == digest
 
 
-def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refused_unread(tmp_path):
+def test_a_file_above_the_size_limit_is_refused_without_being_read(tmp_path):
     path = tmp_path / "x"
     path.write_bytes(b"abc")
     tracemalloc.start()
-    assert files.read_bytes(path, 3) == b"abc"
-    assert files.read_text(path) == "abc"
+    assert (files.read_bytes(path, 3), files.read_text(path)) == (b"abc", "abc")
     os.truncate(path, (64 << 20) + 1)  # A sparse file uses no space on the disk.
     with pytest.raises(RunDirectoryError, match="has more than 64 MiB") as caught:
         files.read_bytes(path, 64 << 20)
@@ -160,10 +141,7 @@ def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refus
     tracemalloc.stop()
     assert most < 1 << 20
     assert caught.value.key == str(path)
-
-
-def test_a_file_that_tells_no_size_is_read_whole_and_not_beyond_the_largest():
-    system = Path("/proc/self/status")  # its size is 0
+    system = Path("/proc/self/status")  # Its size is 0.
     assert b"Threads" in files.read_bytes(system)
     with pytest.raises(RunDirectoryError, match="has more than"):
         files.read_bytes(system, 10)

@@ -42,10 +42,8 @@ def test_runs_of_all_tasks_are_listed_newest_first(make_run, tmp_path):
     (tmp_path / "runs" / "walk" / "notes").mkdir()
     (tmp_path / "runs" / "README.md").write_text("")
     found = list_runs(tmp_path / "runs")
-    assert [s.id for s in found] == [b.id, c.id, a.id]
-    assert [s.task for s in found] == ["stand", "walk", "walk"]
-    assert [s.status for s in found] == ["running", "finished", "running"]
-    assert found[1].results == {"survival": 1.0}
+    assert ([s.id for s in found], [s.task for s in found]) == ([b.id, c.id, a.id], ["stand", "walk", "walk"])
+    assert ([s.status for s in found], found[1].results) == (["running", "finished", "running"], {"survival": 1.0})
     assert found[1].seeds == (3,)
 
 
@@ -66,15 +64,17 @@ def test_a_run_has_crashed_if_its_process_has_ended(make_run, tmp_path, dead_pid
     assert [s.status for s in list_runs(tmp_path / "runs")] == ["finished"]
 
 
-def test_a_damaged_run_is_listed_with_its_problem(make_run, tmp_path):
+def test_a_run_with_a_broken_or_missing_manifest_is_listed_as_damaged(make_run, tmp_path):
     make_run(now=START)
-    damaged = make_run(now=START + timedelta(hours=1))
-    (damaged.path / "manifest.json").write_text("{")
-    first, second = list_runs(tmp_path / "runs")
-    assert (first.status, second.status) == ("damaged", "running")
-    assert "broken JSON" in first.problem
-    # The folder's name contains the start in local time, in whole seconds.
-    assert first.started == START + timedelta(hours=1)
+    for hours in (1, 2):
+        make_run(now=START + timedelta(hours=hours))
+    without, broken = (path / "manifest.json" for path in sorted((tmp_path / "runs" / "walk").iterdir())[:0:-1])
+    broken.write_text("{")
+    without.unlink()
+    *damaged, whole = list_runs(tmp_path / "runs")
+    assert [(s.status, s.started) for s in damaged] == [("damaged", START + timedelta(hours=n)) for n in (2, 1)]
+    assert ("has no manifest.json" in damaged[0].problem, "broken JSON" in damaged[1].problem) == (True, True)
+    assert whole.status == "running"
 
 
 def written(run, iterations, *, checkpoints=(), total=10, cut=""):
@@ -88,7 +88,7 @@ def written(run, iterations, *, checkpoints=(), total=10, cut=""):
     return run
 
 
-def test_how_far_a_crashed_run_came_is_told_from_the_end_of_its_lines(make_run, tmp_path, dead_pid):
+def test_a_crashed_run_is_listed_with_its_progress_from_the_end_of_its_log(make_run, tmp_path, dead_pid):
     run = written(make_run(name="mine"), 7, checkpoints=(0, 5), cut='{"iteration": 7, "sca')
     set_process(run, pid=dead_pid)
     (found,) = list_runs(tmp_path / "runs")
@@ -96,6 +96,9 @@ def test_how_far_a_crashed_run_came_is_told_from_the_end_of_its_lines(make_run, 
     assert (found.iterations, found.max_iterations, found.checkpoint, found.resumable) == (7, 10, 5, True)
     assert found.figures == {"return": 1.5, "episode_length": 30.0, "time_out": 0.25}
     assert found.seconds is not None
+    written(run, 10, checkpoints=(9,))  # The process was killed during the export.
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.iterations, found.max_iterations, found.resumable) == ("crashed", 10, 10, True)
 
 
 def test_how_long_a_resumed_run_took_leaves_out_the_pauses(make_run, tmp_path):
@@ -127,9 +130,7 @@ def test_how_long_a_resumed_run_took_leaves_out_the_pauses(make_run, tmp_path):
         ("finished", 10, 5, True),  # The last checkpoint is lost.
     ],
 )
-def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(
-    make_run, tmp_path, end, iterations, checkpoint, resumable
-):
+def test_only_runs_that_stopped_early_can_be_resumed(make_run, tmp_path, end, iterations, checkpoint, resumable):
     run = written(make_run(), iterations, checkpoints=(checkpoint,))
     if end is not None:
         run.manifest().finish(end, {"iterations": iterations}, "disk full" if end == "failed" else None)
@@ -138,17 +139,9 @@ def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(
     assert found.problem == ("disk full" if end == "failed" else None)
 
 
-def test_a_run_that_was_killed_while_exporting_can_be_resumed(make_run, tmp_path, dead_pid):
-    set_process(written(make_run(), 10, checkpoints=(9,)), pid=dead_pid)
-    (found,) = list_runs(tmp_path / "runs")
-    assert (found.status, found.iterations, found.max_iterations, found.resumable) == ("crashed", 10, 10, True)
-
-
 @pytest.mark.parametrize("iterations", [0, 2])
 @pytest.mark.parametrize("lacks", [None, *NEEDED])
-def test_without_a_checkpoint_a_run_begins_again_if_what_it_needs_is_there(
-    make_run, tmp_path, dead_pid, iterations, lacks
-):
+def test_a_run_without_a_checkpoint_restarts_if_its_files_exist(make_run, tmp_path, dead_pid, iterations, lacks):
     run = written(make_run(), iterations)
     for name in NEEDED:
         (run.path / name).parent.mkdir(exist_ok=True)
@@ -171,27 +164,15 @@ def test_what_a_play_found_and_what_was_exported_stands_beside(make_run, tmp_pat
     assert (found.played, found.bundles) == ({"survival": 1.0}, ("exported/bundle", "exported/bundle-2"))
 
 
-def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_path):
-    run = make_run(now=START)
-    (run.path / "manifest.json").unlink()
-    (found,) = list_runs(tmp_path / "runs")
-    assert (found.status, found.started) == ("damaged", START)
-    assert "has no manifest.json" in found.problem
-
-
 def test_listing_costs_by_the_number_of_runs_and_not_by_their_length(make_run, tmp_path):
-    def effort() -> int:
-        return bytecodes(lambda: list_runs(tmp_path / "runs"))
-
     first = written(make_run(), 10, checkpoints=(0, 5, 9))
     first.manifest().finish("finished", {"iterations": 10})
-    effort()  # The first call imports and compiles modules.
-    one = effort()
+    # The first call imports and compiles modules.
+    _, one = (bytecodes(lambda: list_runs(tmp_path / "runs")) for _ in range(2))
     for number in range(49):
         shutil.copytree(first.path, first.path.parent / f"2026-01-01_00-00-00_{number}")
     assert len(list_runs(tmp_path / "runs")) == 50
-    assert effort() < 51 * one
-
+    assert bytecodes(lambda: list_runs(tmp_path / "runs")) < 51 * one
     written(first, 30_000)  # The iteration log has about 4 MB.
     tracemalloc.start()
     summarize(first.path)

@@ -27,12 +27,8 @@ def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
     monkeypatch.setenv("WHEELLEG_API_TOKEN", "hidden")
     begin(tmp_path)
     data = on_disk(tmp_path)
-    assert data["format"] == 2
-    assert data["status"] == "running"
-    assert data["command"] == ["wheelleg", "train"]
-    assert data["seeds"] == [3]
-    assert data["threads"] == {"torch": 2}
-    assert data["process"]["pid"] == os.getpid()
+    assert (data["format"], data["status"], data["command"]) == (2, "running", ["wheelleg", "train"])
+    assert (data["seeds"], data["threads"], data["process"]["pid"]) == ([3], {"torch": 2}, os.getpid())
     assert data["environment_variables"]["MKL_CBWR"] == "AVX2,STRICT"
     assert "hidden" not in json.dumps(data)
     assert data["versions"]["mujoco"].startswith("4.")
@@ -42,32 +38,36 @@ def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
     assert abs(datetime.now(UTC) - started) < timedelta(minutes=1)
 
 
-def test_a_second_run_cannot_begin_in_the_same_directory(tmp_path):
-    begin(tmp_path)
-    with pytest.raises(RunDirectoryError, match="already contains a run"):
-        begin(tmp_path)
+def test_a_second_run_in_the_directory_and_a_file_outside_of_it_are_refused(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (tmp_path / "x").write_text("")
+    manifest = begin(run)
+    for message, refused in (
+        ("already contains a run", lambda: begin(run)),
+        ("outside", lambda: manifest.add("play", [tmp_path / "x"])),
+        ("cannot read", lambda: manifest.add("play", [run / "missing"])),
+    ):
+        with pytest.raises(RunDirectoryError, match=message):
+            refused()
+    assert on_disk(run)["additions"] == []
 
 
 def test_the_end_lists_every_other_file_with_its_digest(tmp_path):
-    (tmp_path / "params").mkdir()
-    (tmp_path / "params" / "env.yaml").write_bytes(b"a: 1\n")
+    for folder in ("params", ".hydra"):
+        (tmp_path / folder).mkdir()
+    listed = {".hydra/config.yaml": b"", "model_9.pt": b"weights", "params/env.yaml": b"a: 1\n"}
+    (tmp_path / "params" / "env.yaml").write_bytes(listed["params/env.yaml"])
     manifest = begin(tmp_path)
     assert list(on_disk(tmp_path)["files"]) == ["params/env.yaml"]
-    (tmp_path / "model_9.pt").write_bytes(b"weights")
-    (tmp_path / ".hydra").mkdir()
-    (tmp_path / ".hydra" / "config.yaml").write_bytes(b"")
-    (tmp_path / ".model_19.pt.0123.tmp").write_bytes(b"half")
-    (tmp_path / ".lock").write_bytes(b"{}")
+    for name, content in {**listed, ".model_19.pt.0123.tmp": b"half", ".lock": b"{}"}.items():
+        (tmp_path / name).write_bytes(content)
     manifest.finish("finished", {"reward": 1.5})
     data = on_disk(tmp_path)
-    assert data["status"] == "finished"
-    assert data["results"] == {"reward": 1.5}
+    assert (data["status"], data["results"]) == ("finished", {"reward": 1.5})
     assert data["ended"] >= data["started"]
-    assert data["files"] == {
-        ".hydra/config.yaml": {"sha256": hashlib.sha256(b"").hexdigest(), "size": 0},
-        "model_9.pt": {"sha256": hashlib.sha256(b"weights").hexdigest(), "size": 7},
-        "params/env.yaml": {"sha256": hashlib.sha256(b"a: 1\n").hexdigest(), "size": 5},
-    }
+    expected = {n: {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)} for n, data in listed.items()}
+    assert data["files"] == expected
 
 
 @pytest.mark.parametrize(
@@ -97,60 +97,30 @@ def test_a_later_command_gets_its_own_entry(tmp_path):
     (tmp_path / "play").mkdir()
     (tmp_path / "play" / "a.rrd").write_bytes(b"abc")
     before = on_disk(tmp_path)
-    entry = Manifest.load(tmp_path).add(
-        "play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=["wheelleg", "play"]
-    )
+    words = ["wheelleg", "play"]
+    entry = Manifest.load(tmp_path).add("play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=words)
     after = on_disk(tmp_path)
-    assert after["additions"] == [entry]
-    assert entry["kind"] == "play"
-    assert entry["command"] == ["wheelleg", "play"]
+    assert (after["additions"], entry["kind"], entry["command"]) == ([entry], "play", words)
     assert entry["files"] == {"play/a.rrd": {"sha256": hashlib.sha256(b"abc").hexdigest(), "size": 3}}
     rest = [{k: v for k, v in data.items() if k not in ("additions", "sha256")} for data in (after, before)]
     assert rest[0] == rest[1]
 
 
-def test_a_file_outside_the_run_cannot_be_added(tmp_path):
-    run = tmp_path / "run"
-    run.mkdir()
-    (tmp_path / "x").write_text("")
-    manifest = begin(run)
-    with pytest.raises(RunDirectoryError, match="outside"):
-        manifest.add("play", [tmp_path / "x"])
-    with pytest.raises(RunDirectoryError, match="cannot read"):
-        manifest.add("play", [run / "missing"])
-    assert on_disk(run)["additions"] == []
-
-
-def test_additions_at_the_same_time_all_arrive(tmp_path):
-    begin(tmp_path)
+def test_additions_at_the_same_time_are_all_recorded_and_survive_the_end_of_the_run(tmp_path):
+    manifest = begin(tmp_path)
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda i: Manifest.load(tmp_path).add(f"k{i}"), range(8)))
     assert sorted(entry["kind"] for entry in on_disk(tmp_path)["additions"]) == [f"k{i}" for i in range(8)]
-
-
-def test_the_end_keeps_what_another_command_added_meanwhile(tmp_path):
-    manifest = begin(tmp_path)
-    Manifest.load(tmp_path).add("play")
     manifest.finish("finished")
-    assert [entry["kind"] for entry in on_disk(tmp_path)["additions"]] == ["play"]
+    assert sorted(entry["kind"] for entry in on_disk(tmp_path)["additions"]) == [f"k{i}" for i in range(8)]
 
 
-def test_a_changed_a_missing_and_an_unlisted_file_are_found(tmp_path):
+def test_changed_missing_and_unlisted_files_are_found_by_comparison_with_their_newest_record(tmp_path):
     for name in ("a", "b", "c"):
         (tmp_path / name).write_text(name)
     manifest = begin(tmp_path)
     manifest.finish("finished")
     assert not manifest.compare_files()
-    (tmp_path / "a").write_text("A")
-    (tmp_path / "b").unlink()
-    (tmp_path / "d").write_text("d")
-    found = Manifest.load(tmp_path).compare_files()
-    assert (found.changed, found.missing, found.unlisted) == (["a"], ["b"], ["d"])
-
-
-def test_a_file_made_again_is_held_against_its_newest_record(tmp_path):
-    manifest = begin(tmp_path)
-    manifest.finish("finished")
     for content in ("one", "two"):
         (tmp_path / "policy.onnx").write_text(content)
         manifest.add("export", [tmp_path / "policy.onnx"])
@@ -159,6 +129,11 @@ def test_a_file_made_again_is_held_against_its_newest_record(tmp_path):
     (tmp_path / "policy.onnx").write_text("three")
     manifest.finish("finished")
     assert not manifest.compare_files()
+    (tmp_path / "a").write_text("A")
+    (tmp_path / "b").unlink()
+    (tmp_path / "d").write_text("d")
+    found = Manifest.load(tmp_path).compare_files()
+    assert (found.changed, found.missing, found.unlisted) == (["a"], ["b"], ["d"])
 
 
 def test_a_resume_keeps_what_the_run_was_before(tmp_path):
@@ -172,11 +147,9 @@ def test_a_resume_keeps_what_the_run_was_before(tmp_path):
     data = on_disk(tmp_path)
     assert data["status"] == "running"
     assert data["ended"] is None
-    assert data["started"] == first["started"]
-    assert list(data["files"]) == ["params/env.yaml"]  # The resume rewrites the iteration log.
+    # The resume rewrites the iteration log.
+    assert (data["started"], list(data["files"])) == (first["started"], ["params/env.yaml"])
     (resume,) = data["resumes"]
-    assert resume["from_iteration"] == 4
-    assert resume["command"] == ["wheelleg", "resume", "x"]
-    assert resume["before"]["status"] == "interrupted"
-    assert resume["before"]["files"] == first["files"]
+    assert (resume["from_iteration"], resume["command"]) == (4, ["wheelleg", "resume", "x"])
+    assert (resume["before"]["status"], resume["before"]["files"]) == ("interrupted", first["files"])
     assert resume["before"]["threads"] == {"torch": 2}

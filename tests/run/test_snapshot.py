@@ -21,11 +21,10 @@ def run(tmp_path, repository, git):
     directory = RunDirectory.create(repository / "runs", "walk", 7)
     (repository / "package" / "new.py").write_text("y = 2\n")
     files = {"config.yaml": "a: 1\n", "overrides.yaml": "- task=walk\n"}
-    manifest = start(directory, hydra_files=files, source_roots=[repository / "package"])
-    return directory, manifest
+    return directory, start(directory, hydra_files=files, source_roots=[repository / "package"])
 
 
-def test_everything_stands_before_the_first_step(run):
+def test_the_snapshot_is_complete_before_the_first_step(run):
     directory, manifest = run
     files = {p.relative_to(directory.path).as_posix() for p in directory.path.rglob("*") if p.is_file()}
     snapshot = {"params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", ".hydra/overrides.yaml"}
@@ -33,46 +32,29 @@ def test_everything_stands_before_the_first_step(run):
     assert files == snapshot | {"manifest.json", ".manifest.lock"}
     assert (directory.hydra / "overrides.yaml").read_text() == "- task=walk\n"
     data = json.loads((directory.path / "manifest.json").read_text())
-    assert data == manifest.data
-    assert data["status"] == "running"
-    assert set(data["files"]) == snapshot
+    assert (data, data["status"], set(data["files"])) == (manifest.data, "running", snapshot)
     assert data["source"]["dirty"] is True
     assert data["source"]["tree"]
     assert not manifest.compare_files()
-
-
-def test_the_source_holds_the_change_and_not_the_run_itself(run):
-    directory, _ = run
-    record = json.loads((directory.source / "git.json").read_text())
-    assert record["untracked"] == ["package/new.py"]
-    assert record["folders"] == ["package"]
-
-
-def test_the_parameters_read_back_equal_in_their_order(run):
-    directory, _ = run
+    source = json.loads((directory.source / "git.json").read_text())  # The source excludes the run itself.
+    assert (source["untracked"], source["folders"]) == (["package/new.py"], ["package"])
     env, agent = load_params(directory)
-    assert env == PARAMS["env"]
-    assert list(env["rewards"]) == ["b", "a"]
-    assert agent == PARAMS["agent"]
+    assert (env, list(env["rewards"]), agent) == (PARAMS["env"], ["b", "a"], PARAMS["agent"])
     assert yaml.safe_load((directory.params / "agent.yaml").read_text()) == PARAMS["agent"]
 
 
-def test_parameters_that_are_not_plain_write_nothing(tmp_path):
+def test_parameters_that_are_not_plain_missing_or_broken_are_refused(tmp_path):
     with pytest.raises(RunDirectoryError, match="tuple cannot be saved"):
         write_params(tmp_path, {"env": {"a": 1}, "agent": {"b": (1, 2)}})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"'.*params/env\.yaml' is missing"):
         load_params(tmp_path)
     write_params(tmp_path, PARAMS)
-    (tmp_path / "params" / "agent.yaml").write_text("a: 1\nb: ]\n")
-    with pytest.raises(RunDirectoryError, match=r"agent\.yaml:2"):
-        load_params(tmp_path)
-    (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
-    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: the file contains a list"):
-        load_params(tmp_path)
+    broken = {"a: 1\nb: ]\n": r"agent\.yaml:2", "- 1\n": r"agent\.yaml: the file contains a list"}
+    for text, message in broken.items():
+        (tmp_path / "params" / "agent.yaml").write_text(text)
+        with pytest.raises(RunDirectoryError, match=message):
+            load_params(tmp_path)
 
 
 def start(directory, **changes):
@@ -102,20 +84,18 @@ def user_folder(tmp_path):
     return folder
 
 
-def test_the_same_twice_is_the_same_snapshot(tmp_path, repository, git, user_folder):
+@pytest.mark.parametrize("name", [None, "configs/task/a.yaml", "terms.py", "assets/mesh.stl"])
+def test_a_second_snapshot_differs_only_if_a_users_file_changes(tmp_path, repository, git, user_folder, name):
     roots = [repository, user_folder]
-    assert not changed(snapshot_of(tmp_path, source_roots=roots), snapshot_of(tmp_path, source_roots=roots))
-
-
-@pytest.mark.parametrize("name", ["configs/task/a.yaml", "terms.py", "assets/mesh.stl"])
-def test_a_change_in_a_users_repository_shows(tmp_path, repository, git, user_folder, name):
-    git(user_folder, "init", "-q")
-    roots = [repository, user_folder]
+    if name is not None:
+        git(user_folder, "init", "-q")
     before = snapshot_of(tmp_path, source_roots=roots)
-    (user_folder / name).write_text("2\n")
+    if name is not None:
+        (user_folder / name).write_text("2\n")
     after = snapshot_of(tmp_path, source_roots=roots)
-    assert "git" in changed(before, after)
-    assert before["git"]["others"][0]["tree"] != after["git"]["others"][0]["tree"]
+    assert ("git" in changed(before, after)) == bool(changed(before, after)) == (name is not None)
+    trees = [snapshot["git"]["others"][0]["tree"] for snapshot in (before, after)]
+    assert (trees[0] != trees[1]) == (name is not None)
 
 
 @pytest.mark.parametrize(
@@ -132,10 +112,11 @@ def test_a_change_of_what_is_given_shows(tmp_path, change, where):
     assert where in changed(snapshot_of(tmp_path), snapshot_of(tmp_path, **change))
 
 
-@pytest.mark.parametrize(
-    ("name", "where"), [("OMP_NUM_THREADS", "environment_variables"), ("LEG_LENGTH", "config_variables")]
-)
-def test_a_variable_that_matters_or_that_the_config_asks_for_shows(tmp_path, monkeypatch, name, where):
+VARIABLES = {"OMP_NUM_THREADS": "environment_variables", "LEG_LENGTH": "config_variables"}
+
+
+@pytest.mark.parametrize(("name", "where"), VARIABLES.items())
+def test_a_variable_that_changes_numbers_or_that_the_config_requests_shows(tmp_path, monkeypatch, name, where):
     files = {"config.yaml": "a: ${oc.env:LEG_LENGTH}\n"}
     found = []
     for value in ("1", "2"):
@@ -160,25 +141,19 @@ def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path
     assert kept.read_text() == written
 
 
-def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
+def test_a_snapshot_that_fails_is_recorded_in_the_manifest(tmp_path, git, monkeypatch):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
-    params = {"env": {"a": (1, 2)}, "agent": {}}
     with pytest.raises(RunDirectoryError, match="tuple cannot be saved"):
-        start(directory, params=params)
+        start(directory, params={"env": {"a": (1, 2)}, "agent": {}})
     assert directory.manifest().status == "failed"
     assert "tuple cannot be saved" in directory.manifest().data["error"]["message"]
+    other, seen = RunDirectory.create(tmp_path / "runs", "walk", 7), []
 
-
-def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypatch):
-    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
-    seen = []
-
-    def look(*arguments, **keywords):
-        seen.append(directory.manifest().status)
+    def interrupt(*arguments, **keywords):
+        seen.append(other.manifest().status)  # The manifest exists before the source is read.
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wheelleg_exp.run.start_run.snapshot_source", look)
+    monkeypatch.setattr("wheelleg_exp.run.start_run.snapshot_source", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        start(directory)
-    assert seen == ["running"]
-    assert directory.manifest().status == "interrupted"
+        start(other)
+    assert (seen, other.manifest().status) == (["running"], "interrupted")

@@ -33,8 +33,11 @@ def test_every_kind_of_change_is_named(folder, record):
     (folder / "pet" / "c.py").chmod(0o755)
     now = record(folder)
     assert was["tree"] != now["tree"]
-    assert describe_changes(was, now, []) == (f"{folder}: changed pet/a.py, pet/c.py; added pet/d.py; removed pet/b.py")
+    assert describe_changes(was, now, []) == f"{folder}: changed pet/a.py, pet/c.py; added pet/d.py; removed pet/b.py"
     assert describe_changes(was, was, []) == f"{folder}: no file differs"
+    for index in range(9):
+        (folder / f"{index}.py").write_text("x")
+    assert describe_changes(now, record(folder), []).endswith("added 0.py, 1.py, 2.py and 6 more")
 
 
 def test_uncommitted_changes_of_one_commit_are_named_without_a_repository(repository, record):
@@ -64,23 +67,20 @@ def test_what_has_been_committed_since_is_named_where_a_repository_holds_both(re
     assert "no repository here contains both" in describe_changes(was, now, [tmp_path])
 
 
-def test_many_files_are_cut(folder, record):
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"contents": None}, "not captured"),
+        ({"contents": {"a": 1}}, "not captured"),
+        ({"contents": [], "base": "--output=x"}, "not captured"),
+        ({"base": "--output={folder}/x"}, "unknown"),
+    ],
+)
+def test_an_incomplete_or_malicious_record_is_reported(folder, record, damage, message):
     was = record(folder)
-    for index in range(9):
-        (folder / f"{index}.py").write_text("x")
-    assert describe_changes(was, record(folder), []).endswith("added 0.py, 1.py, 2.py and 6 more")
-
-
-@pytest.mark.parametrize("damage", [{"contents": None}, {"contents": {"a": 1}}, {"contents": [], "base": "--output=x"}])
-def test_a_record_that_does_not_say_is_told(folder, record, damage):
-    was = record(folder)
-    assert "not captured" in describe_changes({**was, **damage}, was, [])
-
-
-def test_a_base_that_is_no_id_never_reaches_git(folder, record, monkeypatch):
-    was = record(folder)
-    assert "unknown" in describe_changes({**was, "base": f"--output={folder / 'x'}"}, was, [folder])
-    assert not (folder / "x").exists()
+    damage = {key: value.format(folder=folder) if key == "base" else value for key, value in damage.items()}
+    assert message in describe_changes({**was, **damage}, was, [folder] if message == "unknown" else [])
+    assert not (folder / "x").exists()  # Git never got the base as an option.
 
 
 def test_the_file_that_this_process_prints_to_is_no_source(folder, record):

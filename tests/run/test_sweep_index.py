@@ -22,8 +22,7 @@ def make(root, jobs=(("seed=1", "a=2"), ("seed=2", "a=2"))) -> SweepIndex:
 
 def test_a_new_sweep_has_its_own_folder_below_sweeps_and_all_jobs_wait(tmp_path):
     first, second = make(tmp_path), make(tmp_path)
-    assert first.folder == tmp_path / "sweeps" / folder_text(NOW)
-    assert second.folder.name == first.folder.name + "-2"
+    assert (first.folder, second.folder.name) == (tmp_path / "sweeps" / folder_text(NOW), first.folder.name + "-2")
     data = json.loads(first.path.read_text())
     assert (data["format"], data["status"], data["ended"]) == (1, "running", None)
     assert data["command"] == ["wheelleg", "train"]
@@ -40,8 +39,7 @@ def test_what_is_recorded_is_read_back(tmp_path, make_run):
     index.job_has_run(1, run.path)
     index.job_ended(1, "finished", {"iterations": 3})
     again = SweepIndex.load(index.folder)
-    assert again.data == index.data
-    assert again.jobs[0]["run"] == f"../../stand/{run.id}"
+    assert (again.data, again.jobs[0]["run"]) == (index.data, f"../../stand/{run.id}")
     assert again.run_of(again.jobs[0]) == run.path
     assert again.run_of(again.jobs[1]) is None
     (tmp_path / "runs").rename(tmp_path / "moved")
@@ -66,18 +64,13 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
     assert RunDirectory.open("latest", tmp_path / "runs").path == run.path
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "broken JSON"),
-        ("[]", "not the index of a sweep"),
-        ('{"format": 1}', "not the index of a sweep"),
-        ('{"format": 2, "jobs": []}', "sweep format 2 is unknown"),
-    ],
-)
-def test_an_index_that_is_none_is_refused(tmp_path, text, told):
-    with pytest.raises(RunDirectoryError, match="cannot read"):
-        SweepIndex.load(tmp_path)
-    (tmp_path / "sweep.json").write_text(text)
-    with pytest.raises(RunDirectoryError, match=told):
+REFUSED = [(None, "cannot read"), ("{", "broken JSON"), ("[]", "not the index of a sweep")]
+REFUSED += [('{"format": 1}', "not the index of a sweep"), ('{"format": 2, "jobs": []}', "sweep format 2 is unknown")]
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED)
+def test_a_missing_or_invalid_index_is_refused(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(RunDirectoryError, match=message):
         SweepIndex.load(tmp_path)

@@ -30,8 +30,7 @@ def test_an_iteration_that_is_no_whole_number_ends_what_can_be_read(tmp_path, wr
     path = tmp_path / "iterations.jsonl"
     path.write_text(line(0) + "\n" + line(wrong) + "\n" + line(2) + "\n")
     log = read_log(path)
-    assert [x.iteration for x in log.lines] == [0]
-    assert log.problems == ["line 2 cannot be read"]
+    assert ([x.iteration for x in log.lines], log.problems) == ([0], ["line 2 cannot be read"])
 
 
 def test_a_checkpoint_that_is_not_the_logs_is_told_in_whole_words(copy_run):

@@ -36,11 +36,9 @@ def test_equal_bits_are_equal_nan_and_all(tree):
 
 def test_the_largest_difference_is_told_with_its_place_and_size():
     a = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=torch.float64)
-    b = torch.tensor([[1.0, 2.5, 3.0], [4.0, 5.0, 4.0]], dtype=torch.float64)
-    found = one(a, b)
+    found = one(a, torch.tensor([[1.0, 2.5, 3.0], [4.0, 5.0, 4.0]], dtype=torch.float64))
     assert (found.index, found.a, found.b, found.largest) == ((1, 2), 6.0, 4.0, 2.0)
-    assert found.relative == pytest.approx(1 / 3)
-    assert (found.count, found.of) == (2, 6)
+    assert (found.relative, found.count, found.of) == (pytest.approx(1 / 3), 2, 6)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.0, -0.0), (NAN, -NAN)])
@@ -79,14 +77,10 @@ def test_a_difference_is_named_with_its_kind(a, b, found):
     assert [(d.name, d.kind) for d in differences(a, b)] == found
 
 
-def test_leaves_are_counted_and_equal_infinities_are_no_difference():
+def test_leaves_are_counted_and_distances_are_euclidean_without_equal_infinities():
     assert count_leaves({"a": [1, 2], "b": {"c": torch.zeros(9)}}) == 3
     assert one(torch.tensor([INF, 1.0]), torch.tensor([INF, 3.0])).largest == 2.0
-
-
-def test_relative_distance_is_euclidean_over_all_tensors():
     a = {"x": torch.tensor([3.0, 0.0]), "y": torch.tensor([4.0])}
     b = {"x": torch.tensor([0.0, 0.0]), "y": torch.tensor([10.0])}
-    assert relative_distance(a, b) == pytest.approx(math.sqrt(9 + 36) / 10)
-    assert relative_distance(a, a) == 0.0
+    assert (relative_distance(a, b), relative_distance(a, a)) == (pytest.approx(math.sqrt(9 + 36) / 10), 0.0)
     assert relative_distance(a, {"x": a["x"]}) == math.inf

@@ -17,12 +17,16 @@ def run(reward=lambda i: float(i), value=lambda i: 1.0, length=lambda i: 50.0, i
     ]
 
 
+def reward_end(found):
+    (end,) = [excess for excess in found.end if excess.name == "Train/mean_reward"]
+    return end
+
+
 def test_only_the_worst_scalar_of_the_first_iteration_that_differs_is_held_against_rounding():
     off = run(value=lambda i: 1.0 if i < 7 else 1.0 + 1e-5 if i == 7 else 5.0, length=lambda i: 50.0 + 1e-5 * (i == 7))
     found = judge(run(), off, None, whole=True)
     (start,) = found.start
-    assert (start.iteration, start.name) == (7, "Loss/value")
-    assert start.off == pytest.approx(1e-5, rel=1e-3)
+    assert (start.iteration, start.name, start.off) == (7, "Loss/value", pytest.approx(1e-5, rel=1e-3))
     assert found.within
 
 
@@ -32,35 +36,34 @@ def test_the_bound_at_the_start_is_relative_to_the_larger_magnitude(by, within):
 
 
 @pytest.mark.parametrize("value", ["nan", None])
-def test_what_is_no_number_is_beyond_every_bound(value):
+def test_values_that_are_missing_or_nan_in_one_run_are_beyond_every_bound(value):
     found = judge(run(), run(value=lambda i: value), None, whole=True)
-    assert found.start[0].off == math.inf
+    assert (found.start[0].off, found.within) == (math.inf, False)
+    other = run(reward=lambda i: value if i >= 90 else float(i), value=lambda i: 1.0 + 1e-6)
+    found = judge(run(), other, None, whole=True)
     assert not found.within
+    assert any("too few values to compare" in line for line in found.lines())
 
 
-def test_the_distance_of_the_parameters_counts_where_it_is_known():
-    a, b = run(), run(value=lambda i: 1.0 + 1e-6)
-    assert judge(a, b, (0, START / 2), whole=True).within
-    assert not judge(a, b, (0, START * 2), whole=True).within
-    assert not judge(a, b, (0, math.nan), whole=True).within
+@pytest.mark.parametrize(("distance", "within"), [(START / 2, True), (START * 2, False), (math.nan, False)])
+def test_a_known_distance_of_the_parameters_counts(distance, within):
+    assert judge(run(), run(value=lambda i: 1.0 + 1e-6), (0, distance), whole=True).within == within
 
 
 @pytest.mark.parametrize(("off", "within"), [(0.9, True), (1.1, False)])
 def test_the_ends_may_be_apart_by_a_tenth_of_the_range_they_went_through(off, within):
-    spread = LONG - 1  # The rewards increase from 0 to 99, and end on a plateau without noise.
+    spread = LONG - 1  # The rewards jump from 0 to 99, and end on a plateau without noise.
     a = run(reward=lambda i: 0.0 if i < 50 else float(spread))
-    b = run(reward=lambda i: 0.0 if i < 50 else spread * (1 - END * off))
-    found = judge(a, b, None, whole=True)
+    found = judge(a, run(reward=lambda i: 0.0 if i < 50 else spread * (1 - END * off)), None, whole=True)
     (end,) = [excess for excess in found.end if excess.name == "Train/mean_reward"]
-    assert end.allowed == pytest.approx(END * spread)
-    assert end.off == pytest.approx(END * off * spread)
+    assert (end.allowed, end.off) == (pytest.approx(END * spread), pytest.approx(END * off * spread))
     assert end.within == within
 
 
 def test_fluctuation_that_is_larger_than_that_widens_the_bound_to_twice_itself():
     a = run(reward=lambda i: float(i % 2))
     b = run(reward=lambda i: float(i % 2) + 0.5)
-    (end,) = [excess for excess in judge(a, b, None, whole=True).end if excess.name == "Train/mean_reward"]
+    end = reward_end(judge(a, b, None, whole=True))
     variance = 10 * 0.25 / 9  # This is the variance of five zeros and five ones.
     assert end.allowed == pytest.approx(2 * math.sqrt(2 * variance))
     assert end.within
@@ -86,7 +89,7 @@ def without(lines, *names):
 def test_iterations_without_the_figure_do_not_spare_the_run_the_comparison_of_its_end():
     a, b = run(reward=late), run(reward=lambda i: late(i) and late(i) * 0.05, value=lambda i: 1.0 + 1e-6)
     found = judge(a, b, None, whole=True)
-    (end,) = [excess for excess in found.end if excess.name == "Train/mean_reward"]
+    end = reward_end(found)
     assert end.allowed == pytest.approx(END * (99 - 0.05))
     assert end.off == pytest.approx(94.5 * 0.95)  # The value is the mean of 90 to 99, reduced by 5 %.
     assert not found.within
@@ -98,14 +101,6 @@ def test_what_neither_run_has_is_noted_and_the_other_figure_decides():
     assert found.within
     assert [excess.name for excess in found.end] == ["Train/mean_episode_length"]
     assert found.lines()[-1] == "not compared at the end, because neither run has it: Train/mean_reward"
-
-
-@pytest.mark.parametrize("gone", [None, "nan"])
-def test_a_figure_that_one_run_alone_has_at_the_end_is_not_alike(gone):
-    a, b = run(), run(reward=lambda i: gone if i >= 90 else float(i), value=lambda i: 1.0 + 1e-6)
-    found = judge(a, b, None, whole=True)
-    assert not found.within
-    assert any("too few values to compare" in line for line in found.lines())
 
 
 @pytest.mark.parametrize(("iterations", "within"), [(49, True), (50, False)])

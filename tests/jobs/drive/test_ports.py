@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from jobs.small import wheelleg
+from jobs.small import refused
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.jobs.drive.drive_page import require_free
 
@@ -32,6 +32,5 @@ def test_what_is_no_port_is_told(port):
 
 @pytest.mark.train
 def test_the_port_of_the_keys_is_the_one_after_the_pages(run, busy):
-    said = wheelleg("play", "latest", "--drive", "--port", str(busy - 1), "env.commands.base_velocity.ranges={}")
-    assert said.status == 2
-    assert f"port {busy}, for the page's keys and gamepads, is in use" in said.err
+    said = refused("play", "latest", "--drive", "--port", str(busy - 1), "env.commands.base_velocity.ranges={}")
+    assert f"port {busy}, for the page's keys and gamepads, is in use" in said

@@ -32,10 +32,8 @@ def script(tmp_path):
 
 def test_entries_begin_at_their_moment_or_where_the_one_before_ends(script):
     read = read_script(script(SCRIPT), AXES)
-    assert [entry.at for entry in read.entries] == [0.0, 0.5, 1.0, 2.0]
-    assert read.duration_s == 2.25
-    assert read.entries[3].requests == [Reset(), Push(0.1, -0.2)]
-    assert read.entries[2].requests == [Push(0.2, 0.0)]
+    assert ([entry.at for entry in read.entries], read.duration_s) == ([0.0, 0.5, 1.0, 2.0], 2.25)
+    assert (read.entries[3].requests, read.entries[2].requests) == ([Reset(), Push(0.1, -0.2)], [Push(0.2, 0.0)])
 
 
 def test_each_step_is_done_under_what_is_due_before_it(script):
@@ -46,8 +44,7 @@ def test_each_step_is_done_under_what_is_due_before_it(script):
         hand.before(step)
         seen.append((controls.values["lin_vel_x"], controls.values["height"]))
         requests |= {step: found} if (found := controls.take()) else {}
-    assert len(seen) == 23
-    assert seen == [(0.0, 0.07)] * 5 + [(0.3, 0.07)] * 5 + [(0.3, 0.08)] * 10 + [(-0.1, 0.07)] * 3
+    assert (len(seen), seen) == (23, [(0.0, 0.07)] * 5 + [(0.3, 0.07)] * 5 + [(0.3, 0.08)] * 10 + [(-0.1, 0.07)] * 3)
     assert requests == {10: [Push(0.2)], 20: [Reset(), Push(0.1, -0.2)]}
 
 

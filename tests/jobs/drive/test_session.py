@@ -22,12 +22,11 @@ def drive(session, seconds):
         session.step()
 
 
-def test_only_axes_with_a_range_can_be_driven(tmp_path):
-    axes = cart(tmp_path).axes
-    assert [(a.name, a.low, a.high, a.key) for a in axes] == [
-        ("lin_vel_x", -0.4, 0.4, "env.commands.base_velocity.ranges.lin_vel_x"),
-        ("ang_vel_z", -0.5, 1.0, "env.commands.base_velocity.ranges.ang_vel_z"),
-    ]
+def test_only_axes_with_a_range_can_be_driven_and_the_first_observation_shows_rest(tmp_path):
+    session, ranges = cart(tmp_path), "env.commands.base_velocity.ranges"
+    axes = [("lin_vel_x", -0.4, 0.4, f"{ranges}.lin_vel_x"), ("ang_vel_z", -0.5, 1.0, f"{ranges}.ang_vel_z")]
+    assert [(a.name, a.low, a.high, a.key) for a in session.axes] == axes
+    assert session.env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
 
 
 @pytest.mark.parametrize(
@@ -43,7 +42,7 @@ def test_a_stick_takes_an_axis_from_rest_to_its_ends(low, high, shares):
     assert [axis.at(share) for share in shares] == pytest.approx(list(shares.values()))
 
 
-def test_the_cart_drives_straight_as_far_as_it_is_told(tmp_path):
+def test_the_cart_drives_straight_and_turns_as_commanded(tmp_path):
     session = cart(tmp_path)
     session.controls.set("lin_vel_x", 0.3)
     drive(session, 2.0)
@@ -52,13 +51,9 @@ def test_the_cart_drives_straight_as_far_as_it_is_told(tmp_path):
     assert abs(y) < 0.01
     assert session.status().measured["lin_vel_x"] == pytest.approx(0.3, rel=0.03)
     figures = session.meter.figures()
-    assert figures["distance_m"] == pytest.approx(x, rel=0.05)
-    assert figures["duration_s"] == pytest.approx(2.0)
+    assert (figures["distance_m"], figures["duration_s"]) == (pytest.approx(x, rel=0.05), pytest.approx(2.0))
     assert figures["tracking_rmse"]["lin_vel_x"] < 0.1
-
-
-def test_the_cart_turns_the_way_it_is_told(tmp_path):
-    session = cart(tmp_path)
+    session.controls.set("lin_vel_x", 0.0)
     session.controls.steer("ang_vel_z", 1.0)
     drive(session, 1.0)
     assert session.status().commands["ang_vel_z"] == 1.0
@@ -78,11 +73,6 @@ def test_a_command_stands_through_redraws_and_resets_and_beyond_its_range_it_is_
     assert term.command[0].tolist() == pytest.approx([0.4, 0.0, 0.0])
 
 
-def test_the_first_observation_shows_rest_and_not_what_was_drawn(tmp_path):
-    session = cart(tmp_path)
-    assert session.env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
-
-
 def test_a_push_adds_velocity_in_the_yaw_axes(tmp_path):
     session = cart(tmp_path)
     data, ids = session.env.scene.robot.data, torch.zeros(1, dtype=torch.long)
@@ -98,14 +88,12 @@ def test_a_fall_waits_until_somebody_resets(tmp_path):
     session = cart(tmp_path, terminations=LOW)
     session.step()
     assert session.fallen == "low"
-    length = int(session.env.episode_length_buf[0])
-    assert length == 1  # not reset by itself
+    assert int(session.env.episode_length_buf[0]) == 1  # not reset by itself
     session.obey(Push(0.3))  # A fallen robot is not pushed.
     assert session.meter.figures()["pushes"] == 0
     session.reset()
     assert session.fallen is None
-    assert int(session.env.episode_length_buf[0]) == 0
-    assert session.meter.figures()["falls"] == {"low": 1}
+    assert (int(session.env.episode_length_buf[0]), session.meter.figures()["falls"]) == (0, {"low": 1})
 
 
 def test_several_robots_cannot_be_driven(tmp_path):
@@ -139,5 +127,4 @@ def test_requests_of_many_threads_are_all_taken_once(tmp_path):
     while any(thread.is_alive() for thread in threads):
         taken += controls.take()
     taken += controls.take()
-    assert len(taken) == 400
-    assert controls.take() == []
+    assert (len(taken), controls.take()) == (400, [])
