@@ -56,8 +56,7 @@ def writes(env: Env, env_ids: torch.Tensor | None, key: str) -> None:
 
 
 def noted(env: Env, env_ids: torch.Tensor | None, key: str = "event") -> None:
-    ids = None if env_ids is None else env_ids.tolist()
-    LOG.append((key, env.common_step_counter, ids))
+    LOG.append((key, env.common_step_counter, None if env_ids is None else env_ids.tolist()))
 
 
 def draw_once(env: Env, env_ids: torch.Tensor | None, generator: torch.Generator, key: str) -> None:
@@ -274,8 +273,7 @@ class RemembersGenerators(TermBase):
         self._python, self._numpy = random.Random(2), np.random.default_rng(3)
 
     def __call__(self, env: Env) -> torch.Tensor:
-        drawn = torch.rand(env.num_envs, generator=self._torch)
-        return drawn + self._python.random() + float(self._numpy.random())
+        return torch.rand(env.num_envs, generator=self._torch) + self._python.random() + float(self._numpy.random())
 
 
 class RemembersInAnIterator(TermBase):

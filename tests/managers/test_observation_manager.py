@@ -79,8 +79,7 @@ def test_a_scale_may_have_one_number_a_column(make_env):
 
 def test_the_first_sample_after_a_reset_fills_the_history(make_env):
     env = _env(make_env, {"x": _value()}, history_length=3)
-    assert _series(env, "x", 5.0)[0].tolist() == [5, 5, 5]
-    assert _series(env, "x", 6.0)[0].tolist() == [5, 5, 6]
+    assert (_series(env, "x", 5.0)[0].tolist(), _series(env, "x", 6.0)[0].tolist()) == ([5, 5, 5], [5, 5, 6])
     assert _series(env, "x", 1.0, 2.0, 3.0, 4.0)[0].tolist() == [2, 3, 4]
 
 
@@ -89,8 +88,7 @@ def test_a_reset_forgets_only_its_environments(make_env):
     _series(env, "x", 1.0, 2.0)
     env.observation_manager.reset(torch.tensor([1]))
     out = _series(env, "x", 9.0)
-    assert out[1].tolist() == [9, 9, 9]
-    assert out[0].tolist() == [1, 2, 9]
+    assert (out[1].tolist(), out[0].tolist()) == ([9, 9, 9], [1, 2, 9])
 
 
 def test_histories_are_flattened_term_by_term(make_env):
@@ -116,26 +114,21 @@ def test_unflattened_histories_keep_their_time_axis(make_env):
     env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2, flatten_history_dim=False)
     spies.VALUES["y"] = 7.0
     out = _series(env, "x", 1.0, 2.0)
-    assert out.shape == (4, 2, 2)
-    assert out[0].tolist() == [[1, 7], [2, 7]]
+    assert (out.shape, out[0].tolist()) == ((4, 2, 2), [[1, 7], [2, 7]])
     assert env.observation_manager.group_obs_dim["policy"] == (2, 2)
 
 
 def test_a_terms_own_history_is_overridden_by_the_groups(make_env):
     terms = {"x": _value("x", history_length=4), "y": _value("y")}
-    own = _env(make_env, terms)
-    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,), (1,)]
-    group = _env(make_env, terms, history_length=2)
-    assert group.observation_manager.group_obs_term_dim["policy"] == [(2,), (2,)]
-    none = _env(make_env, terms, history_length=0)
-    assert none.observation_manager.group_obs_term_dim["policy"] == [(1,), (1,)]
+    assert _env(make_env, terms).observation_manager.group_obs_term_dim["policy"] == [(4,), (1,)]
+    assert _env(make_env, terms, history_length=2).observation_manager.group_obs_term_dim["policy"] == [(2,), (2,)]
+    assert _env(make_env, terms, history_length=0).observation_manager.group_obs_term_dim["policy"] == [(1,), (1,)]
 
 
 def test_a_group_without_a_history_of_its_own_leaves_flattening_to_its_terms(make_env):
     terms = {"x": _value("x", history_length=4, flatten_history_dim=True)}
     options = {"flatten_history_dim": False, "concatenate_terms": False}
-    own = _env(make_env, terms, **options)
-    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,)]
+    assert _env(make_env, terms, **options).observation_manager.group_obs_term_dim["policy"] == [(4,)]
     group = _env(make_env, terms, history_length=2, **options)
     assert group.observation_manager.group_obs_term_dim["policy"] == [(2, 1)]
 
@@ -153,20 +146,17 @@ def test_what_was_observed_last_can_be_asked_for_term_by_term(make_env):
 
 
 def test_scale_is_inside_the_history(make_env):
-    env = _env(make_env, {"x": _value(scale=2.0)}, history_length=2)
-    assert _series(env, "x", 1.0, 3.0)[0].tolist() == [2, 6]
+    assert _series(_env(make_env, {"x": _value(scale=2.0)}, history_length=2), "x", 1.0, 3.0)[0].tolist() == [2, 6]
 
 
 # ---- layout ----
 
 
 def test_terms_and_groups_stand_in_the_order_of_the_config(make_env):
-    groups = {g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")}
-    env = make_env(observations=groups)
+    env = make_env(observations={g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")})
     spies.VALUES.update(z=1.0, a=2.0, m=3.0)
     out = env.observation_manager.compute()
-    assert list(out) == ["late", "early"]
-    assert out["late"][0].tolist() == [1, 2, 3]
+    assert (list(out), out["late"][0].tolist()) == (["late", "early"], [1, 2, 3])
     assert env.observation_manager.active_terms["late"] == ["z", "a", "m"]
     assert env.observation_manager.term_slices("late") == {"z": slice(0, 1), "a": slice(1, 2), "m": slice(2, 3)}
 
@@ -178,14 +168,13 @@ def test_groups_may_stay_apart_by_term(make_env):
     assert env.observation_manager.group_obs_dim["policy"] == [(1,), (4,)]
 
 
-def test_a_returned_observation_does_not_change_later(make_env):
+def test_a_returned_observation_does_not_change_later(start_env):
     terms = {
         "action": {"_target_": O + "last_action"},
         "q": {"_target_": O + "joint_pos"},
         "past": {"_target_": O + "last_action", "history_length": 2},
     }
-    env = make_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
-    env.reset()
+    env = start_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
     first, *_ = env.step(torch.ones(4, 4))
     kept = {k: v.clone() for k, v in first["policy"].items()}
     env.step(torch.full((4, 4), 2.0))
@@ -253,8 +242,7 @@ def test_construction_draws_no_noise(make_env):
     """The sizes of observations are determined without noise."""
     env = _env(make_env, _busy_terms(), enable_corruption=True)
     path = "env.observations.policy.terms.noisy.noise"
-    fresh = type(env.streams)(0).get(path).get_state()
-    assert torch.equal(env.streams.get(path).get_state(), fresh)
+    assert torch.equal(env.streams.get(path).get_state(), type(env.streams)(0).get(path).get_state())
 
 
 def test_stateful_terms_begin_at_zero_after_construction_and_reset(make_env):

@@ -60,8 +60,7 @@ def test_without_a_delay_there_is_nothing_to_remember(make_env):
         env = _counting(make_env, delay=delay)
         env.reset()
         assert float(env.step(STILL)[0]["policy"][0]) == 2
-        saved = env.observation_manager.state_dict()["groups"]["policy"]["x"]
-        assert "delay" not in saved
+        assert "delay" not in env.observation_manager.state_dict()["groups"]["policy"]["x"]
         assert "env.observations.policy.terms.x.delay" not in env.streams.state_dict()["generators"]
 
 
@@ -103,8 +102,7 @@ def test_a_peek_at_something_late_changes_nothing(make_env):
 
 def test_two_groups_of_one_term_may_be_late_differently(make_env):
     node = {"_target_": O + "joint_pos"}
-    groups = {"late": {"terms": {"q": {**node, "delay": [2, 2]}}}, "now": {"terms": {"q": node}}}
-    env = make_env(observations=groups)
+    env = make_env(observations={"late": {"terms": {"q": {**node, "delay": [2, 2]}}}, "now": {"terms": {"q": node}}})
     before, _ = env.reset()
     after, *_ = env.step(torch.ones(4, 4))
     assert torch.equal(after["late"], before["now"])
@@ -172,12 +170,10 @@ def test_only_flattened_histories_stand_step_by_step(make_env, group):
 
 def test_terms_may_be_joined_along_their_steps(make_env):
     terms = {"x": _value("x"), "y": _value("y")}
-    group = {"history_length": 3, "flatten_history_dim": False, "concatenate_dim": 0}
-    env = _env(make_env, terms, **group)
+    env = _env(make_env, terms, history_length=3, flatten_history_dim=False, concatenate_dim=0)
     spies.VALUES["y"] = 5.0
     out = _series(env, "x", 1.0, 2.0)
-    assert out.shape == (4, 6, 1)
-    assert out[0].flatten().tolist() == [1, 1, 2, 5, 5, 5]
+    assert (out.shape, out[0].flatten().tolist()) == ((4, 6, 1), [1, 1, 2, 5, 5, 5])
     manager = env.observation_manager
     assert manager.group_obs_dim["policy"] == (6, 1)
     assert manager.split("policy", out)["y"][0].tolist() == [[5], [5], [5]]
@@ -216,8 +212,7 @@ def test_pictures_have_histories(make_env):
         for number in (1.0, 2.0):
             spies.VALUES["a"] = number
             out = env.observation_manager.compute()["policy"]
-        assert out.shape == (4, *shape)
-        assert out.view(4, 3, 6)[0, :, 5].tolist() == [5, 5, 10]
+        assert (out.shape, out.view(4, 3, 6)[0, :, 5].tolist()) == ((4, *shape), [5, 5, 10])
 
 
 def test_a_picture_among_vectors_is_refused_with_what_to_do(make_env):

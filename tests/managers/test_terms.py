@@ -146,14 +146,12 @@ def test_an_error_inside_a_term_names_the_whole_key(make_env):
 
 def test_a_null_term_is_not_there(make_env):
     env = make_env(rewards={"gone": None, "alive": ALIVE}, events={"gone": None}, terminations={"gone": None})
-    assert env.reward_manager.active_terms == ["alive"]
-    assert env.event_manager.active_terms == {}
+    assert (env.reward_manager.active_terms, env.event_manager.active_terms) == (["alive"], {})
     env.reset()
 
 
 def test_terms_stand_in_the_order_of_the_config(make_env):
-    env = make_env(rewards={"b": ALIVE, "a": ALIVE, "c": ALIVE})
-    assert env.reward_manager.active_terms == ["b", "a", "c"]
+    assert make_env(rewards={"b": ALIVE, "a": ALIVE, "c": ALIVE}).reward_manager.active_terms == ["b", "a", "c"]
 
 
 def test_a_term_asked_for_by_a_wrong_name_names_the_nearest(make_env):
@@ -171,25 +169,20 @@ def test_an_entity_finds_joints_in_the_robots_or_its_own_order(make_env):
         assert env.reward_manager.get_term_cfg("term").params["asset_cfg"].joint_ids.tolist() == expected
 
 
-def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(make_env):
+def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(start_env):
     default = {"_target_": spies.HERE + "default_entity", "weight": 1.0}
     given = _entity(name="robot", joint_names=["right_hip"])
-    env = make_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
-    env.reset()
+    env = start_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
     spies.LOG.clear()
     env.step(torch.zeros(4, 4))
     everything, one = spies.LOG
-    assert everything == slice(None)
-    assert one.tolist() == [1]
+    assert (everything, one.tolist()) == (slice(None), [1])
 
 
-def test_configs_are_left_as_they_were(make_env):
+def test_configs_are_left_as_they_were(start_env):
     from sim.small_envs import env_config
 
-    config = env_config(rewards={"alive": dict(ALIVE)})
-    env = make_env(rewards={"alive": dict(ALIVE)})
-    env.reset()
-    assert env.cfg == config
+    assert start_env(rewards={"alive": dict(ALIVE)}).cfg == env_config(rewards={"alive": dict(ALIVE)})
 
 
 def test_managers_print_as_tables(make_env):

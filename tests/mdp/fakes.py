@@ -44,11 +44,9 @@ def fake_env(**fields: Any) -> Any:
     scene.robot = robot
     ground = fields.pop("ground", lambda xy: torch.zeros_like(xy[..., 0]))
     scene.terrain = SimpleNamespace(height_at=ground, **fields.pop("terrain", {}))
-    commands = fields.pop("commands", {})
-    fields.setdefault("command_manager", SimpleNamespace(get_command=commands.__getitem__))
+    fields.setdefault("command_manager", SimpleNamespace(get_command=fields.pop("commands", {}).__getitem__))
     scene.env_origins = fields.pop("env_origins", None)
-    rest = {k: v for k, v in fields.items() if not k.startswith("data_")}
-    return SimpleNamespace(scene=scene, **rest)
+    return SimpleNamespace(scene=scene, **{k: v for k, v in fields.items() if not k.startswith("data_")})
 
 
 def two_numbers(env: Any) -> torch.Tensor:

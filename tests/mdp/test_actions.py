@@ -32,8 +32,7 @@ def test_actions_between_minus_one_and_one_are_spread_over_the_soft_limits(make_
     env, manager, term = _env(make_env, _target_="JointPositionToLimitsAction", joint_names=HIPS, scale=0.5)
     assert _processed(manager, term, 0.0, 1.0) == pytest.approx([0.25, 0.875])  # .25 + 1.25 * .5
     assert _processed(manager, term, 7.0, -2.5) == pytest.approx([1.5, -1.0])
-    assert term.raw_actions[0].tolist() == [7.0, -2.5]
-    assert _targets(env)[:2] == pytest.approx([1.5, -1.0])
+    assert (term.raw_actions[0].tolist(), _targets(env)[:2]) == ([7.0, -2.5], pytest.approx([1.5, -1.0]))
 
 
 def test_the_clip_comes_before_the_spreading(make_env):

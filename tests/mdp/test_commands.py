@@ -175,8 +175,7 @@ def test_a_command_goes_where_it_is_asked_to_by_no_more_than_its_acceleration(ma
     assert 5 * lin < 0.3 < 40 * lin
     for step in range(2, 40):
         env.step(STILL)
-        expected = [min(0.3, step * lin), 0.0, -min(0.5, step * ang)]
-        assert term.command[0].tolist() == pytest.approx(expected, rel=1e-5)
+        assert term.command[0].tolist() == pytest.approx([min(0.3, step * lin), 0.0, -min(0.5, step * ang)], rel=1e-5)
     assert term.asked.tolist() == [pytest.approx([0.3, 0.0, -0.5])] * 4
     env.reset(env_ids=torch.tensor([2]))
     assert term.command[2].tolist() == pytest.approx([lin, 0.0, -ang])
@@ -191,15 +190,14 @@ def test_a_command_without_an_acceleration_jumps(make_env):
     torch.testing.assert_close(term.asked, term.command)
 
 
-def test_travel_is_seen_and_rewarded(make_env):
+def test_travel_is_seen_and_rewarded(start_env):
     seen = {"_target_": "wheelleg_exp.mdp.observations.travel_error", "command_name": "c"}
     cost = {"_target_": "wheelleg_exp.mdp.rewards.travel_error_l2", "command_name": "c", "heading_length": 0.5}
     ranges = {"lin_vel_x": [0.3, 0.3], "ang_vel_z": [0.5, 0.5]}
     command = {"_target_": C + "UniformVelocityTravelCommand", "resampling_time_range": [9.0, 9.0], "ranges": ranges}
     command |= {"wheel_cfg": WHEELS, "wheel_radius": 0.1, "max_travel_error": 0.4, "max_heading_error": 0.2}
     sections = {"commands": {"c": command}, "observations": {"policy": {"terms": {"t": seen}}}}
-    env = make_env(**sections, rewards={"t": {**cost, "weight": -1.0}})
-    env.reset()
+    env = start_env(**sections, rewards={"t": {**cost, "weight": -1.0}})
     term = env.command_manager.get_term("c")
     term.travel_error.copy_(torch.tensor([[0.1, 0.2], [-0.3, 0.0], [0.0, -0.1], [0.4, 0.1]]))
     expected = torch.tensor([0.01 + 0.01, 0.09, 0.0025, 0.16 + 0.0025])
@@ -323,8 +321,7 @@ def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env, pitc
     """The left wheel is at (0, .13, -.08) m in the base's frame if the hip is straight."""
     ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [pitch, pitch]}
     env, term = _body(make_env, ranges=ranges, num_envs=1)
-    robot = env.scene.robot
-    robot.write_joint_state_to_sim(torch.zeros(1, 4), torch.zeros(1, 4), env_ids=torch.arange(1))
+    env.scene.robot.write_joint_state_to_sim(torch.zeros(1, 4), torch.zeros(1, 4), env_ids=torch.arange(1))
     _stand(env, [1.0, -2.0, 0.5], yaw=1.0, pitch=-0.4, roll=0.2)
     distance, angle = term.errors()[:, 0].tolist()
     assert distance == pytest.approx(0.5, abs=1e-5)  # the hypotenuse of .3 and .4

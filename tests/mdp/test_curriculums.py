@@ -100,36 +100,32 @@ def _put(env, positions):
     env.scene.robot.write_root_pose_to_sim(pose, torch.arange(4))
 
 
-def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
+def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(start_env):
     """The ground ends at x = 5 m and y = 4 m. Robots that cover less than half of 0.2 m/s times 2 s go down."""
     speed = VELOCITY | {"ranges": {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}}
     node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
     gone = {"_target_": "wheelleg_exp.mdp.terminations.terrain_out_of_bounds", "distance_buffer": 0.5}
     sections = {"commands": {"v": speed}, "curriculum": {"c": node}, "terminations": {"gone": gone}, "events": {}}
-    env = make_env(scene={"terrain": TILES}, **sections)
-    env.reset()
+    env = start_env(scene={"terrain": TILES}, **sections)
     levels = env.scene.terrain.terrain_levels
 
     def walk(way):
         _put(env, env.scene.env_origins + T([[x, y, 0.5] for x, y in way]))
         return env.reset()[1]["log"]["Curriculum/c"]
 
-    assert walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]) == 0.5
-    assert levels.tolist() == [1, 1, 0, 0]
-    assert walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]) == 0.75
-    assert levels.tolist() == [0, 2, 1, 0]
+    assert (walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.5, [1, 1, 0, 0])
+    assert (walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.75, [0, 2, 1, 0])
     assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
     _put(env, T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]]))
     assert env.step(STILL)[2].tolist() == [False, True, True, False]
 
 
-def test_a_second_reset_before_any_motion_sends_robots_down(make_env):
+def test_a_second_reset_before_any_motion_sends_robots_down(start_env):
     ranges = {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
     node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
     for standing, expected in ((0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])):
         speed = VELOCITY | {"ranges": ranges, "rel_standing_envs": standing}
-        env = make_env(scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node})
-        env.reset()
+        env = start_env(scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node})
         env.step(STILL)
         terrain, ids = env.scene.terrain, torch.arange(4)
         terrain.terrain_levels[:] = T([3, 0, 2, 2])
@@ -249,8 +245,7 @@ def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value,
     _pass(first, 2)
     assert _plain(read(first)) == before
     logged = _pass(first, 1)
-    assert _plain(read(first)) == wanted
-    assert logged == (float(value) if isinstance(value, float) else None)
+    assert (_plain(read(first)), logged) == (wanted, float(value) if isinstance(value, float) else None)
     second = one(**_modify(place, value, term=term))
     second.load_state_dict(first.state_dict())
     assert _plain(read(second)) == wanted
@@ -283,8 +278,7 @@ def test_a_term_object_keeps_its_state_and_its_tensors_when_an_argument_changes(
         env.step(STILL)
     env.reset(env_ids=T([0]))
     assert v.time_left is tensor
-    assert v.time_left.tolist() == pytest.approx([7.0, 0.94, 0.94, 0.94])
-    assert v.ranges["lin_vel_x"] == [5.0, 6.0]
+    assert (v.time_left.tolist(), v.ranges["lin_vel_x"]) == (pytest.approx([7.0, 0.94, 0.94, 0.94]), [5.0, 6.0])
     assert float(v.command[0, 0]) >= 5.0
 
 
@@ -302,10 +296,8 @@ def test_a_tuple_is_made_anew():
 
 
 def test_a_function_of_the_users_own_sees_the_present_value(one):
-    node = _modify("rewards.alive.weight", None) | {"modify_fn": HERE + "later", "modify_params": {"add": 2}}
-    env = one(**node)
-    assert env.reset()[1]["log"]["Curriculum/c"] == 1.0
-    assert [_pass(env), _pass(env)] == [3.0, 5.0]
+    env = one(**_modify("rewards.alive.weight", None) | {"modify_fn": HERE + "later", "modify_params": {"add": 2}})
+    assert (env.reset()[1]["log"]["Curriculum/c"], [_pass(env), _pass(env)]) == (1.0, [3.0, 5.0])
 
 
 @pytest.mark.parametrize(
@@ -331,8 +323,7 @@ def test_a_function_of_the_users_own_sees_the_present_value(one):
 def test_what_is_wrong_is_told_when_the_environment_is_made(one, node, key, nearest):
     with pytest.raises(ConfigError) as caught:
         one(**node)
-    assert caught.value.key == f"env.curriculum.c.{key}"
-    assert caught.value.nearest == nearest
+    assert (caught.value.key, caught.value.nearest) == (f"env.curriculum.c.{key}", nearest)
 
 
 # ---- schedules ----

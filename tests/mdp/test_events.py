@@ -31,11 +31,8 @@ def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
     term = env.event_manager.get_term_cfg("m").func
     friction = torch.from_numpy(np.array(env.scene.sim.batch.expanded("geom_friction")))
     model = env.scene.model
-    robot = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
-    written = friction[:, robot, 0]
-    allowed = (term.buckets[:, 0].double() + 0.5) / 2
-    distance = (written.unsqueeze(2) - allowed).abs().amin(dim=2)
-    assert distance.max() < 1e-6
+    written = friction[:, [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0], 0]
+    assert (written.unsqueeze(2) - (term.buckets[:, 0].double() + 0.5) / 2).abs().amin(dim=2).max() < 1e-6
     assert float(written.min()) >= 0.55
     assert float(written.max()) <= 0.85
     assert len(written.unique()) == 8
@@ -54,8 +51,7 @@ def test_the_dynamic_coefficient_is_written_when_the_robot_asks_for_it(make_env)
 
 
 def test_only_shapes_of_the_bodies_asked_for_are_written(make_env):
-    node = event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))
-    env = make_env(events={"m": node})
+    env = make_env(events={"m": event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))})
     friction, model = env.scene.sim.batch.expanded("geom_friction"), env.scene.model
     assert friction[0, model.geom("base_box").id, 0] == pytest.approx((0.9 + 0.5) / 2)
     assert friction[0, model.geom("left_wheel").id, 0] != pytest.approx((1.0 + 0.5) / 2)
@@ -71,13 +67,12 @@ def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
     assert torch.equal(loose[:, 0], tight[:, 0])
 
 
-def test_the_written_friction_acts(make_env):
+def test_the_written_friction_acts(start_env):
     """A cube pushed with half its weight stays with an effective friction of .65 and slides with .35."""
     speeds = []
     for cube in (0.8, 0.2):
         ranges = {"static_friction_range": [cube, cube], "dynamic_friction_range": [cube, cube]}
-        env = make_env("block", events={"m": event("randomize_rigid_body_material", **MATERIAL | ranges)})
-        env.reset()
+        env = start_env("block", events={"m": event("randomize_rigid_body_material", **MATERIAL | ranges)})
         wrench = torch.zeros(4, 1, 6)
         wrench[:, 0, 0] = 0.5 * 2.001 * 9.81
         env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
@@ -116,8 +111,7 @@ def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_en
     assert len(np.unique(drawn)) == drawn.size
     others = [b for b in range(model.nbody) if b not in ids]
     assert (mass[:, others] == model.body_mass[others]).all()
-    ratio = drawn / model.body_mass[ids]
-    np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * ratio[..., None])
+    np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * (drawn / model.body_mass[ids])[..., None])
     assert env.scene.sim.batch.expanded("body_ipos") is None  # centres of mass stay
 
 
@@ -125,8 +119,7 @@ def test_masses_drawn_again_do_not_add_up(make_env):
     env, _, ids, mass, inertia = _mass(make_env, "add", [0.1, 0.1], recompute_inertia=False)
     assert inertia is None
     env.event_manager.apply("startup")
-    again = np.array(env.scene.sim.batch.expanded("body_mass"))
-    np.testing.assert_allclose(again[:, ids], mass[:, ids])
+    np.testing.assert_allclose(np.array(env.scene.sim.batch.expanded("body_mass"))[:, ids], mass[:, ids])
 
 
 def test_a_mass_never_falls_below_its_minimum(make_env):
@@ -135,10 +128,9 @@ def test_a_mass_never_falls_below_its_minimum(make_env):
 
 
 @pytest.mark.parametrize("what", ["mass", "inertia"])
-def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_env, what):
+def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(start_env, what):
     params = {f"{what}_distribution_params": [2.0, 2.0], "operation": "scale", "asset_cfg": bodies("base")}
-    env = make_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
-    env.reset()
+    env = start_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
     model, sim = env.scene.model, env.scene.sim
     before = sim.derived("subtree_com")[:, model.body("base").id].clone()
     base = sim.derived("xipos")[:, model.body("base").id].clone()
@@ -155,10 +147,9 @@ def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_en
     torch.testing.assert_close(sim.derived("subtree_com")[1, model.body("base").id], expected)
 
 
-def test_the_drawn_mass_is_what_the_engine_moves(make_env):
+def test_the_drawn_mass_is_what_the_engine_moves(start_env):
     ranges = {"operation": "add", "mass_distribution_params": [0.0, 3.0], "asset_cfg": bodies("block")}
-    env = make_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
-    env.reset()
+    env = start_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
     for _ in range(60):
         env.step(torch.zeros(4, 1))
     mass = np.array(env.scene.sim.batch.expanded("body_mass")).sum(axis=1)
@@ -169,8 +160,7 @@ def test_the_drawn_mass_is_what_the_engine_moves(make_env):
 def test_a_gaussians_deviation_may_be_less_than_its_mean(make_env, what):
     params = {f"{what}_distribution_params": [0.5, 0.01], "operation": "abs", "distribution": "gaussian"}
     env = make_env(events={"m": event(f"randomize_rigid_body_{what}", asset_cfg=bodies("base"), **params)})
-    drawn = env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id]
-    assert (drawn - 0.5).abs().max() < 0.06
+    assert (env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id] - 0.5).abs().max() < 0.06
 
 
 @pytest.mark.parametrize(
@@ -188,11 +178,10 @@ def test_distributions(distribution, mean, std):
         assert 3.99 < float(drawn.max()) <= 4.0
 
 
-def test_centres_of_mass_shift_together_and_add_up(make_env):
+def test_centres_of_mass_shift_together_and_add_up(start_env):
     ranges = {"x": [-0.01, 0.02], "y": [0.005, 0.005]}
     fields = {"mode": "custom", "com_range": ranges, "asset_cfg": bodies("base", "left_arm")}
-    env = make_env(events={"c": event("randomize_rigid_body_com_cumulative", **fields)})
-    env.reset()
+    env = start_env(events={"c": event("randomize_rigid_body_com_cumulative", **fields)})
     model = env.scene.model
     ids = [model.body("base").id, model.body("left_arm").id]
     env.apply_event("custom")
@@ -208,11 +197,10 @@ def test_centres_of_mass_shift_together_and_add_up(make_env):
     torch.testing.assert_close(env.scene.robot.data.com_b.double(), expected, atol=1e-7, rtol=0)
 
 
-def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
+def test_a_shifted_centre_of_mass_moves_the_engines(start_env):
     """The robot's centre of mass moves by m / M times the offset of one body."""
     node = event("randomize_rigid_body_com", mode="custom", com_range={"x": [0.03, 0.03]}, asset_cfg=bodies("base"))
-    env = make_env(events={"c": node})
-    env.reset()
+    env = start_env(events={"c": node})
     root = env.scene.model.body("base").id
     before = env.scene.sim.derived("subtree_com")[:, root].clone()
     velocity = env.scene.robot.data.root_lin_vel_w.clone()
@@ -225,10 +213,9 @@ def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
 # ---- wrench and pushes ----
 
 
-def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_env):
+def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(start_env):
     ranges = {"force_range": [1.0, 2.0], "torque_range": [-0.2, -0.1], "asset_cfg": bodies("base", "right_arm")}
-    env = make_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
-    env.reset()
+    env = start_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
     env.step(torch.zeros(64, 4))
     applied = env.scene.robot._wrench  # link axes, (N, bodies, 3, [force, torque])
     named = [env.scene.robot.body_names.index(n) for n in ("base", "right_arm")]
@@ -236,8 +223,7 @@ def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_en
     assert ((force >= 1.0) & (force <= 2.0)).all()
     assert ((torque >= -0.2) & (torque <= -0.1)).all()
     assert len(force.unique()) == force.numel()
-    others = [b for b in range(5) if b not in named]
-    assert (applied[:, others] == 0).all()
+    assert (applied[:, [b for b in range(5) if b not in named]] == 0).all()
 
 
 def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
@@ -276,12 +262,10 @@ def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
     torch.testing.assert_close(data.root_lin_vel_w[[1, 3]], torch.tensor([[0.1, 0.2, 0.3]] * 2), atol=1e-5, rtol=0)
 
 
-def test_a_push_in_the_yaw_frame_turns_with_the_robot(make_env):
+def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
     """The four robots have the yaw angles 0, 90, 180, and -30 degrees. The second and third robots are pushed."""
     ranges = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "z": [3.0, 3.0], "roll": [4.0, 4.0], "yaw": [0.5, 0.5]}
-    node = event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")
-    env = make_env(events={"p": node})
-    env.reset()
+    env = start_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")})
     yaw = torch.tensor([0.0, math.pi / 2, math.pi, -math.pi / 6])
     pitch = torch.full((4,), 0.3)  # a leaning robot is pushed along the ground, too
     pose = (env.scene.robot.data.root_pos_w, rotation.quat_from_euler_xyz(torch.zeros(4), pitch, yaw))
@@ -300,9 +284,8 @@ def test_a_velocity_that_is_set_is_the_drawn_one(make_env):
     torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[0.0, 0.0, 0.5]] * 2), atol=1e-5, rtol=0)
 
 
-def test_two_pushes_in_a_row_add_up(make_env):
-    env = make_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
-    env.reset()
+def test_two_pushes_in_a_row_add_up(start_env):
+    env = start_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
     for _ in range(2):
         env.apply_event("custom", torch.tensor([3]))
     velocity = env.scene.robot.data.root_lin_vel_w
@@ -310,12 +293,11 @@ def test_two_pushes_in_a_row_add_up(make_env):
     assert velocity[:3].abs().max() == 0
 
 
-def test_a_push_shows_in_the_observation_of_the_same_step(make_env):
+def test_a_push_shows_in_the_observation_of_the_same_step(start_env):
     fields = {"mode": "interval", "interval_range_s": [0.04, 0.04], "velocity_range": {"x": [3.0, 3.0]}}
     events_ = {"r": event("reset_scene_to_default", mode="reset"), "p": event("push_by_adding_velocity", **fields)}
     seen = {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}
-    env = make_env(events=events_, observations={"policy": {"terms": seen}})
-    env.reset()
+    env = start_env(events=events_, observations={"policy": {"terms": seen}})
     speeds = [float(env.step(torch.zeros(4, 4))[0]["policy"][0, 0]) for _ in range(3)]
     assert abs(speeds[0]) < 0.5
     assert speeds[1] == pytest.approx(3.0, abs=0.5)
@@ -333,8 +315,7 @@ def _placed(make_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0),
 
 def test_the_root_stands_at_its_default_plus_origin_plus_draw(make_env):
     env, data = _placed(make_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
-    expected = env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6])
-    torch.testing.assert_close(data.root_pos_w, expected)
+    torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6]))
     assert data.root_lin_vel_w.abs().max() == 0
 
 
@@ -396,8 +377,7 @@ def _joint_reset(make_env, name, position, velocity, defaults=0.5, speed=2.0, **
 
 
 def test_joints_by_scale(make_env):
-    still = _joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0)
-    assert (still.joint_vel == 0).all()
+    assert (_joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0).joint_vel == 0).all()
     data = _joint_reset(make_env, "reset_joints_by_scale", [0.5, 1.5], [-1.0, 1.0])
     assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
     assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
@@ -414,15 +394,13 @@ def test_joints_by_offset(make_env):
 
 def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env):
     data = _joint_reset(make_env, "reset_joints_by_offset", [5.0, 5.0], [100.0, 100.0])
-    assert data.joint_pos[0].tolist() == [1.5, 1.5, 5.5, 5.5]
-    assert data.joint_vel[0].tolist() == [30, 30, 20, 20]
+    assert (data.joint_pos[0].tolist(), data.joint_vel[0].tolist()) == ([1.5, 1.5, 5.5, 5.5], [30, 30, 20, 20])
 
 
-def test_joints_are_clamped_to_their_soft_limits(make_env):
+def test_joints_are_clamped_to_their_soft_limits(start_env):
     """The hips' limits of -1 and 1.5 rad shrink by the factor 0.8 around their middle."""
     node = event("reset_joints_by_offset", mode="reset", position_range=[-9.0, 9.0], velocity_range=[0.0, 0.0])
-    env = make_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
-    env.reset()
+    env = start_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
     hips = env.scene.robot.data.joint_pos[:, :2]
     assert (float(hips.min()), float(hips.max())) == (pytest.approx(-0.75), pytest.approx(1.25))
 

@@ -27,8 +27,7 @@ def wheel(tmp_path):
         )
         config = env_config("arm", actions={}, events=events, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]})
         config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
-        limits = {"effort_limit": 100.0, "velocity_limit": 100.0}
-        drive = {"stiffness": gains[0], "damping": gains[1], **limits}
+        drive = {"stiffness": gains[0], "damping": gains[1], "effort_limit": 100.0, "velocity_limit": 100.0}
         config["robot"]["actuators"] = {"a": {"_target_": ACTUATORS + model, "joint_names_expr": ["axle"], **drive}}
         env = ManagerBasedRLEnv(config, tmp_path / "wheel.xml", 0)
         env.reset()
@@ -134,8 +133,7 @@ LIMITS = {"lower_limit_distribution_params": [-0.6, -0.2], "upper_limit_distribu
 @pytest.mark.parametrize("limited", ["", "limited='true' range='-2 2'"])
 def test_a_joint_stops_at_its_own_limit(wheel, limited):
     env = wheel("ImplicitActuator", (0.0, 0.1), limited, limits=event("randomize_joint_parameters", **LIMITS))
-    data = env.scene.robot.data
-    limits = data.joint_pos_limits[:, 0]
+    limits = env.scene.robot.data.joint_pos_limits[:, 0]
     assert ((limits[:, 0] >= -0.6) & (limits[:, 0] <= -0.2)).all()
     assert ((limits[:, 1] >= 0.1) & (limits[:, 1] <= 0.4)).all()
     for effort, column in ((0.5, 1), (-0.5, 0)):
@@ -147,8 +145,7 @@ def test_a_joint_stops_at_its_own_limit(wheel, limited):
 def test_soft_limits_and_defaults_follow_the_limits(make_env):
     ranges = {"lower_limit_distribution_params": [0.5, 0.6], "upper_limit_distribution_params": [0.1, 0.2]}
     node = event("randomize_joint_parameters", **ranges, operation="add", asset_cfg=joints(".*_hip"))
-    env = make_env(events={"l": node}, robot={"soft_joint_pos_limit_factor": 0.5})
-    data = env.scene.robot.data
+    data = make_env(events={"l": node}, robot={"soft_joint_pos_limit_factor": 0.5}).scene.robot.data
     hips = [data.joint_names.index(n) for n in ("left_hip", "right_hip")]
     axles = [data.joint_names.index(n) for n in ("left_axle", "right_axle")]
     before, now = data.default_joint_pos_limits[:, hips], data.joint_pos_limits[:, hips]
@@ -162,8 +159,7 @@ def test_soft_limits_and_defaults_follow_the_limits(make_env):
 
 def test_defaults_are_clamped_to_the_limits_and_resets_begin_there(wheel):
     ranges = {"lower_limit_distribution_params": [0.2, 0.3], "upper_limit_distribution_params": [0.4, 0.5]}
-    env = wheel(joints=event("randomize_joint_parameters", **ranges, operation="abs"))
-    data = env.scene.robot.data
+    data = wheel(joints=event("randomize_joint_parameters", **ranges, operation="abs")).scene.robot.data
     assert torch.equal(data.default_joint_pos, data.joint_pos_limits[..., 0])
 
 
@@ -201,7 +197,7 @@ def test_velocity_limits_by_environment_clip_targets(wheel):
 
 
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
-def test_a_drive_holds_what_its_encoder_reads(make_env, model):
+def test_a_drive_holds_what_its_encoder_reads(make_env, start_env, model):
     groups = make_env("arm").cfg["robot"]["actuators"]
     groups["all"] |= {"_target_": ACTUATORS + model, "stiffness": 50.0, "damping": 2.0, "effort_limit": 100.0}
     terms = {
@@ -211,30 +207,25 @@ def test_a_drive_holds_what_its_encoder_reads(make_env, model):
     bias = event("randomize_encoder_bias", "reset", bias_range=[-0.05, 0.05])
     events = {"to_default": event("reset_scene_to_default", "reset"), "bias": bias}
     sections = {"robot": {"actuators": groups}, "sim": {"gravity": [0.0, 0.0, 0.0]}, "events": events}
-    env = make_env("arm", observations={"policy": {"terms": terms}}, **sections)
-    env.reset()
+    env = start_env("arm", observations={"policy": {"terms": terms}}, **sections)
     data = env.scene.robot.data
     bias = data.encoder_bias.clone()
     assert len(bias.unique()) == 8
     assert bias.abs().max() <= 0.05
     for _ in range(99):
         obs, *_ = env.step(torch.full((4, 2), -0.05))
-    asked = data.joint_pos_target
-    torch.testing.assert_close(data.joint_pos + bias, asked, atol=2e-3, rtol=0.0)
+    torch.testing.assert_close(data.joint_pos + bias, data.joint_pos_target, atol=2e-3, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, :2] - obs["policy"][:, 2:], bias, atol=1e-6, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, 2:], data.joint_pos - data.default_joint_pos)
     assert data.computed_torque.abs().max() < 0.2
 
 
-def test_a_bias_is_that_of_the_environments_that_were_reset(make_env):
+def test_a_bias_is_that_of_the_environments_that_were_reset(start_env):
     node = event("randomize_encoder_bias", "reset", bias_range=[0.1, 0.2], asset_cfg=joints(".*_hip"))
-    env = make_env(events={"b": node})
-    env.reset()
+    env = start_env(events={"b": node})
     bias = env.scene.robot.data.encoder_bias
     before = bias.clone()
     env.reset(env_ids=torch.tensor([2]))
-    changed = (bias != before).any(dim=1)
-    assert changed.tolist() == [False, False, True, False]
-    axles = [env.scene.robot.joint_names.index(n) for n in ("left_axle", "right_axle")]
-    assert (bias[:, axles] == 0).all()
+    assert (bias != before).any(dim=1).tolist() == [False, False, True, False]
+    assert (bias[:, [env.scene.robot.joint_names.index(n) for n in ("left_axle", "right_axle")]] == 0).all()
     assert np.isfinite(bias.numpy()).all()

@@ -86,8 +86,7 @@ def test_velocities_are_those_of_the_robot():
 
 def test_actions_of_all_terms_or_one():
     term = SimpleNamespace(raw_actions=T([[7.0]]))
-    manager = SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name])
-    env = fake_env(action_manager=manager)
+    env = fake_env(action_manager=SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name]))
     close(observations.last_action(env), [[1.0, 2.0]])
     close(observations.last_action(env, action_name="legs"), [[7.0]])
 
@@ -136,9 +135,8 @@ def test_joint_accelerations_are_zero_after_a_reset(make_env):
     close(observations.joint_acc(env), ((env.scene.robot.data.joint_vel - before) / 0.01).tolist())
 
 
-def test_bodies_are_seen_as_mujoco_sees_them(make_env):
-    env = make_env(num_envs=3)
-    env.reset()
+def test_bodies_are_seen_as_mujoco_sees_them(start_env):
+    env = start_env(num_envs=3)
     quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
     place = env.scene.env_origins + T([0.5, -1.0, 2.0])
     env.scene.robot.write_root_pose_to_sim(torch.cat((place, quat), dim=1), torch.arange(3))
@@ -163,8 +161,7 @@ def test_bodies_are_seen_as_mujoco_sees_them(make_env):
 def test_a_height_scan_is_from_the_sensor_to_the_ground_and_a_miss_is_cut_by_the_clip():
     data = SimpleNamespace(pos_w=T([[5.0, 6.0, 1.0]]), ray_hits_w=T([[[0.0, 0.0, 0.25], [9.0, 9.0, math.inf]]]))
     env = SimpleNamespace(scene={"scanner": SimpleNamespace(data=data)})
-    scan = observations.height_scan(env, sensor_cfg=entity("scanner"), offset=0.5)
-    close(scan, [[0.25, -math.inf]])
+    close(observations.height_scan(env, sensor_cfg=entity("scanner"), offset=0.5), [[0.25, -math.inf]])
     close(observations.height_scan(env, sensor_cfg=entity("scanner")).clip(-1.0, 1.0), [[0.25, -1.0]])
 
 
@@ -180,8 +177,7 @@ def test_a_height_scan_is_from_the_sensor_to_the_ground_and_a_miss_is_cut_by_the
 def test_an_imu_shows_what_it_measured(term, measured):
     names = ("quat_w", "projected_gravity_b", "ang_vel_b", "lin_acc_b")
     data = SimpleNamespace(**{name: T([[float(name == measured)]]) for name in names})
-    env = SimpleNamespace(scene={"imu": SimpleNamespace(data=data)})
-    assert term(env).item() == 1.0
+    assert term(SimpleNamespace(scene={"imu": SimpleNamespace(data=data)})).item() == 1.0
 
 
 def test_contacts_of_bodies_as_flags_forces_and_times():

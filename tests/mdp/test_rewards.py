@@ -75,8 +75,7 @@ def test_closeness_to_a_height_is_counted_from_the_ground_below():
         data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.52], [1.0, 9.0, 0.5]]),
         ground=lambda xy: torch.where(xy[..., 0] > 5.0, 0.2, 0.16),
     )
-    reward = rewards.base_height_exp(env, target_height=0.3, std=0.02)
-    close(reward, [1.0, math.exp(-1.0), math.exp(-4.0)])
+    close(rewards.base_height_exp(env, target_height=0.3, std=0.02), [1.0, math.exp(-1.0), math.exp(-4.0)])
 
 
 def test_height_over_what_rays_hit():
@@ -228,7 +227,6 @@ def test_tracking_height_and_tilt():
 
 
 def test_a_value_that_is_not_finite_stays_so():
-    env = fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]]))
-    nan, inf = rewards.lin_vel_z_l2(env)
+    nan, inf = rewards.lin_vel_z_l2(fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]])))
     assert nan.isnan()
     assert inf.isinf()

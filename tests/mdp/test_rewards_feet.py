@@ -114,8 +114,7 @@ def test_a_wheel_that_rolls_does_not_slip():
     """Wheels of 0.1 m roll along x, roll with a turned axle, lock, spin in place, slide sideways, or barely touch."""
     velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0], [1.0, 0, 0]]
     spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
-    force = [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]]
-    env = _wheels(velocity, spin, force)
+    env = _wheels(velocity, spin, [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]])
     close(rewards.wheel_slip(env, 0.1, entity("contact"), entity()), [0, 0, 1, 0.5, 0.3, 0, 0])
 
 
@@ -155,5 +154,4 @@ def test_slip_is_the_speed_of_mujocos_contact_point():
         slip, normal = jacobian @ data.qvel, contact.frame[:3]
         env = _wheels([moved[3:].tolist()], [moved[:3].tolist()], [(3.0 * normal).tolist()])
         expected = np.linalg.norm(slip - slip @ normal * normal)
-        got = rewards.wheel_slip(env, 0.1, entity("contact"), entity())
-        assert float(got) == pytest.approx(expected, rel=1e-4)
+        assert float(rewards.wheel_slip(env, 0.1, entity("contact"), entity())) == pytest.approx(expected, rel=1e-4)

@@ -90,8 +90,7 @@ def test_positions():
     env = fake_env(**JOINTS)
     assert terminations.joint_pos_out_of_limit(env).tolist() == [True, False, False]
     assert terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4)).tolist() == [True, True, False]
-    only = entity(joints=[1])
-    found = terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4), asset_cfg=only)
+    found = terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4), asset_cfg=entity(joints=[1]))
     assert found.tolist() == [False, True, False]
 
 
@@ -127,8 +126,7 @@ def test_what_is_just_at_its_limit_is_not_beyond_it():
 
 def test_contacts():
     env = fake_env(contact_norm=T([[0.0, 2.0], [0.3, 0.0], [0.31, 0.0]]))
-    cfg = entity("contact")
-    assert terminations.illegal_contact(env, 0.3, cfg).tolist() == [True, False, True]
+    assert terminations.illegal_contact(env, 0.3, entity("contact")).tolist() == [True, False, True]
     assert terminations.illegal_contact(env, 0.3, entity("contact", bodies=[0])).tolist() == [False, False, True]
 
 
@@ -151,21 +149,19 @@ def test_a_torque_is_out_of_its_limit_where_less_is_applied_than_was_computed():
     applied = T([[3.0, -1.0], [4.0, 0.0], [0.0, -4.0], [4.0, -4.0], [2.5, 1.0], [3.0003, 0.0]])
     limits = torch.full((6, 2), 4.0)
     env = fake_env(data_computed_torque=computed, data_applied_torque=applied, data_joint_effort_limits=limits)
-    found = terminations.joint_effort_out_of_limit(env)
-    assert found.tolist() == [False, True, True, False, True, False]
+    assert terminations.joint_effort_out_of_limit(env).tolist() == [False, True, True, False, True, False]
     second = terminations.joint_effort_out_of_limit(env, entity(joints=[1]))
     assert second.tolist() == [False, False, True, False, False, False]
 
 
-def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env):
+def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env, start_env):
     """At three quarters of the no-load speed, the line from 2 N·m leaves 0.5 N·m of the demanded 0.6 N·m."""
     motor = {"_target_": "wheelleg_exp.sim.actuators.DCMotor", "joint_names_expr": [".*_axle"]}
     motor |= {"saturation_effort": 2.0, "stiffness": 0.0, "damping": 0.0, "effort_limit": 1.0, "velocity_limit": 20.0}
     robot = {"actuators": {**make_env().cfg["robot"]["actuators"], "axles": motor}}
     ended = {"t": {"_target_": "wheelleg_exp.mdp.terminations.joint_effort_out_of_limit"}}
     actions = {"a": {"_target_": "wheelleg_exp.mdp.actions.JointEffortAction", "joint_names": [".*_axle"]}}
-    env = make_env(robot=robot, actions=actions, terminations=ended, decimation=1)
-    env.reset()
+    env = start_env(robot=robot, actions=actions, terminations=ended, decimation=1)
     speed = torch.zeros(4, 4)
     speed[1, 2] = 15.0
     env.scene.robot.write_joint_velocity_to_sim(speed)

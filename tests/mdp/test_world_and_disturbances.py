@@ -33,10 +33,9 @@ OFF = [[-1.0, 0.5, -2.0], [1.0, 0.5, 2.0]]
 
 
 @pytest.mark.parametrize("per_env", [True, False])
-def test_everything_falls_as_gravity_was_drawn(make_env, per_env):
+def test_everything_falls_as_gravity_was_drawn(start_env, per_env):
     node = event("randomize_physics_scene_gravity", gravity_distribution_params=OFF, operation="add", per_env=per_env)
-    env = make_env("block", events={"g": node})
-    env.reset()
+    env = start_env("block", events={"g": node})
     written = torch.from_numpy(np.array(env.scene.sim.batch.expanded("opt.gravity"))).float()
     assert len(written.unique(dim=0)) == (4 if per_env else 1)
     assert ((written - torch.tensor([0.0, 0.5, -9.81])).abs() <= torch.tensor([1.0, 1e-6, 2.0])).all()
@@ -60,19 +59,17 @@ def test_one_gravity_holds_for_all_whoever_is_reset(make_env):
     env = make_env("block", events={"g": node})
     env.apply_event("custom", torch.tensor([1]))
     written = env.scene.sim.expanded["opt.gravity"]
-    assert len(written.unique(dim=0)) == 1
-    assert written[0, 1] == pytest.approx(0.5)
+    assert (len(written.unique(dim=0)), written[0, 1]) == (1, pytest.approx(0.5))
 
 
 # ---- inertia ----
 
 
-def test_a_body_turns_as_its_drawn_inertia_says(make_env):
+def test_a_body_turns_as_its_drawn_inertia_says(start_env):
     """The expected speed is w = torque * t / I."""
     ranges = {"inertia_distribution_params": [0.8, 1.4], "operation": "scale", "asset_cfg": bodies("block")}
     node = event("randomize_rigid_body_inertia", **ranges)
-    env = make_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
-    env.reset()
+    env = start_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
     model, body = env.scene.model, env.scene.model.body("block").id
     drawn = np.array(env.scene.sim.batch.expanded("body_inertia"))[:, body]
     ratio = drawn / model.body_inertia[body]
@@ -123,25 +120,22 @@ def test_a_moment_of_inertia_never_falls_below_its_minimum(make_env):
 IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
 
 
-def test_a_push_lasts_and_a_pause_follows(make_env):
+def test_a_push_lasts_and_a_pause_follows(start_env):
     """Pauses take 0.1 s, pushes 0.06 s, and control steps 0.02 s."""
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.06, 0.06], pause_s=[0.1, 0.1])
-    env = make_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
-    env.reset()
+    env = start_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
     body = env.scene.model.body("block").id
     felt = []
     for _ in range(18):
         env.step(torch.zeros(4, 1))
         felt.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 0.5).all()))
     assert felt == [False] * 5 + [True] * 3 + [False] * 5 + [True] * 3 + [False] * 2
-    drawn = env.scene.robot.permanent_wrench[:, 0]
-    assert (drawn.abs() < 1e-6).all()
+    assert (env.scene.robot.permanent_wrench[:, 0].abs() < 1e-6).all()
 
 
-def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
+def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(start_env):
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.0, 0.0])
-    env = make_env("block", events={"p": node}, sim={"gravity": [0.0, 0.0, 0.0]})
-    env.reset()
+    env = start_env("block", events={"p": node}, sim={"gravity": [0.0, 0.0, 0.0]})
     env.step(torch.zeros(4, 1))
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 1.0) & (force <= 2.0)).all()
@@ -149,18 +143,16 @@ def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
     before = env.scene.robot.data.root_lin_vel_w.clone()
     env.step(torch.zeros(4, 1))
     gained = env.scene.robot.data.root_lin_vel_w - before
-    mass = env.scene.model.body_subtreemass[env.scene.model.body("block").id]
-    expected = force / mass * env.step_dt
+    expected = force / env.scene.model.body_subtreemass[env.scene.model.body("block").id] * env.step_dt
     torch.testing.assert_close(gained.norm(dim=1), expected.norm(dim=1), rtol=0.05, atol=0.0)
 
 
-def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(make_env):
+def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(start_env):
     always = event(
         "set_permanent_body_wrench", "reset", force_range=[3.0, 3.0], torque_range=[0.0, 0.0], asset_cfg=bodies("block")
     )
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.02, 0.02])
-    env = make_env("block", events={"w": always, "p": node})
-    env.reset()
+    env = start_env("block", events={"w": always, "p": node})
     for _ in range(2):
         env.step(torch.zeros(4, 1))
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
@@ -174,14 +166,12 @@ def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(make_env):
     assert ((force >= 4.0) & (force <= 5.0)).all()
 
 
-def test_times_of_pushes_differ_between_environments(make_env):
+def test_times_of_pushes_differ_between_environments(start_env):
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.1, 0.5], pause_s=[0.1, 0.5])
-    env = make_env("block", events={"p": node}, num_envs=64)
-    env.reset()
+    env = start_env("block", events={"p": node}, num_envs=64)
     for _ in range(15):
         env.step(torch.zeros(64, 1))
-    pushed = env.event_manager.get_term_cfg("p").func._is_pushed
-    assert 5 < int(pushed.sum()) < 59
+    assert 5 < int(env.event_manager.get_term_cfg("p").func._is_pushed.sum()) < 59
 
 
 # ---- states at the start of episodes ----

@@ -79,9 +79,8 @@ def test_the_roots_members_are_those_of_the_first_body(env):
     assert torch.equal(state.root_com_lin_vel_b, state.root_lin_vel_b)
 
 
-def test_accelerations_are_of_the_last_physics_step(make_env):
-    env = make_env()
-    env.reset()
+def test_accelerations_are_of_the_last_physics_step(start_env):
+    env = start_env()
     robot, actions = env.scene.robot, torch.zeros(N, 4)
     for _ in range(50):
         env.step(actions)
@@ -162,8 +161,7 @@ def test_constants(env):
     assert data.GRAVITY_VEC_W.tolist() == N * [[0.0, 0.0, -1.0]]
     assert data.FORWARD_VEC_B.tolist() == N * [[1.0, 0.0, 0.0]]
     assert data.default_root_state[1].tolist() == pytest.approx([0, 0, 0.3, 1, 0, 0, 0] + 6 * [0])
-    assert data.body_names == env.scene.robot.body_names
-    assert data.joint_names == env.scene.robot.joint_names
+    assert (data.body_names, data.joint_names) == (env.scene.robot.body_names, env.scene.robot.joint_names)
 
 
 def test_a_changed_default_state_is_saved(make_env):
@@ -192,8 +190,7 @@ def test_what_is_absent_says_so(make_env, owner, name, why):
 
 
 def test_written_states_are_read_again(make_env):
-    env = make_env()
-    robot, gen = env.scene.robot, torch.Generator().manual_seed(1)
+    robot, gen = make_env().scene.robot, torch.Generator().manual_seed(1)
     ids = torch.tensor([3, 1])
     quat = torch.nn.functional.normalize(torch.randn(2, 4, generator=gen), dim=1)
     state = torch.cat((torch.randn(2, 3, generator=gen), quat, torch.randn(2, 6, generator=gen)), dim=1)

@@ -129,8 +129,7 @@ def test_an_error_of_the_engine_names_the_simulations_and_the_others_go_on():
 
 def test_per_simulation_mass_changes_only_its_row(model):
     sim = BatchEngine(model, 2, 1)
-    mass = sim.expand("body_mass")
-    mass[1, 1] = 3.0
+    sim.expand("body_mass")[1, 1] = 3.0
     sim.set_const()
     sim.view("xfrc_applied")[:, 1, 0] = 6.0
     sim.step()

@@ -9,10 +9,8 @@ ALL = torch.arange(4)
 
 
 @pytest.fixture
-def env(make_env):
-    env = make_env()
-    env.reset()
-    return env
+def env(start_env):
+    return start_env()
 
 
 def _random_pose(env, seed=0):
@@ -90,8 +88,7 @@ def test_a_read_after_a_write_is_the_written_value_without_a_forward(env):
     robot = env.scene.robot
     assert robot.data.joint_pos[0, 0] != 0.4
     robot.write_joint_state_to_sim(torch.tensor([[0.4]]), torch.tensor([[1.5]]), torch.tensor([1]), torch.tensor([2]))
-    assert robot.data.joint_pos[2, 1] == pytest.approx(0.4)
-    assert robot.data.joint_vel[2].tolist() == [0, 1.5, 0, 0]
+    assert (robot.data.joint_pos[2, 1], robot.data.joint_vel[2].tolist()) == (pytest.approx(0.4), [0, 1.5, 0, 0])
     assert robot.data.joint_pos[1, 1] == pytest.approx(0.2)
 
 
@@ -111,9 +108,8 @@ def test_writing_joint_velocities_zeroes_the_acceleration(env):
     assert env.scene.robot.data.joint_acc.abs().max() == 0
 
 
-def test_acceleration_and_torque_are_zero_after_a_reset_until_the_next_step(make_env):
-    env = make_env(events={})
-    env.reset()
+def test_acceleration_and_torque_are_zero_after_a_reset_until_the_next_step(start_env):
+    env = start_env(events={})
     env.scene.robot.set_joint_position_target(torch.full((4, 4), 0.5), slice(None))
     env.scene.robot.set_joint_velocity_target(torch.full((4, 4), 2.0), slice(None))
     for _ in range(4):
@@ -166,8 +162,7 @@ def test_a_permanent_wrench_lasts_until_its_environments_reset(env):
     _permanent(env, ALL, torch.tensor([0.0, 0, 1.0, 0, 0, 0]))
     for _ in range(6):
         env.step(torch.zeros(4, 4))
-    base = env.scene.model.body("base").id
-    force = env.scene.sim.view("xfrc_applied")[:, base]
+    force = env.scene.sim.view("xfrc_applied")[:, env.scene.model.body("base").id]
     assert (force[:, :3].norm(dim=1) > 0.99).all()
     env.reset(env_ids=torch.tensor([0, 2]))
     env.step(torch.zeros(4, 4))

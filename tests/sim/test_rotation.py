@@ -26,8 +26,7 @@ def _matrix(q: torch.Tensor) -> np.ndarray:
 
 
 def test_matrices_are_mujocos(quats):
-    expected = np.stack([_matrix(q) for q in quats])
-    np.testing.assert_allclose(rotation.quat_to_matrix(quats), expected, atol=1e-14)
+    np.testing.assert_allclose(rotation.quat_to_matrix(quats), np.stack([_matrix(q) for q in quats]), atol=1e-14)
     assert rotation.quat_to_matrix(quats.float()).dtype == torch.float32
 
 
@@ -75,8 +74,7 @@ def test_random_orientations_are_uniform_on_the_sphere():
     ],
 )
 def test_wrapping_to_pi_keeps_the_sign_of_odd_multiples(angle, wrapped):
-    got = rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))
-    assert float(got) == pytest.approx(wrapped, abs=1e-12)
+    assert float(rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))) == pytest.approx(wrapped, abs=1e-12)
 
 
 def test_uniform_draws_stay_in_bounds_and_axes_are_independent():

@@ -42,8 +42,7 @@ def test_a_motors_torque_keeps_to_its_torque_speed_line(make_env, speed, low, hi
     env, _ = with_hips(make_env, "DCMotor", **GAINS, effort_limit=4.0, velocity_limit=30.0, saturation_effort=6.0)
     for torque in (-100.0, 100.0):
         applied, computed = asked_at_speed(env, speed, torque)
-        assert applied == pytest.approx(low if torque < 0 else high, abs=1e-5)
-        assert computed == torque
+        assert (applied, computed) == (pytest.approx(low if torque < 0 else high, abs=1e-5), torque)
     inside = (low + high) / 2
     assert asked_at_speed(env, speed, inside)[0] == pytest.approx(inside, abs=1e-5)
 
@@ -131,8 +130,7 @@ def test_the_targets_of_an_episode_do_not_reach_the_next(make_env):
     for _ in range(3):
         hips.act(spread((1.0, 0.0, 0.0)), data)
     hips.begin(torch.tensor([1, 3]))
-    torque = hips.act(spread((2.0, 0.0, 0.0)), data) + still
-    assert torque[:, 0].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
+    assert (hips.act(spread((2.0, 0.0, 0.0)), data) + still)[:, 0].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
 
 
 TABLE = [[-0.5, 1.0, 1.0], [0.5, 1.0, 3.0], [1.0, 1.0, 2.0]]

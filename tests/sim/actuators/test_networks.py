@@ -124,15 +124,13 @@ def test_a_restored_network_goes_on_as_if_it_had_never_stopped(made, node, modul
     other = made(node, module)
     list(stepped(other, 3))
     other.load_state_dict(torch.load(file, weights_only=True))
-    hips = [e.scene.robot.actuators["hips"] for e in (env, other)]
-    assert differing(*map(Crawl, hips)) == []
+    assert differing(*map(Crawl, [e.scene.robot.actuators["hips"] for e in (env, other)])) == []
     for one, two in zip(stepped(env, 5), stepped(other, 5), strict=True):
         assert all(map(np.array_equal, one, two))
 
 
 def test_a_networks_numbers_stand_in_no_state(made):
-    env = made(LSTM, torques.recurrent())
-    saved = env.state_dict()["scene"]["robot"]["actuators"]["hips"]
+    saved = made(LSTM, torques.recurrent()).state_dict()["scene"]["robot"]["actuators"]["hips"]
     assert saved.keys() == {"_hidden", "_cell", "_computed"}
 
 

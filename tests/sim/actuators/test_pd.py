@@ -61,9 +61,7 @@ def test_armatures_and_gains_reach_the_model(make_env):
     assert model.joint("left_hip").damping[0] == 0
     assert model.dof_armature[model.joint("right_axle").dofadr[0]] == 0.01
     drive = model.actuator("right_hip")
-    assert drive.biasprm[:3].tolist() == [0, -20, -1]
-    assert drive.gainprm[0] == 1
-    assert drive.forcerange.tolist() == [-4, 4]
+    assert (drive.biasprm[:3].tolist(), drive.gainprm[0], drive.forcerange.tolist()) == ([0, -20, -1], 1, [-4, 4])
 
 
 def test_without_an_armature_the_assets_own_is_kept(tmp_path):
@@ -119,8 +117,7 @@ def test_an_actuator_with_a_memory_has_a_stream_and_acts_on_what_it_remembers(ma
         robot.set_joint_position_target(target, slice(None))
         q, qd = data.joint_pos[:, ids].clone(), data.joint_vel[:, ids].clone()
         physics_step(env)
-        then = (targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset
-        expected = KP[ids] * (then - q) - KD[ids] * qd
+        expected = KP[ids] * ((targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset - q) - KD[ids] * qd
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
         robot.set_joint_position_target(torch.zeros(4, 4), slice(None))
         data.invalidate()

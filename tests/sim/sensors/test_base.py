@@ -6,16 +6,14 @@ MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
 
 
 def _env(make_env, **settings):
-    sensors = {"height": {"_target_": "managers.spies.Altimeter", **settings}}
-    env = make_env(scene={"sensors": sensors})
+    env = make_env(scene={"sensors": {"height": {"_target_": "managers.spies.Altimeter", **settings}}})
     env.reset()
     return env, env.scene["height"]
 
 
 def test_it_is_a_member_of_the_scene_with_a_stream_of_its_own(make_env):
     env, sensor = _env(make_env)
-    assert list(env.scene) == ["robot", "terrain", "height"]
-    assert sensor.key == "env.scene.sensors.height"
+    assert (list(env.scene), sensor.key) == (["robot", "terrain", "height"], "env.scene.sensors.height")
     assert sensor.key in env.streams.state_dict()["generators"]
 
 
@@ -23,8 +21,7 @@ def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(make
     env, sensor = _env(make_env)
     env.step(torch.zeros(4, 4))
     assert sensor.measured.tolist() == [2] * 4
-    height = env.scene.robot.data.root_pos_w[:, 2]
-    torch.testing.assert_close(sensor.height, height, atol=0.01, rtol=0)
+    torch.testing.assert_close(sensor.height, env.scene.robot.data.root_pos_w[:, 2], atol=0.01, rtol=0)
     env.reset(env_ids=torch.tensor([2]))
     assert sensor.measured.tolist() == [2, 2, 0, 2]
     assert float(sensor.height[2]) == float(env.scene.robot.data.root_pos_w[2, 2])

@@ -18,21 +18,18 @@ ALL = torch.arange(2)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, base="block", body="block", **settings):
         node = {"_target_": "wheelleg_exp.sim.sensors.Camera", "body_name": body, "width": 40, "height": 30}
         scene = {"sensors": {"eye": {**node, "offset": BELOW, **settings}}}
         scene |= {} if ground is None else {"terrain": ground}
-        env = make_env(base, num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
-        env.reset()
-        return env
+        return start_env(base, num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
 
     return build
 
 
 def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0, ids=ALL):
-    angles = (torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw))
-    quat = rotation.quat_from_euler_xyz(*angles)
+    quat = rotation.quat_from_euler_xyz(*(torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw)))
     env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos).expand(len(ids), 3), quat), dim=1), ids)
     env.scene.refresh()
     return env.scene["eye"].data
@@ -59,8 +56,7 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
     c, s = math.cos, math.sin
     # This is the last row of the matrix Rz Ry Rx.
     lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.25), c(-0.3) * c(0.25)])
-    start = 1.3 - 0.2 * lowest[2]
-    along = (start / -(ahead @ lowest)).unsqueeze(-1)
+    along = ((1.3 - 0.2 * lowest[2]) / -(ahead @ lowest)).unsqueeze(-1)
     assert data.output["depth"].shape == (2, 30, 40, 1)
     for kind in ("depth", "distance_to_image_plane"):
         torch.testing.assert_close(data.output[kind][1], along, atol=0, rtol=1e-4)
@@ -81,8 +77,7 @@ def test_each_pixel_shows_a_point_of_the_surface_that_it_belongs_to(make, kind):
     low, step = seen[geom == number["ground"]], seen[geom == number["ground/step"]]
     assert min(len(low), len(step)) > 300
     torch.testing.assert_close(low[:, 2], torch.zeros(len(low)), atol=1e-3, rtol=0)
-    outside = torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0)
-    assert outside.min() > -1e-3
+    assert torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0).min() > -1e-3
     top = step[(step[:, 2] - 0.25).abs() < 1e-3]
     side = step[(step[:, 2] - 0.25).abs() >= 1e-3]
     assert len(top) > 200
@@ -117,11 +112,9 @@ def test_one_camera_in_three_conventions(make, convention, rot):
 
 
 def test_what_faces_the_camera_has_the_colour_of_its_material(make):
-    env = make(data_types=["rgb", "rgba"], fovy=0.3)
-    data = place(env, [0.0, 0.0, 1.0])
+    data = place(make(data_types=["rgb", "rgba"], fovy=0.3), [0.0, 0.0, 1.0])
     plane = torch.tensor([0.35, 0.38, 0.42]) * 255.0
-    assert data.output["rgb"].dtype == torch.uint8
-    assert data.output["rgb"].shape == (2, 30, 40, 3)
+    assert (data.output["rgb"].dtype, data.output["rgb"].shape) == (torch.uint8, (2, 30, 40, 3))
     torch.testing.assert_close(data.output["rgb"][0, 15, 20].float(), plane, atol=3.0, rtol=0)
     assert torch.equal(data.output["rgba"][..., :3], data.output["rgb"])
     assert (data.output["rgba"][..., 3] == 255).all()

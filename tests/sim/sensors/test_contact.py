@@ -88,8 +88,7 @@ def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_st
     for _ in range(2):
         env.step(STILL)
         seen.append(float(sensor.max_force_norm()[0, 0]))
-    assert seen[0] == pytest.approx(WEIGHT, abs=0.02)
-    assert seen[1] == 0.0
+    assert seen == [pytest.approx(WEIGHT, abs=0.02), 0.0]
 
 
 def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(make_env):
@@ -103,9 +102,8 @@ def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(mak
     assert (sensor.max_force_norm() == 0).all()
 
 
-def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
-    env = make_env("block", decimation=1, robot={"init_state": init_state(0.3, {"spin": 0.0})})
-    env.reset()
+def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(start_env):
+    env = start_env("block", decimation=1, robot={"init_state": init_state(0.3, {"spin": 0.0})})
     sensor = env.scene["contact"]
     dt = env.physics_dt
     fall = math.sqrt(2 * 0.2 / 9.81)  # The cube falls 0.2 m in 0.2 s.
@@ -149,11 +147,10 @@ def test_what_has_begun_within_some_time_is_first(env, mode):
     assert found.tolist() == [[False, True], [True, False], [False, False], [False, True]]
 
 
-def test_with_a_period_it_holds_what_it_measured(make_env):
+def test_with_a_period_it_holds_what_it_measured(start_env):
     node = CONTACT | {"history_length": 2}
     sensors = {"contact": node, "slow": node | {"update_period": 0.03}}
-    env = make_env("block", decimation=1, scene={"sensors": sensors})
-    env.reset()
+    env = start_env("block", decimation=1, scene={"sensors": sensors})
     fast, slow = env.scene["contact"], env.scene["slow"]
     history, since = [torch.zeros(4, 2, 3)] * 2, 0.0
     for k in range(1, 70):
@@ -162,8 +159,7 @@ def test_with_a_period_it_holds_what_it_measured(make_env):
         env.step(STILL)
         if k % 3 == 1:
             history = [fast.data.net_forces_w.clone(), history[0]]
-            touches = bool(history[0][0, 0].norm() > 1.0)
-            since = since + 0.03 if touches else 0.0
+            since = since + 0.03 if history[0][0, 0].norm() > 1.0 else 0.0
         assert torch.equal(slow.data.net_forces_w_history, torch.stack(history, dim=1))
         torch.testing.assert_close(slow.max_force_norm(), torch.stack(history).norm(dim=-1).amax(dim=0))
         assert float(slow.data.current_contact_time[0, 0]) == pytest.approx(since, abs=1e-6)

@@ -11,13 +11,10 @@ QUARTER = math.sqrt(0.5)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(robot="block", seed=0, num_envs=4, **settings):
-        body = {"block": "block", "rover": "base"}[robot]
-        node = {"_target_": SENSOR + "Imu", "body_name": body, **settings}
-        env = make_env(robot, seed=seed, num_envs=num_envs, scene={"sensors": {"imu": node}})
-        env.reset()
-        return env
+        node = {"_target_": SENSOR + "Imu", "body_name": {"block": "block", "rover": "base"}[robot], **settings}
+        return start_env(robot, seed=seed, num_envs=num_envs, scene={"sensors": {"imu": node}})
 
     return build
 
@@ -158,8 +155,7 @@ def test_a_bias_wanders_with_the_square_root_of_time(make, period):
     env = make(num_envs=400, gyroscope=noise(bias_walk=0.1), update_period=period)
     throw(env, 90.0)
     run(env, 18)
-    spread = float(env.scene["imu"].data.ang_vel_b.std())
-    assert spread == pytest.approx(0.1 * math.sqrt(18 * 0.02), rel=0.1)
+    assert float(env.scene["imu"].data.ang_vel_b.std()) == pytest.approx(0.1 * math.sqrt(18 * 0.02), rel=0.1)
 
 
 def test_with_a_period_it_holds_what_it_measured(make):

@@ -19,8 +19,7 @@ def test_a_grid_runs_through_x_or_through_y_first():
 
 def test_a_grid_holds_both_ends_although_the_step_has_no_binary_fraction():
     starts, _ = GridPattern(0.1, [1.6, 1.0]).rays(CPU)  # Isaac Lab's height scanner for rough terrain has this grid.
-    assert len(starts) == 17 * 11
-    assert starts[:, :2].amax(dim=0).tolist() == pytest.approx([0.8, 0.5])
+    assert (len(starts), starts[:, :2].amax(dim=0).tolist()) == (17 * 11, pytest.approx([0.8, 0.5]))
 
 
 def test_a_lidar_has_its_beams_from_below_and_leaves_out_the_last_angle_of_a_turn():

@@ -14,13 +14,11 @@ ALL = torch.arange(4)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, seed=0, **settings):
         node = {"_target_": PREFIX + "RayCaster", "body_name": "block", "pattern": GRID, **settings}
         scene = {"sensors": {"scan": node}} | ({} if ground is None else {"terrain": ground})
-        env = make_env("block", seed=seed, scene=scene)
-        env.reset()
-        return env
+        return start_env("block", seed=seed, scene=scene)
 
     return build
 
@@ -56,8 +54,7 @@ def test_world_alignment_turns_nothing(make):
 
 
 def test_base_alignment_tilts_the_rays(make):
-    one = {**GRID, "size": [0.0, 0.0]}
-    env = make(pattern=one)
+    env = make(pattern={**GRID, "size": [0.0, 0.0]})
     place(env, [0.0, 0.0, 0.7], pitch=0.3)
     hit = env.scene["scan"].data.ray_hits_w
     torch.testing.assert_close(hit, points([-0.7 * math.tan(0.3), 0.0, 0.0]), atol=1e-5, rtol=0)
@@ -67,8 +64,7 @@ def test_an_offset_turns_the_directions_and_moves_the_starts(make):
     quarter = [math.cos(math.pi / 4), 0.0, math.sin(math.pi / 4), 0.0]
     back = make(STEP, pattern={**GRID, "size": [0.0, 0.0]}, offset={"pos": [0.0, 0.0, -0.1], "rot": quarter})
     place(back, [8.0, 0.0, 0.3])
-    far_side_of_the_box = points([6.0, 0.0, 0.2])
-    torch.testing.assert_close(back.scene["scan"].data.ray_hits_w, far_side_of_the_box, atol=1e-5, rtol=0)
+    torch.testing.assert_close(back.scene["scan"].data.ray_hits_w, points([6.0, 0.0, 0.2]), atol=1e-5, rtol=0)
 
 
 def test_a_step_is_where_it_is(make):
@@ -95,8 +91,7 @@ def test_the_height_of_a_plane_is_what_rays_find_to_the_bit(make, monkeypatch):
 
 
 def test_what_is_too_far_or_not_there_is_a_miss(make):
-    level = {**GRID, "size": [0.0, 0.0], "direction": [2.0, 0.0, 0.0]}
-    env = make(pattern=level)
+    env = make(pattern={**GRID, "size": [0.0, 0.0], "direction": [2.0, 0.0, 0.0]})
     assert env.scene["scan"].data.ray_hits_w.isinf().all()
     # A ray caster without drift draws no random numbers.
     assert "env.scene.sensors.scan" not in env.streams.state_dict()["generators"]
@@ -137,8 +132,7 @@ def test_with_a_period_it_holds_what_it_saw(make, period):
 
 
 def test_drift_is_drawn_at_resets_within_its_ranges(make):
-    cast = {"x": [0.5, 0.5], "z": [0.05, 0.1]}
-    env = make(ray_alignment="yaw", drift_range=[-0.2, 0.2], ray_cast_drift_range=cast)
+    env = make(ray_alignment="yaw", drift_range=[-0.2, 0.2], ray_cast_drift_range={"x": [0.5, 0.5], "z": [0.05, 0.1]})
     place(env, [0.0, 0.0, 0.7], yaw=math.pi / 2)
     data = env.scene["scan"].data
     drift = data.pos_w - torch.tensor([0.0, 0.0, 0.7])
@@ -158,8 +152,7 @@ def test_a_drift_of_the_rays_is_level_however_the_body_is_tilted(make):
     env = make(pattern={**GRID, "size": [0.0, 0.0]}, ray_cast_drift_range={"x": [0.5, 0.5]})
     place(env, [0.0, 0.0, 0.7], pitch=0.3)
     hit = env.scene["scan"].data.ray_hits_w
-    expected = [0.5 * math.cos(0.3) - 0.7 * math.tan(0.3), 0.0, 0.0]
-    torch.testing.assert_close(hit, points(expected), atol=1e-5, rtol=0)
+    torch.testing.assert_close(hit, points([0.5 * math.cos(0.3) - 0.7 * math.tan(0.3), 0.0, 0.0]), atol=1e-5, rtol=0)
 
 
 def test_what_is_held_is_of_the_new_episode_after_a_reset_and_of_nothing_else_that_is_written(make):

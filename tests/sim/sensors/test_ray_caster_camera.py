@@ -17,7 +17,7 @@ KINDS = ["distance_to_image_plane", "distance_to_camera"]
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, drawn=None, **settings):
         pattern = {"_target_": PREFIX + "PinholePattern", **OPTICS}
         node = {"_target_": PREFIX + "RayCasterCamera", "body_name": "block", "pattern": pattern, "offset": OFFSET}
@@ -26,9 +26,7 @@ def make(make_env):
             sensors["drawn"] = {"_target_": PREFIX + "Camera", "body_name": "block", "offset": OFFSET} | OPTICS
             sensors["drawn"]["data_types"] = KINDS
         scene = {"sensors": sensors} | ({} if ground is None else {"terrain": ground})
-        env = make_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
-        env.reset()
-        return env
+        return start_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
 
     return build
 
@@ -69,16 +67,14 @@ def test_it_measures_what_mujoco_draws(make):
     assert by_rays.image_shape == drawn.image_shape == (16, 20)
     for kind in KINDS:
         one, other = by_rays.output[kind], drawn.output[kind]
-        close = torch.isclose(one, other, atol=2e-3, rtol=0)
-        assert close.float().mean() > 0.98, kind
+        assert torch.isclose(one, other, atol=2e-3, rtol=0).float().mean() > 0.98, kind
         assert one.max() - one.min() > 0.2
 
 
 @pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 1.2)])
 def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
     level = {"pos": [0.3, 0.0, 0.0], "convention": "world"}
-    env = make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior)
-    data = place(env, [[0.0, 0.0, 0.5]] * 2)
+    data = place(make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior), [[0.0, 0.0, 0.5]] * 2)
     down = (torch.arange(16) + 0.5 - 8 + 0.05 * 80 / 7) / (80 / 7)
     along = torch.where(down > 0, 0.5 / down, math.inf)
     seen = along <= 1.2

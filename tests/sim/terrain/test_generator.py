@@ -72,8 +72,7 @@ def test_rows_go_along_x_and_columns_along_y_around_the_origin():
     y = torch.tensor([-1.0, 0.0, 1.0])
     assert torch.equal(ground.terrain_origins[..., 0], x[:, None].expand(4, 3))
     assert torch.equal(ground.terrain_origins[..., 1], y.expand(4, 3))
-    assert ground.size == (2.0, 1.0)
-    assert ground.max_terrain_level == 4
+    assert (ground.size, ground.max_terrain_level) == ((2.0, 1.0), 4)
 
 
 def test_an_origin_is_as_high_as_the_highest_point_of_the_window():
@@ -95,8 +94,7 @@ def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
     ground = placed({"stairs": stairs(), "noise": noise()}, num_rows=10, num_cols=2, horizontal_scale=0.02)
     hard = ground.relief.difficulties
     x, y = torch.meshgrid(torch.linspace(-0.99, 0.99, 200), torch.linspace(-0.49, 0.49, 100), indexing="ij")
-    points = torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]
-    heights = ground.height_at(points).numpy()
+    heights = ground.height_at(torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]).numpy()
     top = heights[:, 0].max(axis=(1, 2))
     assert top == pytest.approx(3 * 0.1 * hard[:, 0], abs=3e-4)  # The stairs have (1 - 0.4) / 0.2 = 3 steps.
     # The mean square of interpolated heights is half of the mean square of the corners' heights.
@@ -121,8 +119,7 @@ def test_steps_are_boxes_as_few_as_can_be():
 
 def test_the_border_goes_all_around_at_height_zero():
     points = torch.tensor([[4.9, 2.4], [-4.9, 0.0], [0.0, -2.4], [4.5, 0.3], [5.1, 0.0], [0.0, 2.6]])
-    found = placed()._probe.height_at(points, outside=-1.0)
-    assert found.tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
+    assert placed()._probe.height_at(points, outside=-1.0).tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
 
 
 def digest() -> str:

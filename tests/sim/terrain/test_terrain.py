@@ -9,9 +9,8 @@ STEP = {"_target_": "managers.spies.Step", "height": 0.4, "static_friction": 0.7
 STEP["restitution"] = 0.0
 
 
-def test_environments_begin_where_the_ground_says_and_the_robot_stands_on_it(make_env):
-    env = make_env("block", scene={"terrain": STEP})
-    env.reset()
+def test_environments_begin_where_the_ground_says_and_the_robot_stands_on_it(start_env):
+    env = start_env("block", scene={"terrain": STEP})
     assert env.scene.env_origins.tolist() == [[5.0, 0.0, pytest.approx(0.4)], [0, 0, 0]] * 2
     for _ in range(60):
         env.step(torch.zeros(4, 1))
@@ -55,8 +54,7 @@ def test_on_a_plane_all_stay_where_they_are():
     assert torch.equal(ground.env_origins, before)
     assert ground.terrain_origins is None
     assert ground.terrain_levels.tolist() == ground.terrain_types.tolist() == [0] * 4
-    assert ground.height_at(torch.rand(2, 5, 2)).tolist() == [[0.0] * 5] * 2
-    assert ground.state_dict() == {}
+    assert (ground.height_at(torch.rand(2, 5, 2)).tolist(), ground.state_dict()) == ([[0.0] * 5] * 2, {})
 
 
 def test_columns_are_shared_out_in_order_and_rows_are_drawn_up_to_the_highest():
