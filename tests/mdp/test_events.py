@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import run
 
 from mdp.nodes import bodies, event, joints
 from wheelleg_exp.mdp import events
@@ -16,14 +17,9 @@ from wheelleg_exp.sim import rotation
 ALL = torch.arange(4)
 
 
-# ---- material ----
-
-MATERIAL = {
-    "static_friction_range": [0.6, 1.2],
-    "dynamic_friction_range": [0.5, 1.0],
-    "restitution_range": [0.0, 0.05],
-    "num_buckets": 8,
-}
+MATERIAL = {"static_friction_range": [0.6, 1.2], "dynamic_friction_range": [0.5, 1.0]}
+MATERIAL |= {"restitution_range": [0.0, 0.05], "num_buckets": 8}
+CONSISTENT = {"make_consistent": True}
 
 
 def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
@@ -33,35 +29,31 @@ def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
     model = env.scene.model
     written = friction[:, [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0], 0]
     assert (written.unsqueeze(2) - (term.buckets[:, 0].double() + 0.5) / 2).abs().amin(dim=2).max() < 1e-6
-    assert float(written.min()) >= 0.55
-    assert float(written.max()) <= 0.85
+    assert ((written >= 0.55) & (written <= 0.85)).all()
     assert len(written.unique()) == 8
     assert (written != written[:, :1]).any()
     assert (friction[:, model.geom("ground").id, 0] == model.geom("ground").friction[0]).all()
     assert (friction[:, :, 1:] == torch.from_numpy(model.geom_friction[:, 1:])).all()
-    assert (term.buckets[:, 2] >= 0).all()
-    assert (term.buckets[:, 2] <= 0.05).all()
+    assert ((term.buckets[:, 2] >= 0) & (term.buckets[:, 2] <= 0.05)).all()
 
 
-def test_the_dynamic_coefficient_is_written_when_the_robot_asks_for_it(make_env):
+def test_the_dynamic_coefficient_is_written_if_the_robot_names_it(make_env):
     node = event("randomize_rigid_body_material", **MATERIAL | {"dynamic_friction_range": [0.2, 0.2]})
     env = make_env(events={"m": node}, robot={"friction_source": "dynamic"})
     friction = env.scene.sim.batch.expanded("geom_friction")
     assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx((0.2 + 0.4) / 2)
 
 
-def test_only_shapes_of_the_bodies_asked_for_are_written(make_env):
+def test_only_shapes_of_the_configured_bodies_are_written(make_env):
     env = make_env(events={"m": event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))})
     friction, model = env.scene.sim.batch.expanded("geom_friction"), env.scene.model
     assert friction[0, model.geom("base_box").id, 0] == pytest.approx((0.9 + 0.5) / 2)
     assert friction[0, model.geom("left_wheel").id, 0] != pytest.approx((1.0 + 0.5) / 2)
 
 
-def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
-    many = MATERIAL | {"num_buckets": 500}
-    loose = make_env(events={"m": event("randomize_rigid_body_material", **many)})
-    tight = make_env(events={"m": event("randomize_rigid_body_material", **many, make_consistent=True)})
-    loose, tight = (e.event_manager.get_term_cfg("m").func.buckets for e in (loose, tight))
+def test_dynamic_friction_can_exceed_static_unless_made_consistent(make_env):
+    nodes = (event("randomize_rigid_body_material", **MATERIAL | {"num_buckets": 500, **o}) for o in ({}, CONSISTENT))
+    loose, tight = (make_env(events={"m": n}).event_manager.get_term_cfg("m").func.buckets for n in nodes)
     assert (loose[:, 1] > loose[:, 0]).any()
     assert (tight[:, 1] <= tight[:, 0]).all()
     assert torch.equal(loose[:, 0], tight[:, 0])
@@ -76,14 +68,10 @@ def test_the_written_friction_acts(start_env):
         wrench = torch.zeros(4, 1, 6)
         wrench[:, 0, 0] = 0.5 * 2.001 * 9.81
         env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-        for _ in range(30):
-            env.step(torch.zeros(4, 1))
+        run(env, 30)
         speeds.append(float(env.scene.robot.data.root_lin_vel_w[0, 0]))
     assert abs(speeds[0]) < 0.02
     assert speeds[1] == pytest.approx((0.5 - 0.35) * 9.81 * 0.6, rel=0.2)
-
-
-# ---- mass and centre of mass ----
 
 
 def _mass(make_env, operation, params, **fields):
@@ -106,8 +94,7 @@ def _mass(make_env, operation, params, **fields):
 def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_env, operation, params, low, high):
     env, model, ids, mass, inertia = _mass(make_env, operation, params)
     drawn = mass[:, ids]
-    assert (drawn >= np.array(low) - 1e-6).all()
-    assert (drawn <= np.array(high) + 1e-6).all()
+    assert ((drawn >= np.array(low) - 1e-6) & (drawn <= np.array(high) + 1e-6)).all()
     assert len(np.unique(drawn)) == drawn.size
     others = [b for b in range(model.nbody) if b not in ids]
     assert (mass[:, others] == model.body_mass[others]).all()
@@ -128,7 +115,7 @@ def test_a_mass_never_falls_below_its_minimum(make_env):
 
 
 @pytest.mark.parametrize("what", ["mass", "inertia"])
-def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(start_env, what):
+def test_values_derived_from_mass_and_inertia_are_mujocos(start_env, what):
     params = {f"{what}_distribution_params": [2.0, 2.0], "operation": "scale", "asset_cfg": bodies("base")}
     env = start_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
     model, sim = env.scene.model, env.scene.sim
@@ -150,14 +137,13 @@ def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(start_e
 def test_the_drawn_mass_is_what_the_engine_moves(start_env):
     ranges = {"operation": "add", "mass_distribution_params": [0.0, 3.0], "asset_cfg": bodies("block")}
     env = start_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
-    for _ in range(60):
-        env.step(torch.zeros(4, 1))
+    run(env, 60)
     mass = np.array(env.scene.sim.batch.expanded("body_mass")).sum(axis=1)
     np.testing.assert_allclose(env.scene["contact"].data.net_forces_w[:, 0, 2], mass * 9.81, atol=0.05)
 
 
 @pytest.mark.parametrize("what", ["mass", "inertia"])
-def test_a_gaussians_deviation_may_be_less_than_its_mean(make_env, what):
+def test_a_gaussians_deviation_can_be_less_than_its_mean(make_env, what):
     params = {f"{what}_distribution_params": [0.5, 0.01], "operation": "abs", "distribution": "gaussian"}
     env = make_env(events={"m": event(f"randomize_rigid_body_{what}", asset_cfg=bodies("base"), **params)})
     assert (env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id] - 0.5).abs().max() < 0.06
@@ -210,10 +196,7 @@ def test_a_shifted_centre_of_mass_moves_the_engines(start_env):
     assert torch.equal(env.scene.robot.data.root_lin_vel_w, velocity)
 
 
-# ---- wrench and pushes ----
-
-
-def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(start_env):
+def test_wrenches_are_drawn_within_their_ranges_for_the_configured_bodies(start_env):
     ranges = {"force_range": [1.0, 2.0], "torque_range": [-0.2, -0.1], "asset_cfg": bodies("base", "right_arm")}
     env = start_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
     env.step(torch.zeros(64, 4))
@@ -234,32 +217,36 @@ def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
     present = []
     for _ in range(3):
         env.reset()
-        for _ in range(3):
-            env.step(torch.zeros(4, 4))
+        run(env, 3)
         present.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 1).all()))
     assert present == [True, False, True]
 
 
 RANGES = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "yaw": [0.5, 0.5]}
+MOVING = [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
 
 
-def _moving(make_env, name):
-    env = make_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
-    env.reset()
+def _moving(start_env, name):
+    env = start_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
     pos = env.scene.robot.data.root_pos_w.clone()
     quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
     env.scene.robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ALL)
-    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]] * 4), ALL)
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([MOVING] * 4), ALL)
     env.apply_event("custom", torch.tensor([0, 2]))
     return env.scene.robot.data
 
 
-@pytest.mark.parametrize("name", ["push_by_adding_velocity", "push_by_setting_velocity"])
-def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
-    data = _moving(make_env, name)
-    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.1, -1.8, 0.3]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[1.0, 2.0, 3.5]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_lin_vel_w[[1, 3]], torch.tensor([[0.1, 0.2, 0.3]] * 2), atol=1e-5, rtol=0)
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("push_by_adding_velocity", [1.1, -1.8, 0.3, 1.0, 2.0, 3.5]),
+        ("push_by_setting_velocity", [1.1, -1.8, 0.3, 1.0, 2.0, 3.5]),
+        ("set_root_velocity", [1.0, -2.0, 0.0, 0.0, 0.0, 0.5]),
+    ],
+)
+def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes_or_sets_it(start_env, name, expected):
+    velocity = _moving(start_env, name).root_vel_w
+    torch.testing.assert_close(velocity, torch.tensor([expected, MOVING] * 2), atol=1e-5, rtol=0)
 
 
 def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
@@ -276,12 +263,6 @@ def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
     turned = torch.tensor([[0.0, 0.0, 0.0], [0.0, 4.0, 0.5], [-4.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
     torch.testing.assert_close(env.scene.robot.data.root_lin_vel_w, moved, atol=1e-5, rtol=0)
     torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, turned, atol=1e-5, rtol=0)
-
-
-def test_a_velocity_that_is_set_is_the_drawn_one(make_env):
-    data = _moving(make_env, "set_root_velocity")
-    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.0, -2.0, 0.0]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[0.0, 0.0, 0.5]] * 2), atol=1e-5, rtol=0)
 
 
 def test_two_pushes_in_a_row_add_up(start_env):
@@ -303,44 +284,39 @@ def test_a_push_shows_in_the_observation_of_the_same_step(start_env):
     assert speeds[1] == pytest.approx(3.0, abs=0.5)
 
 
-# ---- states at the start of episodes ----
-
-
-def _placed(make_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
+def _placed(start_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
     init = {"pos": [0.1, 0.2, 0.5], "rot": list(rot), "joint_pos": {".*": 0.0}, "joint_vel": {".*": 0.0}}
-    env = make_env(events={"p": event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
-    env.reset()
+    env = start_env(events={"p": event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
     return env, env.scene.robot.data
 
 
-def test_the_root_stands_at_its_default_plus_origin_plus_draw(make_env):
-    env, data = _placed(make_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
+def test_the_root_stands_at_its_default_plus_origin_plus_draw(start_env):
+    env, data = _placed(start_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6]))
     assert data.root_lin_vel_w.abs().max() == 0
 
 
-def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(make_env):
-    rot = (0.8, 0.0, 0.6, 0.0)
-    angles = (0.3, -0.2, 0.5)
-    pose = {"roll": [0.3, 0.3], "pitch": [-0.2, -0.2], "yaw": [0.5, 0.5]}
-    _, data = _placed(make_env, rot=rot, pose_range=pose, velocity_range={})
+def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(start_env):
+    rot, angles = (0.8, 0.0, 0.6, 0.0), (0.3, -0.2, 0.5)
+    pose = {name: [angle, angle] for name, angle in zip(("roll", "pitch", "yaw"), angles, strict=True)}
+    _, data = _placed(start_env, rot=rot, pose_range=pose, velocity_range={})
     turn, expected = np.zeros(4), np.zeros(4)
     mujoco.mju_euler2Quat(turn, np.array(angles), "XYZ")
     mujoco.mju_mulQuat(expected, np.array(rot), turn)
     np.testing.assert_allclose(data.root_quat_w[0], expected, atol=1e-6)
 
 
-def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(make_env):
+def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(start_env):
     velocity = {"x": [1.0, 1.0], "z": [2.0, 2.0], "pitch": [3.0, 3.0]}
-    _, data = _placed(make_env, rot=(0.8, 0.6, 0.0, 0.0), pose_range={"yaw": [1.0, 1.0]}, velocity_range=velocity)
+    _, data = _placed(start_env, rot=(0.8, 0.6, 0.0, 0.0), pose_range={"yaw": [1.0, 1.0]}, velocity_range=velocity)
     torch.testing.assert_close(data.root_lin_vel_w, torch.tensor([[1.0, 0.0, 2.0]] * 4), atol=1e-5, rtol=0)
     torch.testing.assert_close(data.root_ang_vel_w, torch.tensor([[0.0, 3.0, 0.0]] * 4), atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("name", ["reset_root_state_uniform", "reset_root_state_with_random_orientation"])
-def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name):
+def test_episodes_start_at_a_default_state_that_was_changed(start_env, name):
     half = math.sqrt(0.5)
-    env, data = _placed(make_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
+    env, data = _placed(start_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
     data.default_root_state[1] = torch.tensor([1.0, 2.0, 3.0, half, 0.0, 0.0, half, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     env.reset()
     torch.testing.assert_close(data.root_pos_w[1], env.scene.env_origins[1] + torch.tensor([1.5, 2.0, 3.0]))
@@ -351,34 +327,31 @@ def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name
         torch.testing.assert_close(data.root_quat_w[1], torch.tensor([half, 0.0, 0.0, half]))
 
 
-def test_draws_are_independent_between_axes_and_environments(make_env):
-    env, data = _placed(make_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
+def test_draws_are_independent_between_axes_and_environments(start_env):
+    env, data = _placed(start_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
     offset = data.root_pos_w - env.scene.env_origins - torch.tensor([0.1, 0.2, 0.5])
     assert offset[:, :2].abs().max() <= 1 + 1e-4
     assert abs(float(torch.corrcoef(offset[:, :2].T)[0, 1])) < 0.15
     assert float(offset[:, 0].std()) == pytest.approx(2 / math.sqrt(12), abs=0.05)
 
 
-def test_random_orientations_cover_the_sphere(make_env):
+def test_random_orientations_cover_the_sphere(start_env):
     name = "reset_root_state_with_random_orientation"
-    _, data = _placed(make_env, name, num_envs=500, pose_range={}, velocity_range={})
+    _, data = _placed(start_env, name, num_envs=500, pose_range={}, velocity_range={})
     up = rotation.quat_to_matrix(data.root_quat_w)[:, 2, 2]
-    assert float(up.min()) < -0.9
-    assert float(up.max()) > 0.9
+    assert float(up.min()) < -0.9 < 0.9 < float(up.max())
     assert abs(float(up.mean())) < 0.1
 
 
-def _joint_reset(make_env, name, position, velocity, defaults=0.5, speed=2.0, **fields):
+def _joint_reset(start_env, kind, position, velocity, defaults=0.5, speed=2.0, **fields):
     init = {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {".*": defaults}, "joint_vel": {".*": speed}}
-    node = event(name, mode="reset", position_range=position, velocity_range=velocity, **fields)
-    env = make_env(events={"j": node}, robot={"init_state": init}, num_envs=100)
-    env.reset()
-    return env.scene.robot.data
+    node = event(f"reset_joints_by_{kind}", mode="reset", position_range=position, velocity_range=velocity, **fields)
+    return start_env(events={"j": node}, robot={"init_state": init}, num_envs=100).scene.robot.data
 
 
-def test_joints_by_scale(make_env):
-    assert (_joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0).joint_vel == 0).all()
-    data = _joint_reset(make_env, "reset_joints_by_scale", [0.5, 1.5], [-1.0, 1.0])
+def test_joints_by_scale(start_env):
+    assert (_joint_reset(start_env, "scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0).joint_vel == 0).all()
+    data = _joint_reset(start_env, "scale", [0.5, 1.5], [-1.0, 1.0])
     assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
     assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
     assert len(data.joint_pos.unique()) == 400
@@ -386,15 +359,24 @@ def test_joints_by_scale(make_env):
     assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint have separate draws
 
 
-def test_joints_by_offset(make_env):
-    data = _joint_reset(make_env, "reset_joints_by_offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
+def test_joints_by_offset(start_env):
+    data = _joint_reset(start_env, "offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
     assert ((data.joint_pos >= 0.6 - 1e-6) & (data.joint_pos <= 0.7 + 1e-6)).all()
     assert ((data.joint_vel >= -3) & (data.joint_vel <= -2)).all()
 
 
-def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env):
-    data = _joint_reset(make_env, "reset_joints_by_offset", [5.0, 5.0], [100.0, 100.0])
-    assert (data.joint_pos[0].tolist(), data.joint_vel[0].tolist()) == ([1.5, 1.5, 5.5, 5.5], [30, 30, 20, 20])
+@pytest.mark.parametrize(
+    ("position", "velocity", "fields", "reached", "speeds"),
+    [
+        ([5.0, 5.0], [100.0, 100.0], {}, [1.5, 1.5, 5.5, 5.5], [30, 30, 20, 20]),
+        ([0.2, 0.2], [1.0, 1.0], {"speed": 0.0, "asset_cfg": joints(".*_hip")}, [0.7, 0.7, 0.5, 0.5], [1, 1, 0, 0]),
+    ],
+)
+def test_configured_joints_are_reset_and_clamped_to_their_limits(
+    start_env, position, velocity, fields, reached, speeds
+):
+    data = _joint_reset(start_env, "offset", position, velocity, **fields)
+    assert (data.joint_pos[0].tolist(), data.joint_vel[0].tolist()) == (pytest.approx(reached), speeds)
 
 
 def test_joints_are_clamped_to_their_soft_limits(start_env):
@@ -405,27 +387,17 @@ def test_joints_are_clamped_to_their_soft_limits(start_env):
     assert (float(hips.min()), float(hips.max())) == (pytest.approx(-0.75), pytest.approx(1.25))
 
 
-def test_only_the_joints_asked_for_are_reset(make_env):
-    only = {"speed": 0.0, "asset_cfg": joints(".*_hip")}
-    data = _joint_reset(make_env, "reset_joints_by_offset", [0.2, 0.2], [1.0, 1.0], **only)
-    torch.testing.assert_close(data.joint_pos[0], torch.tensor([0.7, 0.7, 0.5, 0.5]))
-    assert data.joint_vel[0].tolist() == [1, 1, 0, 0]
-
-
 @pytest.mark.parametrize("targets", [True, False])
-def test_everything_goes_back_to_its_default(make_env, targets):
+def test_everything_returns_to_its_default(make_env, targets):
     env = make_env(events={"d": event("reset_scene_to_default", mode="reset", reset_joint_targets=targets)})
-    env.scene.robot.data.default_root_state[2, 7] = 0.5  # m/s
+    data = env.scene.robot.data
+    data.default_root_state[2, 7] = 0.5  # m/s
     env.reset()
     start = env.scene.sim.view("qpos").clone()
-    for _ in range(20):
-        env.step(torch.ones(4, 4))
+    run(env, 20, 1.0)
     env.reset()
     torch.testing.assert_close(env.scene.sim.view("qpos"), start, atol=1e-7, rtol=0)
-    velocity = torch.zeros(4, 6)
-    velocity[2, 0] = 0.5
-    torch.testing.assert_close(env.scene.robot.data.root_vel_w, velocity)
-    data = env.scene.robot.data
+    torch.testing.assert_close(data.root_vel_w, torch.eye(6)[0] * torch.tensor([[0.0], [0.0], [0.5], [0.0]]))
     assert data.joint_vel.abs().max() == 0
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.0, 0.0, 0.3]))
     assert torch.equal(data.joint_pos_target, data.default_joint_pos) == targets

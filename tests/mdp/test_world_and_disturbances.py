@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import physics_step, run
 
 from mdp.nodes import bodies, event
 from wheelleg_exp.mdp import events
@@ -20,14 +21,9 @@ def fall(env, steps=10):
     robot = env.scene.robot
     robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
     robot.write_root_velocity_to_sim(torch.zeros(4, 6))
-    for _ in range(steps):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+    physics_step(env, steps)
     return robot.data.root_lin_vel_w / (steps * env.physics_dt)
 
-
-# ---- gravity ----
 
 OFF = [[-1.0, 0.5, -2.0], [1.0, 0.5, 2.0]]
 
@@ -43,7 +39,7 @@ def test_everything_falls_as_gravity_was_drawn(start_env, per_env):
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([[0.0, 0.0, -1.0]] * 4))
 
 
-def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(make_env):
+def test_gravity_is_drawn_from_the_configs_each_time_for_the_given_environments(make_env):
     fields = {"operation": "scale", "distribution": "log_uniform", "per_env": True}
     fields |= {"gravity_distribution_params": [[1.0, 1.0, 1.1], [1.0, 1.0, 1.5]]}
     env = make_env("block", events={"g": event("randomize_physics_scene_gravity", "custom", **fields)})
@@ -54,15 +50,12 @@ def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(ma
     assert ((down[1:3] <= -9.81 * 1.1) & (down[1:3] >= -9.81 * 1.5)).all()
 
 
-def test_one_gravity_holds_for_all_whoever_is_reset(make_env):
+def test_one_gravity_applies_to_all_whichever_environment_resets(make_env):
     node = event("randomize_physics_scene_gravity", "custom", gravity_distribution_params=OFF, operation="add")
     env = make_env("block", events={"g": node})
     env.apply_event("custom", torch.tensor([1]))
     written = env.scene.sim.expanded["opt.gravity"]
     assert (len(written.unique(dim=0)), written[0, 1]) == (1, pytest.approx(0.5))
-
-
-# ---- inertia ----
 
 
 def test_a_body_turns_as_its_drawn_inertia_says(start_env):
@@ -79,10 +72,7 @@ def test_a_body_turns_as_its_drawn_inertia_says(start_env):
     wrench = torch.zeros(4, 1, 6)
     wrench[:, 0, 5] = 0.01
     env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-    for _ in range(10):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+    physics_step(env, 10)
     expected = [_whole_inertia(model, row, body) for row in drawn]
     speeds = env.scene.robot.data.root_ang_vel_w[:, 2].double().numpy()
     np.testing.assert_allclose(speeds, 0.01 * 0.1 / np.array(expected), rtol=1e-3)
@@ -90,7 +80,7 @@ def test_a_body_turns_as_its_drawn_inertia_says(start_env):
 
 def _whole_inertia(model, moments, body):
     """Return the robot's moment of inertia about z, by MuJoCo, if its base has the given moments."""
-    own, data = mujoco.MjModel.__copy__(model), None
+    own = mujoco.MjModel.__copy__(model)
     own.body_inertia[body] = moments
     data = mujoco.MjData(own)
     mujoco.mj_forward(own, data)
@@ -114,8 +104,6 @@ def test_a_moment_of_inertia_never_falls_below_its_minimum(make_env):
     moments = env.scene.sim.expanded["body_inertia"][:, env.scene.model.body("base").id]
     assert moments.tolist() == [pytest.approx([1e-4] * 3)] * 4
 
-
-# ---- pushes of some duration ----
 
 IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
 
@@ -148,20 +136,18 @@ def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(start_env):
 
 
 def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(start_env):
-    always = event(
-        "set_permanent_body_wrench", "reset", force_range=[3.0, 3.0], torque_range=[0.0, 0.0], asset_cfg=bodies("block")
-    )
+    ranges = {"force_range": [3.0, 3.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
+    always = event("set_permanent_body_wrench", "reset", **ranges)
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.02, 0.02])
     env = start_env("block", events={"w": always, "p": node})
-    for _ in range(2):
-        env.step(torch.zeros(4, 1))
+    run(env, 2)
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 4.0) & (force <= 5.0)).all()
     env.reset(env_ids=torch.tensor([1]))
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert (force[1] == 3.0).all()
     assert (force[[0, 2, 3]] >= 4.0).all()
-    env.step(torch.zeros(4, 1))
+    run(env)
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 4.0) & (force <= 5.0)).all()
 
@@ -169,15 +155,11 @@ def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(start_env):
 def test_times_of_pushes_differ_between_environments(start_env):
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.1, 0.5], pause_s=[0.1, 0.5])
     env = start_env("block", events={"p": node}, num_envs=64)
-    for _ in range(15):
-        env.step(torch.zeros(64, 1))
+    run(env, 15)
     assert 5 < int(env.event_manager.get_term_cfg("p").func._is_pushed.sum()) < 59
 
 
-# ---- states at the start of episodes ----
-
-
-def test_episodes_begin_over_flat_places_of_their_tile(make_env):
+def test_episodes_start_over_flat_patches_of_their_tile(make_env):
     ranges = {"pose_range": {"yaw": [1.0, 1.0]}, "velocity_range": {"x": [0.5, 0.5]}}
     rows = torch.arange(2 * 3 * 5 * 3, dtype=torch.float32).view(2, 3, 5, 3)
     env = make_env()
