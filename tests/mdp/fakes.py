@@ -49,5 +49,11 @@ def fake_env(**fields: Any) -> Any:
     return SimpleNamespace(scene=scene, **{k: v for k, v in fields.items() if not k.startswith("data_")})
 
 
+def close(got: torch.Tensor, expected: Any) -> None:
+    """Check that a reward has the expected values and the type float32."""
+    torch.testing.assert_close(got.float(), torch.tensor(expected, dtype=torch.float32), atol=1e-6, rtol=1e-6)
+    assert got.dtype == torch.float32
+
+
 def two_numbers(env: Any) -> torch.Tensor:
     return torch.ones(env.num_envs, 2, device=env.device)
