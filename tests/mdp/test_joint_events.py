@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from sim.small_envs import ACTUATORS, env_config, env_of, physics_step, run
+from sim.small_envs import ACTUATORS, physics_step, run, wheel_env
 
 from mdp.nodes import event, joints
 
@@ -16,19 +16,10 @@ ALL = torch.arange(4)
 
 @pytest.fixture
 def wheel(tmp_path):
-    """Return a function that makes wheels of 0.01 kg·m² on fixed axles without gravity, with the given events."""
-
     def make(model="ImplicitActuator", gains=(0.0, 0.0), limited="", /, **events):
-        (tmp_path / "wheel.xml").write_text(
-            "<mujoco><compiler angle='radian'/><worldbody><body name='mount'><body name='wheel'>"
-            f"<joint name='axle' axis='0 1 0' {limited}/>"
-            "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
-        )
-        config = env_config("arm", actions={}, events=events, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]})
-        config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
-        drive = {"stiffness": gains[0], "damping": gains[1], "effort_limit": 100.0, "velocity_limit": 100.0}
-        config["robot"]["actuators"] = {"a": {"_target_": ACTUATORS + model, "joint_names_expr": ["axle"], **drive}}
-        env = env_of(tmp_path / "wheel.xml", config)
+        drive = {"_target_": ACTUATORS + model, "stiffness": gains[0], "damping": gains[1]}
+        drive |= {"effort_limit": 100.0, "velocity_limit": 100.0}
+        env = wheel_env(tmp_path, drive, limited, events=events)
         env.reset()
         return env
 

@@ -131,6 +131,19 @@ def variant(folder: Path, old: str, new: str, file: str = "rover.xml") -> Path:
     return folder / file
 
 
+def wheel_env(folder: Path, actuator: dict[str, Any], limited: str = "", **changes: Any) -> ManagerBasedRLEnv:
+    """Build wheels of 0.01 kg·m² on fixed axles without gravity."""
+    (folder / "wheel.xml").write_text(
+        "<mujoco><compiler angle='radian'/><worldbody><body name='mount'><body name='wheel'>"
+        f"<joint name='axle' axis='0 1 0' {limited}/>"
+        "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
+    )
+    config = env_config("arm", actions={}, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]}, **changes)
+    config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
+    config["robot"]["actuators"] = {"a": {"joint_names_expr": ["axle"], **actuator}}
+    return env_of(folder / "wheel.xml", config)
+
+
 def physics_step(env: ManagerBasedRLEnv, count: int = 1) -> None:
     for _ in range(count):
         env.scene.write_data_to_sim()
