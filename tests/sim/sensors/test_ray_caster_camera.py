@@ -58,7 +58,7 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
 
 @pytest.mark.pictures
 @pytest.mark.usefixtures("graphics")
-def test_it_measures_what_mujoco_draws(make):
+def test_it_measures_the_distances_that_mujoco_draws(make):
     env = make(STEP, drawn=True, max_distance=20.0)
     by_rays = place(env, [[3.9, 0.4, 1.5], [5.8, -0.8, 0.9]], roll=0.15, pitch=-0.1, yaw=0.7)
     drawn = env.scene["drawn"].data
@@ -72,7 +72,7 @@ def test_it_measures_what_mujoco_draws(make):
 
 
 @pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 1.2)])
-def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
+def test_distances_beyond_the_farthest_follow_the_clipping_behavior(make, behavior, beyond):
     level = {"pos": [0.3, 0.0, 0.0], "convention": "world"}
     data = place(make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior), [[0.0, 0.0, 0.5]] * 2)
     down = (torch.arange(16) + 0.5 - 8 + 0.05 * 80 / 7) / (80 / 7)
@@ -84,13 +84,13 @@ def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
     assert (depth[~seen] == beyond).all()
 
 
-def test_the_robot_is_not_seen(make):
+def test_the_robot_is_invisible(make):
     inside = {"pos": [0.0, 0.0, 0.0], "rot": OFFSET["rot"], "convention": "ros"}
     data = place(make(offset=inside), [[0.0, 0.0, 1.0]] * 2)
     torch.testing.assert_close(data.output["distance_to_image_plane"], torch.ones(2, 16, 20, 1))
 
 
-def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make):
+def test_with_a_period_the_last_image_is_held_and_continues_from_its_state(make):
     env, other = make(update_period=0.03), make(update_period=0.03)
     place(env, [[0.0, 0.0, 1.0]] * 2)
     env.scene.robot.write_root_com_velocity_to_sim(torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]] * 2))

@@ -29,7 +29,7 @@ def profile(heights: np.ndarray) -> list[float]:
     return np.round(heights[:, heights.shape[1] // 2], 9).tolist()
 
 
-def test_level_ground_is_level():
+def test_flat_ground_is_level():
     assert not Flat(proportion=1).heights(1.0, CELLS, rng()).any()
 
 
