@@ -56,8 +56,7 @@ def test_adding_a_term_changes_no_other_terms_draws(make_env):
     logs = []
     for names in (("a", "c"), ("a", "b", "c"), ("c", "a")):
         spies.LOG.clear()
-        nodes = {n: {"_target_": spies.HERE + "draw_once", "mode": "reset", "key": n} for n in names}
-        env = make_env(events=nodes)
+        env = make_env(events={n: {"_target_": spies.HERE + "draw_once", "mode": "reset", "key": n} for n in names})
         for _ in range(3):
             env.reset()
         logs.append(spies.LOG.copy())

@@ -84,8 +84,7 @@ def test_an_environment_forced_to_end_has_failed_by_no_term(start_env):
 
 
 def test_an_environment_without_terminations_runs_on(start_env):
-    env = start_env(terminations={})
-    *_, terminated, time_outs, _ = run(env, 3)
+    *_, terminated, time_outs, _ = run(start_env(terminations={}), 3)
     assert not (terminated | time_outs).any()
 
 

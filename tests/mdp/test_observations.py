@@ -203,5 +203,4 @@ def test_distances_can_be_converted_to_those_along_the_axis():
     intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.5], [0.0, 0.0, 1.0]]])
     env = _camera(intrinsics, distance_to_camera=2.0 * slant.view(1, 2, 3, 1))
     settings = {"data_type": "distance_to_camera", "convert_perspective_to_orthogonal": True}
-    seen = observations.image(env, sensor_cfg=entity("eye"), **settings)
-    close(seen, torch.full((1, 2, 3, 1), 2.0).tolist())
+    close(observations.image(env, sensor_cfg=entity("eye"), **settings), torch.full((1, 2, 3, 1), 2.0).tolist())

@@ -108,16 +108,14 @@ def test_a_wheel_that_rolls_does_not_slip():
     """Wheels of 0.1 m roll along x, roll with a turned axle, lock, spin in place, slide sideways, or barely touch."""
     velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0], [1.0, 0, 0]]
     spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
-    env = _wheels(velocity, spin, [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]])
-    close(_slip(env), [0, 0, 1, 0.5, 0.3, 0, 0])
+    close(_slip(_wheels(velocity, spin, [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]])), [0, 0, 1, 0.5, 0.3, 0, 0])
 
 
 def test_rolling_up_a_slope_and_bouncing_are_not_slip():
     """The slope has 30 degrees, and the second wheel also has a velocity along the normal of the slope."""
     c, s = math.cos(math.pi / 6), math.sin(math.pi / 6)
     up, normal = [2 * c, 0.0, 2 * s], [-7 * s, 0.0, 7 * c]
-    env = _wheels([up, [2 * c - s, 0.0, 2 * s + c]], [[0, 20.0, 0]] * 2, [normal] * 2)
-    close(_slip(env), [0, 0])
+    close(_slip(_wheels([up, [2 * c - s, 0.0, 2 * s + c]], [[0, 20.0, 0]] * 2, [normal] * 2)), [0, 0])
 
 
 BALL = """<mujoco><worldbody>
@@ -143,5 +141,4 @@ def test_slip_is_the_speed_of_mujocos_contact_point():
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, 1, moved, 0)
         slip, normal = jacobian @ data.qvel, contact.frame[:3]
         env = _wheels([moved[3:].tolist()], [moved[:3].tolist()], [(3.0 * normal).tolist()])
-        expected = np.linalg.norm(slip - slip @ normal * normal)
-        assert float(_slip(env)) == pytest.approx(expected, rel=1e-4)
+        assert float(_slip(env)) == pytest.approx(np.linalg.norm(slip - slip @ normal * normal), rel=1e-4)

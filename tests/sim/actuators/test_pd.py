@@ -68,8 +68,7 @@ def test_armatures_and_gains_reach_the_model(start_env):
 
 def test_without_an_armature_the_assets_is_used(tmp_path):
     path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" armature=".07"')
-    env = env_of(path, env_config(robot=_hips(armature=None)))
-    assert env.scene.model.joint("left_hip").armature[0] == 0.07
+    assert env_of(path, env_config(robot=_hips(armature=None))).scene.model.joint("left_hip").armature[0] == 0.07
 
 
 def test_numbers_by_joint_reach_their_joints(make_env):

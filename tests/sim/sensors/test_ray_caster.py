@@ -27,8 +27,7 @@ def make(start_env):
 
 
 def place(env, pos, yaw=0.0, pitch=0.0, ids=ALL):
-    angles = (torch.full((len(ids),), angle) for angle in (0.0, pitch, yaw))
-    quat = rotation.quat_from_euler_xyz(*angles)
+    quat = rotation.quat_from_euler_xyz(*(torch.full((len(ids),), angle) for angle in (0.0, pitch, yaw)))
     env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos).expand(len(ids), 3), quat), dim=1), ids)
     env.scene.refresh()
     return env.scene["scan"].data
