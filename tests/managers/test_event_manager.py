@@ -25,9 +25,13 @@ def _run(env, steps):
     return [step for _, step, _ in spies.LOG]
 
 
-def test_an_interval_event_fires_when_its_time_is_up_and_carries_nothing_over(start_env):
-    env = start_env(events={"e": _interval(0.05)})  # control step .02 s
-    assert _run(env, 12) == [2 + 1, 5 + 1, 8 + 1, 11 + 1]
+@pytest.mark.parametrize(
+    ("interval", "fields", "count", "steps"),
+    [((0.05,), {}, 12, [3, 6, 9, 12]), ((0.2, 0.4), {"episode_length_s": 0.2}, 200, [])],
+)
+def test_an_interval_event_fires_when_its_time_is_up_before_the_episode_ends(start_env, interval, fields, count, steps):
+    """A control step is 0.02 s. An interval starts from zero, without the excess of the previous interval."""
+    assert _run(start_env(events={"e": _interval(*interval)}, **fields), count) == steps
 
 
 def test_timers_are_redrawn_at_an_environments_reset(start_env):
@@ -43,10 +47,6 @@ def test_timers_lose_a_control_step_at_an_automatic_reset(start_env):
     env = start_env(events={"e": _interval(0.05)}, episode_length_s=0.02)
     env.step(STILL)
     torch.testing.assert_close(env.event_manager._time_left["e"], torch.full((4,), 0.03))
-
-
-def test_an_interval_as_long_as_the_episode_never_fires(start_env):
-    assert _run(start_env(events={"e": _interval(0.2, 0.4)}, episode_length_s=0.2), 200) == []
 
 
 def test_intervals_are_uniform_in_their_range_for_each_environment(make_env):

@@ -73,37 +73,23 @@ def test_a_whole_number_or_bool_reward_counts_as_a_number(make_env):
     assert env.reward_manager.compute(1.0).tolist() == [3, 4, 7, 8]
 
 
-@pytest.fixture(params=[math.nan, math.inf, -math.inf])
-def broken(request, start_env):
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_not_finite_ends_only_its_environment_is_named_and_is_not_summed(start_env, number):
     spies.VALUES.update(a=1.0, b=1.0)
     env = start_env(rewards={"a": _reward("a", 1.0), "b": _reward("b", 1.0)}, episode_length_s=20.0)
     run(env, 2)
-    spies.VALUES.update(a=torch.tensor([1.0, 1.0, request.param, 1.0]))
-    return env, env.step(STILL)
-
-
-def test_a_value_that_is_not_finite_ends_that_environment_only(broken):
-    env, (_, reward, terminated, time_outs, _) = broken
-    assert terminated.tolist() == [False, False, True, False]
-    assert not time_outs.any()
+    spies.VALUES.update(a=torch.tensor([1.0, 1.0, number, 1.0]))
+    _, reward, terminated, time_outs, extras = env.step(STILL)
+    assert (terminated.tolist(), time_outs.any()) == ([False, False, True, False], False)
     assert env.episode_length_buf.tolist() == [3, 3, 0, 3]
     assert reward.tolist() == pytest.approx([0.04, 0.04, 0.0, 0.04])
     assert env.reward_manager.step_reward.tolist() == [[1, 1, 0, 1]] * 2
-
-
-def test_a_value_that_is_not_finite_is_named_with_its_state(broken):
-    env, (*_, extras) = broken
+    # Two steps of .02 s count, divided by 20 s. The step with NaN or inf counts for neither term.
+    assert [float(extras["log"][f"Episode_Reward/{name}"]) for name in "ab"] == pytest.approx([0.04 / 20] * 2)
     assert extras["non_finite"]["keys"] == {2: ["env.rewards.a"]}
     evidence = extras["non_finite"]["evidence"]
     assert (evidence["env_ids"].tolist(), evidence["state"].shape) == ([2], env.scene.sim.state[[2]].shape)
     assert not evidence["rewards"][0, 0].isfinite()
     assert evidence["rewards"][0, 1] == 1.0
     spies.VALUES.update(a=1.0)
-    *_, extras = env.step(STILL)
-    assert "non_finite" not in extras
-
-
-def test_a_value_that_is_not_finite_is_not_summed_and_spoils_no_log(broken):
-    _, (*_, extras) = broken
-    # Two steps of .02 s count, divided by 20 s. The step with NaN or inf counts for neither term.
-    assert [float(extras["log"][f"Episode_Reward/{name}"]) for name in "ab"] == pytest.approx([0.04 / 20] * 2)
+    assert "non_finite" not in env.step(STILL)[-1]

@@ -23,20 +23,15 @@ def _env(start_env):
     return start_env(terminations={"fall": _term("fall"), "hit": _term("hit"), "late": _term("late", time_out=True)})
 
 
-def test_a_time_out_truncates_and_anything_else_terminates(start_env):
+def test_a_time_out_truncates_other_terms_terminate_and_each_term_can_be_read(start_env):
     env = _env(start_env)
+    manager = env.termination_manager
     spies.VALUES.update(fall=_at(0, 3), late=_at(1, 3))
     *_, terminated, time_outs, _ = env.step(STILL)
     assert (terminated.tolist(), time_outs.tolist()) == ([True, False, False, True], [False, True, False, True])
-    assert env.termination_manager.dones.tolist() == [True, True, False, True]
-
-
-def test_terms_that_fired_can_be_read(start_env):
-    env = _env(start_env)
-    spies.VALUES.update(hit=_at(2))
-    env.termination_manager.compute()
-    assert env.termination_manager.get_term("hit").tolist() == [False, False, True, False]
-    assert not env.termination_manager.get_term("fall").any()
+    assert manager.dones.tolist() == [True, True, False, True]
+    assert manager.get_term("fall").tolist() == [True, False, False, True]
+    assert not manager.get_term("hit").any()
 
 
 def _shares(env):

@@ -36,31 +36,33 @@ def close(got, expected):
     torch.testing.assert_close(got, T(expected), atol=1e-6, rtol=1e-6)
 
 
-def test_height_is_in_the_world_and_position_is_from_the_environments_origin():
-    close(observations.base_pos_z(ENV), [[0.3], [0.75]])
-    close(observations.root_pos_w(ENV), [[0.5, 0.0, 0.3], [0.0, 1.0, 0.25]])
+FIRST = entity(joints=[0])
+ANGLES = [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1.0, 1.0]]
 
 
-def test_orientation_can_be_made_unique():
-    close(observations.root_quat_w(ENV), [[-0.6, 0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
-    close(observations.root_quat_w(ENV, make_quat_unique=True), [[0.6, -0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+@pytest.mark.parametrize(
+    ("name", "fields", "expected"),
+    [
+        ("base_pos_z", {}, [[0.3], [0.75]]),  # in the world
+        ("root_pos_w", {}, [[0.5, 0.0, 0.3], [0.0, 1.0, 0.25]]),  # from the environment's origin
+        ("root_quat_w", {}, [[-0.6, 0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+        ("root_quat_w", {"make_quat_unique": True}, [[0.6, -0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+        ("joint_pos", {"asset_cfg": FIRST}, [[0.5], [0.0]]),
+        ("joint_pos_rel", {}, [[0.25, 0.0, 3.0], [-0.1, 0.0, 0.0]]),
+        ("joint_vel", {"asset_cfg": FIRST}, [[1.0], [0.0]]),
+        ("joint_vel_rel", {}, [[0.5, 2.0, 3.0], [0.0, 0.0, -1.0]]),
+        ("joint_effort", {"asset_cfg": entity(joints=[2, 0])}, [[3.0, 1.0], [6.0, 4.0]]),
+        ("joint_pos_sin_cos", {"asset_cfg": entity(joints=[0, 2])}, ANGLES),
+        ("current_time_s", {}, [[0.0], [1.0]]),
+        ("remaining_time_s", {}, [[5.0], [4.0]]),
+    ],
+)
+def test_a_formula_by_hand(name, fields, expected):
+    close(getattr(observations, name)(ENV, **fields), expected)
 
 
-def test_joints():
-    first = entity(joints=[0])
-    close(observations.joint_pos(ENV, asset_cfg=first), [[0.5], [0.0]])
-    close(observations.joint_pos_rel(ENV), [[0.25, 0.0, 3.0], [-0.1, 0.0, 0.0]])
-    close(observations.joint_vel(ENV, asset_cfg=first), [[1.0], [0.0]])
-    close(observations.joint_vel_rel(ENV), [[0.5, 2.0, 3.0], [0.0, 0.0, -1.0]])
-    close(observations.joint_effort(ENV, asset_cfg=entity(joints=[2, 0])), [[3.0, 1.0], [6.0, 4.0]])
+def test_positions_between_their_limits():
     close(observations.joint_pos_limit_normalized(ENV)(ENV), [[0.0, 1.0, 0.5], [-0.5, 0.0, -1.0]])
-    angles = observations.joint_pos_sin_cos(ENV, asset_cfg=entity(joints=[0, 2]))
-    close(angles, [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1.0, 1.0]])
-
-
-def test_times():
-    close(observations.current_time_s(ENV), [[0.0], [1.0]])
-    close(observations.remaining_time_s(ENV), [[5.0], [4.0]])
 
 
 def test_velocities_are_those_of_the_robot():

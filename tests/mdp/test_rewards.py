@@ -113,17 +113,12 @@ def test_sums_over_joints(function, all_joints, last_two):
     close(function(fake_env(**JOINTS), asset_cfg=entity(joints=[1, 2])), last_two)
 
 
-def test_speeds_beyond_their_limits_are_cut_at_one_each():
-    close(rewards.joint_vel_limits(fake_env(**JOINTS), soft_ratio=0.9), [1.1, 1.0])  # .1 + 1 (of 1.1); 1 (of 2.1)
-
-
-def test_differences_between_left_and_right():
+def test_speeds_differences_and_power_of_joints():
     env = fake_env(**JOINTS)
+    # Each speed beyond its limit is cut at 1: .1 + 1 (of 1.1), and 1 (of 2.1).
+    close(rewards.joint_vel_limits(env, soft_ratio=0.9), [1.1, 1.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 2])), [4.5, 0.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0]), entity(joints=[1]), mirrored=True), [0.5, 0.0])  # not 1.5
-
-
-def test_the_power_of_drives_can_exclude_braking():
     env = fake_env(**JOINTS | {"data_joint_vel": T([[1.0, 2.0, 0.5], [0.0, 3.0, 0.0]])})
     close(rewards.joint_power(env), [5, 1.5])
     close(rewards.joint_power(env, positive_only=True), [1, 1.5])

@@ -35,7 +35,8 @@ class World:
         self.moved: list = []
         terrain = SimpleNamespace(terrain_levels=torch.zeros(N), max_terrain_level=10, size=(1.2, 1.2))
         terrain.update_env_origins = lambda _, up, down: self.moved.append((up.tolist(), down.tolist()))
-        self.scene = Scene(self.data, terrain)
+        self.scene = Scene(robot=SimpleNamespace(data=self.data))
+        self.scene.terrain, self.scene.env_origins = terrain, torch.zeros(N, 3)
 
     def state_dict(self) -> dict:
         return {}
@@ -55,9 +56,7 @@ class World:
 
 
 class Scene(dict):
-    def __init__(self, data, terrain) -> None:
-        super().__init__(robot=SimpleNamespace(data=data))
-        self.terrain, self.env_origins = terrain, torch.zeros(N, 3)
+    """A scene, to which a test adds attributes."""
 
 
 @pytest.fixture

@@ -41,10 +41,6 @@ def stepped(env, count):
         yield error.numpy(), speed.numpy(), data.computed_torque[:, ids].numpy(), data.applied_torque[:, ids].numpy()
 
 
-def softsign(x):
-    return x / (1 + np.abs(x))
-
-
 @pytest.mark.parametrize("order", ["pos_vel", "vel_pos"])
 def test_a_perceptron_sees_errors_and_speeds_of_chosen_steps(made, order):
     module = torques.perceptron()
@@ -56,7 +52,8 @@ def test_a_perceptron_sees_errors_and_speeds_of_chosen_steps(made, order):
         pos = np.stack([2.0 * errors[k] for k in (0, 1, 3)], axis=-1)
         vel = np.stack([0.1 * speeds[k] for k in (0, 1, 3)], axis=-1)
         x = np.concatenate([pos, vel] if order == "pos_vel" else [vel, pos], axis=-1)
-        torque = 3.0 * (softsign(x @ w1.T + b1) @ w2.T + b2)[..., 0]
+        hidden = x @ w1.T + b1
+        torque = 3.0 * (hidden / (1 + np.abs(hidden)) @ w2.T + b2)[..., 0]  # softsign
         np.testing.assert_allclose(computed, torque, atol=1e-4)
         np.testing.assert_allclose(applied, torque, atol=1e-4)
 

@@ -20,11 +20,10 @@ KINDS = ["distance_to_image_plane", "distance_to_camera"]
 def make(start_env):
     def build(ground=None, drawn=None, **settings):
         pattern = {"_target_": PREFIX + "PinholePattern", **OPTICS}
-        node = {"_target_": PREFIX + "RayCasterCamera", "body_name": "block", "pattern": pattern, "offset": OFFSET}
-        sensors = {"eye": {**node, "data_types": KINDS, **settings}}
+        node = {"body_name": "block", "offset": OFFSET, "data_types": KINDS}
+        sensors = {"eye": {"_target_": PREFIX + "RayCasterCamera", "pattern": pattern, **node, **settings}}
         if drawn:
-            sensors["drawn"] = {"_target_": PREFIX + "Camera", "body_name": "block", "offset": OFFSET} | OPTICS
-            sensors["drawn"]["data_types"] = KINDS
+            sensors["drawn"] = {"_target_": PREFIX + "Camera", **node, **OPTICS}
         scene = {"sensors": sensors} | ({} if ground is None else {"terrain": ground})
         return start_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
 
