@@ -53,7 +53,7 @@ def test_results_are_logged_as_numbers_key_by_key_and_can_be_read(make_env):
     assert env.curriculum_manager.get_active_iterable_terms(3) == [("a", [2.5, 4]), ("b", [1.5])]
 
 
-def test_a_weight_changed_by_a_curriculum_goes_round_and_a_configured_one_does_not(make_env, start_env):
+def test_a_weight_changed_by_a_curriculum_is_saved_and_a_configured_one_is_not(make_env, start_env):
     rewards = {"alive": ALIVE, "other": ALIVE | {"weight": 5.0}}
     first = start_env(rewards=rewards, curriculum={"c": CHANGE | {"num_steps": 0}})
     first.step(STILL)

@@ -168,7 +168,7 @@ def test_wrong_settings_name_their_key(make_env, fields, key):
 
 
 @pytest.mark.parametrize(("mode", "words"), [("interval", "interval"), ("reset", "step_count")])
-def test_what_cannot_be_applied_by_name_is_refused(make_env, mode, words):
+def test_modes_that_cannot_be_applied_by_name_are_rejected(make_env, mode, words):
     env = make_env(events={"e": _interval(1.0) if mode == "interval" else _event(mode)})
     with pytest.raises(ValueError, match=words):
         env.event_manager.apply(mode)

@@ -59,7 +59,7 @@ def test_without_corruption_noise_is_off_and_modifiers_stay(make_env, group):
     assert float(_series(_env(make_env, {"x": node}, **group), "x", 3.0)[0]) == 6.0
 
 
-def test_a_scale_may_have_one_number_a_column(make_env):
+def test_a_scale_can_have_one_number_per_column(make_env):
     scale = [1.0, 2.0, 3.0, 4.0]
     env = _env(make_env, {"q": {"_target_": O + "joint_pos", "scale": scale}})
     torch.testing.assert_close(_read(env), env.scene.robot.data.joint_pos * torch.tensor(scale))
@@ -127,7 +127,7 @@ def test_the_last_observation_can_be_read_term_by_term(make_env):
     assert found == [("a-x", [3.0, 3.0]), ("a-y", [7.0, 7.0]), ("b-y", [7.0])]
 
 
-def test_terms_and_groups_stand_in_the_order_of_the_config(make_env):
+def test_terms_and_groups_follow_the_order_of_the_config(make_env):
     env = make_env(observations={g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")})
     spies.VALUES.update(z=1.0, a=2.0, m=3.0)
     out = env.observation_manager.compute()
@@ -136,7 +136,7 @@ def test_terms_and_groups_stand_in_the_order_of_the_config(make_env):
     assert env.observation_manager.term_slices("late") == {"z": slice(0, 1), "a": slice(1, 2), "m": slice(2, 3)}
 
 
-def test_groups_may_stay_apart_by_term(make_env):
+def test_groups_can_be_separated_by_term(make_env):
     env = _env(make_env, {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}, concatenate_terms=False)
     out = _read(env)
     assert {k: v.shape for k, v in out.items()} == {"x": (4, 1), "q": (4, 4)}

@@ -31,7 +31,7 @@ def test_draws_of_one_stream_do_not_move_another():
     assert _draws(busy, "a") == _draws(Streams(0), "a")
 
 
-def test_reseeding_starts_every_stream_anew():
+def test_reseeding_restarts_every_stream():
     streams = Streams(1)
     first = _draws(streams, "a")
     streams.reseed(2)

@@ -88,7 +88,7 @@ def _refused(make_env, node):
         (SPEED | {"asset_cfg": _entity(name="contact", body_names=["shin"])}, "asset_cfg.body_names", "", None),
     ],
 )
-def test_a_wrong_term_is_refused_by_key(make_env, node, key, words, nearest):
+def test_a_wrong_term_is_rejected_by_key(make_env, node, key, words, nearest):
     error = _refused(make_env, node)
     assert error.key == "env.rewards.term" + (f".{key}" if key else "")
     assert words in error.message
@@ -124,7 +124,7 @@ def test_no_other_special_key_of_hydra_works(make_env, key):
 @pytest.mark.parametrize(
     ("section", "words"), [("actions", "action term"), ("commands", "command term"), ("recorders", "not a recorder")]
 )
-def test_a_class_of_another_section_is_refused(make_env, section, words):
+def test_a_class_of_another_section_is_rejected(make_env, section, words):
     with pytest.raises(ConfigError, match=words) as caught:
         make_env(**{section: {"t": {"_target_": spies.HERE + "CountingObservation"}}})
     assert caught.value.key == f"env.{section}.t"

@@ -290,7 +290,7 @@ def _placed(start_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0)
     return env, env.scene.robot.data
 
 
-def test_the_root_stands_at_its_default_plus_origin_plus_draw(start_env):
+def test_the_root_starts_at_its_default_plus_origin_plus_draw(start_env):
     env, data = _placed(start_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6]))
     assert data.root_lin_vel_w.abs().max() == 0

@@ -92,7 +92,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("section", "name", "fields", "key", "words"), ROWS)
-def test_a_wrong_term_is_refused_by_key(make_env, section, name, fields, key, words):
+def test_a_wrong_term_is_rejected_by_key(make_env, section, name, fields, key, words):
     node = {"_target_": f"{MDP}{section}.{name}", **({"mode": "startup"} if section == "events" else {}), **fields}
     with pytest.raises(ConfigError) as caught:
         make_env(**{section: {"t": node}})

@@ -147,7 +147,7 @@ def test_episodes_that_started_before_the_growth_do_not_count(world):
     assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_reset_before_the_first_step_is_no_episode(world):
+def test_a_reset_before_the_first_step_is_not_an_episode(world):
     curriculum, ground = by_skill(world), terrain_levels_by_distance(world)
     world.command[:, 0] = 0.3
     assert world.episode(curriculum, steps=0, failed=True)["lin_vel_x_stuck"] == 0.0

@@ -74,7 +74,7 @@ def test_a_write_to_the_state_is_honoured_by_the_next_step(sim, model):
     assert float(sim.view("qpos")[1, 0]) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_forward_refreshes_only_the_rows_asked_for(sim):
+def test_forward_refreshes_only_the_given_rows(sim):
     xpos = sim.derived("xpos")
     sim.view("qpos")[:, 0] = 5.0
     sim.forward(torch.tensor([1]))

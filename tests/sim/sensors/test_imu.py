@@ -87,7 +87,7 @@ def test_velocities_are_mujocos(make, body):
     np.testing.assert_allclose(seen.pos_w[2], data.body(body).xpos, atol=1e-5)
 
 
-def test_a_velocity_that_is_written_shows_at_once_and_is_no_acceleration(make):
+def test_a_written_velocity_is_measured_at_once_without_an_acceleration(make):
     env = make()
     throw(env, 5.0)
     run(env)

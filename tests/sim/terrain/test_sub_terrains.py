@@ -160,7 +160,7 @@ def test_a_gap_lies_around_the_platform():
     assert profile(gap.heights(0.5, CELLS, rng())) == level * 4 + down * 2 + level * 8 + down * 2 + level * 4
 
 
-def test_rails_stand_where_isaac_labs_do():
+def test_rails_are_placed_like_isaac_labs():
     rails = Rails(proportion=1, rail_thickness_range=[0.1, 0.2], rail_height_range=[0.1, 0.3], platform_width=0.8)
     # The inner edge of the outer rail is at 0.8 + 0.6 * (2 - 0.8) = 1.52 m.
     half = [0, 0.2, 0.2, 0, 0, 0.2, 0, 0, 0, 0]
