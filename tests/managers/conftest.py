@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from sim.small_envs import start_env as start_env
 
 from managers import spies
 

@@ -32,9 +32,6 @@ def clear() -> None:
     VALUES.clear()
 
 
-# ---- functions with a value set by the test ----
-
-
 def value(env: Env, key: str) -> torch.Tensor:
     """Return ``VALUES[key]``, or its result for a function, with one row for each environment."""
     found = VALUES[key]
@@ -56,8 +53,7 @@ def writes(env: Env, env_ids: torch.Tensor | None, key: str) -> None:
 
 
 def noted(env: Env, env_ids: torch.Tensor | None, key: str = "event") -> None:
-    ids = None if env_ids is None else env_ids.tolist()
-    LOG.append((key, env.common_step_counter, ids))
+    LOG.append((key, env.common_step_counter, None if env_ids is None else env_ids.tolist()))
 
 
 def draw_once(env: Env, env_ids: torch.Tensor | None, generator: torch.Generator, key: str) -> None:
@@ -82,9 +78,6 @@ class CountingObservation(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         self.count[env_ids] = 0.0
-
-
-# ---- spies that log the order of calls ----
 
 
 class Spy(TermBase):
@@ -206,9 +199,6 @@ class SpyAction(ActionTerm):
         LOG.append(f"action reset {env_ids.tolist()}")
 
 
-# ---- terms with unusual state ----
-
-
 def _each(env: Env, number: float) -> torch.Tensor:
     return torch.full((env.num_envs,), float(number))
 
@@ -274,8 +264,7 @@ class RemembersGenerators(TermBase):
         self._python, self._numpy = random.Random(2), np.random.default_rng(3)
 
     def __call__(self, env: Env) -> torch.Tensor:
-        drawn = torch.rand(env.num_envs, generator=self._torch)
-        return drawn + self._python.random() + float(self._numpy.random())
+        return torch.rand(env.num_envs, generator=self._torch) + self._python.random() + float(self._numpy.random())
 
 
 class RemembersInAnIterator(TermBase):
@@ -353,21 +342,22 @@ def remembers_on_the_environment(env: Any) -> torch.Tensor:
     return env.own_heights + env.own_calls
 
 
+def _count_on(holder: Any, env: Env, name: str = "calls") -> torch.Tensor:
+    """Count the calls in an attribute of an object."""
+    setattr(holder, name, getattr(holder, name, 0) + 1)
+    return _each(env, getattr(holder, name))
+
+
 def remembers_on_itself(env: Env) -> torch.Tensor:
-    remembers_on_itself.calls = getattr(remembers_on_itself, "calls", 0) + 1
-    return _each(env, remembers_on_itself.calls)
+    return _count_on(remembers_on_itself, env)
 
 
 def remembers_on_the_robot(env: Env) -> torch.Tensor:
-    robot = env.scene.robot
-    robot.own_calls = getattr(robot, "own_calls", 0) + 1  # type: ignore[attr-defined]
-    return _each(env, robot.own_calls)  # type: ignore[attr-defined]
+    return _count_on(env.scene.robot, env, "own_calls")
 
 
 def remembers_on_the_engine(env: Any) -> torch.Tensor:
-    sim = env.scene.sim
-    sim.own_calls = getattr(sim, "own_calls", 0) + 1
-    return _each(env, sim.own_calls)
+    return _count_on(env.scene.sim, env, "own_calls")
 
 
 def remembers_in_a_default(env: Env, calls: list[int] = []) -> torch.Tensor:  # noqa: B006
@@ -376,14 +366,11 @@ def remembers_in_a_default(env: Env, calls: list[int] = []) -> torch.Tensor:  # 
 
 
 def remembers_on_a_default_entity(env: Env, asset_cfg: Any = SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
-    asset_cfg.calls = getattr(asset_cfg, "calls", 0) + 1
-    return _each(env, asset_cfg.calls)
+    return _count_on(asset_cfg, env)
 
 
 def remembers_on_its_term(env: Any) -> torch.Tensor:
-    term = env.reward_manager.get_term_cfg("own")
-    term.calls = getattr(term, "calls", 0) + 1
-    return _each(env, term.calls)
+    return _count_on(env.reward_manager.get_term_cfg("own"), env)
 
 
 class RemembersOnATensor(TermBase):

@@ -10,35 +10,32 @@ from wheelleg_exp.errors import ConfigError, WheellegError
 A = "wheelleg_exp.mdp.actions."
 
 
-def _env(make_env, robot="rover", **nodes):
-    env = make_env(robot, actions={n: {**node, "_target_": A + node["_target_"]} for n, node in nodes.items()})
-    env.reset()
-    return env
+def _env(start_env, robot="rover", **nodes):
+    return start_env(robot, actions={n: {**node, "_target_": A + node["_target_"]} for n, node in nodes.items()})
 
 
 def _position(**fields):
     return {"_target_": "JointPositionAction", "joint_names": [".*_hip"], "use_default_offset": False} | fields
 
 
-def test_scale_comes_first_then_offset_then_clip(make_env):
-    env = _env(make_env, a=_position(scale=2.0, offset=0.5, clip={".*": [-1.0, 3.0]}))
+def _apply(env, *action):
+    env.action_manager.process_action(torch.tensor([action] * 4))
+    env.action_manager.apply_action()
+    return env.scene.robot.data
+
+
+def test_scale_comes_first_then_offset_then_clip(start_env):
+    env = _env(start_env, a=_position(scale=2.0, offset=0.5, clip={".*": [-1.0, 3.0]}))
     env.action_manager.process_action(torch.tensor([[1.0, -2.0]] * 4))
     term = env.action_manager.get_term("a")
     # 1*2 + .5 = 2.5, and -2*2 + .5 = -3.5 is clipped to -1. Clipping the raw action would give other values.
-    assert term.processed_actions[0].tolist() == [2.5, -1.0]
-    assert term.raw_actions[0].tolist() == [1.0, -2.0]
+    assert (term.processed_actions[0].tolist(), term.raw_actions[0].tolist()) == ([2.5, -1.0], [1.0, -2.0])
 
 
-def test_numbers_by_expression_leave_other_joints_alone(make_env):
-    node = {
-        "_target_": "JointVelocityAction",
-        "joint_names": [".*"],
-        "use_default_offset": False,
-        "scale": {".*_axle": 3.0},
-        "offset": {"left_hip": 0.25},
-        "clip": {"right_axle": [-1.0, 1.0]},
-    }
-    env = _env(make_env, a=node)
+def test_numbers_by_expression_leave_other_joints_alone(start_env):
+    node = {"_target_": "JointVelocityAction", "joint_names": [".*"], "use_default_offset": False}
+    node |= {"scale": {".*_axle": 3.0}, "offset": {"left_hip": 0.25}, "clip": {"right_axle": [-1.0, 1.0]}}
+    env = _env(start_env, a=node)
     env.action_manager.process_action(torch.full((4, 4), 2.0))
     # left_hip, right_hip, left_axle, right_axle
     assert env.action_manager.get_term("a").processed_actions[0].tolist() == [2.25, 2.0, 6.0, 1.0]
@@ -54,13 +51,10 @@ def test_numbers_by_expression_leave_other_joints_alone(make_env):
         ({"joint_names": ["ankle"]}, "joint_names"),
     ],
 )
-def test_wrong_settings_name_their_key(make_env, fields, key):
+def test_wrong_settings_name_their_key(start_env, fields, key):
     with pytest.raises(ConfigError) as caught:
-        _env(make_env, a=_position(**fields))
+        _env(start_env, a=_position(**fields))
     assert caught.value.key == f"env.actions.a.{key}"
-
-
-REVERSED = ["right_axle", "left_axle", "right_hip", "left_hip"]
 
 
 @pytest.mark.parametrize(
@@ -68,47 +62,40 @@ REVERSED = ["right_axle", "left_axle", "right_hip", "left_hip"]
     [
         (["right_hip", "left_hip"], True, [2.0, 1.0]),
         (["right_hip", "left_hip"], False, [1.0, 2.0]),
-        (REVERSED, True, [4.0, 3.0, 2.0, 1.0]),
+        (["right_axle", "left_axle", "right_hip", "left_hip"], True, [4.0, 3.0, 2.0, 1.0]),
     ],
 )
-def test_the_order_of_the_expressions_is_kept_if_wanted(make_env, names, preserve, expected):
-    env = _env(make_env, a=_position(joint_names=names, preserve_order=preserve))
-    env.action_manager.process_action(torch.arange(1.0, len(names) + 1).expand(4, -1))
-    env.action_manager.apply_action()
-    assert env.scene.robot.data.joint_pos_target[0, : len(names)].tolist() == expected
+def test_preserve_order_uses_the_order_of_the_expressions(start_env, names, preserve, expected):
+    env = _env(start_env, a=_position(joint_names=names, preserve_order=preserve))
+    data = _apply(env, *torch.arange(1.0, len(names) + 1).tolist())
+    assert data.joint_pos_target[0, : len(names)].tolist() == expected
 
 
-def test_the_default_position_is_the_offset_of_a_position_action(make_env):
-    env = _env(make_env, a=_position(use_default_offset=True, scale=0.5))
-    env.action_manager.process_action(torch.tensor([[1.0, 0.0]] * 4))
-    env.action_manager.apply_action()
-    assert env.scene.robot.data.joint_pos_target[0, :2].tolist() == pytest.approx([0.7, 0.2])
+def test_the_default_position_is_the_offset_of_a_position_action(start_env):
+    data = _apply(_env(start_env, a=_position(use_default_offset=True, scale=0.5)), 1.0, 0.0)
+    assert data.joint_pos_target[0, :2].tolist() == pytest.approx([0.7, 0.2])
 
 
-def test_a_velocity_action_sets_velocity_targets_within_the_velocity_limit(make_env):
-    env = _env(make_env, a={"_target_": "JointVelocityAction", "joint_names": [".*_axle"], "scale": 10.0})
-    env.action_manager.process_action(torch.tensor([[1.0, -5.0]] * 4))
-    env.action_manager.apply_action()
-    assert env.scene.robot.data.joint_vel_target[0].tolist() == [0, 0, 10, -20]
+def test_a_velocity_action_sets_velocity_targets_within_the_velocity_limit(start_env):
+    env = _env(start_env, a={"_target_": "JointVelocityAction", "joint_names": [".*_axle"], "scale": 10.0})
+    assert _apply(env, 1.0, -5.0).joint_vel_target[0].tolist() == [0, 0, 10, -20]
 
 
 def test_the_default_velocity_is_the_offset_of_a_velocity_action(make_env):
     init = {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {}, "joint_vel": {"left_axle": 1.5}}
     node = {"_target_": A + "JointVelocityAction", "joint_names": [".*_axle"], "scale": 2.0, "use_default_offset": True}
     env = make_env(actions={"a": node}, robot={"init_state": init})
-    env.action_manager.process_action(torch.ones(4, 2))
-    env.action_manager.apply_action()
-    assert env.scene.robot.data.joint_vel_target[0, 2:].tolist() == [3.5, 2.0]
+    assert _apply(env, 1.0, 1.0).joint_vel_target[0, 2:].tolist() == [3.5, 2.0]
 
 
-def test_an_effort_action_sets_efforts_and_moves_the_joint(make_env):
-    env = _env(make_env, "arm", a={"_target_": "JointEffortAction", "joint_names": ["hinge"], "scale": 2.0})
+def test_an_effort_action_sets_efforts_and_moves_the_joint(start_env):
+    env = _env(start_env, "arm", a={"_target_": "JointEffortAction", "joint_names": ["hinge"], "scale": 2.0})
     env.step(torch.full((4, 1), 1.5))
     assert env.scene.robot.data.joint_effort_target[0].tolist() == [3.0, 0.0]
 
 
-def test_a_relative_action_adds_to_the_position_at_each_physics_step(make_env):
-    env = _env(make_env, a={"_target_": "RelativeJointPositionAction", "joint_names": [".*_hip"], "scale": 0.5})
+def test_a_relative_action_adds_to_the_position_at_each_physics_step(start_env):
+    env = _env(start_env, a={"_target_": "RelativeJointPositionAction", "joint_names": [".*_hip"], "scale": 0.5})
     robot = env.scene.robot
     seen, write = [], env.scene.write_data_to_sim
 
@@ -124,36 +111,31 @@ def test_a_relative_action_adds_to_the_position_at_each_physics_step(make_env):
     assert not torch.equal(seen[0][1], seen[1][1])
 
 
-def test_a_relative_action_takes_an_offset_only_without_zero_offset(make_env):
+def test_a_relative_action_takes_an_offset_only_without_zero_offset(start_env):
     node = {"_target_": "RelativeJointPositionAction", "joint_names": [".*_hip"], "offset": 0.3}
     for zero, expected in ((True, 0.0), (False, 0.3)):
-        env = _env(make_env, a=node | {"use_zero_offset": zero})
+        env = _env(start_env, a=node | {"use_zero_offset": zero})
         env.action_manager.process_action(torch.zeros(4, 2))
-        processed = env.action_manager.get_term("a").processed_actions
-        assert processed[0].tolist() == pytest.approx([expected] * 2)
+        assert env.action_manager.get_term("a").processed_actions[0].tolist() == pytest.approx([expected] * 2)
 
 
-def test_position_and_velocity_terms_of_one_joint_write_their_own_targets(make_env):
-    env = _env(make_env, p=_position(), v={"_target_": "JointVelocityAction", "joint_names": [".*_hip"]})
-    env.action_manager.process_action(torch.tensor([[0.1, 0.2, 3.0, 4.0]] * 4))
-    env.action_manager.apply_action()
-    data = env.scene.robot.data
+def test_position_and_velocity_terms_of_one_joint_write_their_own_targets(start_env):
+    env = _env(start_env, p=_position(), v={"_target_": "JointVelocityAction", "joint_names": [".*_hip"]})
+    data = _apply(env, 0.1, 0.2, 3.0, 4.0)
     assert data.joint_pos_target[0, :2].tolist() == pytest.approx([0.1, 0.2])
     assert data.joint_vel_target[0, :2].tolist() == [3.0, 4.0]
 
 
-def test_terms_take_their_slices_in_the_order_of_the_config(make_env):
-    wheel = {"_target_": "JointVelocityAction", "joint_names": [".*_axle"]}
-    env = _env(make_env, b=wheel, a=_position())
-    assert env.action_manager.total_action_dim == 4
-    assert env.action_manager.action_term_dim == [2, 2]
+def test_terms_take_their_slices_in_the_order_of_the_config(start_env):
+    env = _env(start_env, b={"_target_": "JointVelocityAction", "joint_names": [".*_axle"]}, a=_position())
+    assert (env.action_manager.total_action_dim, env.action_manager.action_term_dim) == (4, [2, 2])
     env.action_manager.process_action(torch.tensor([[1.0, 2.0, 3.0, 4.0]] * 4))
     assert env.action_manager.get_term("b").raw_actions[0].tolist() == [1, 2]
     assert env.action_manager.get_term("a").raw_actions[0].tolist() == [3, 4]
 
 
-def test_the_last_two_raw_actions_are_kept_unclipped(make_env):
-    env = _env(make_env, a=_position(clip={".*": [-1.0, 1.0]}))
+def test_the_last_two_raw_actions_are_stored_unclipped(start_env):
+    env = _env(start_env, a=_position(clip={".*": [-1.0, 1.0]}))
     action = torch.full((4, 2), 50.0)
     env.action_manager.process_action(action)
     action.fill_(70.0)  # the manager has its own copy of an action
@@ -162,19 +144,19 @@ def test_the_last_two_raw_actions_are_kept_unclipped(make_env):
     assert (env.action_manager.prev_action == 50).all()
 
 
-def test_a_reset_zeroes_the_actions_of_its_environments_and_leaves_processed_ones(make_env):
-    env = _env(make_env, a=_position())
+def test_a_reset_zeroes_the_actions_of_its_environments_and_leaves_processed_ones(start_env):
+    env = _env(start_env, a=_position())
     for _ in range(2):
         env.action_manager.process_action(torch.ones(4, 2))
     env.action_manager.reset(torch.tensor([0, 3]))
     manager, term = env.action_manager, env.action_manager.get_term("a")
-    for kept in (manager.action, manager.prev_action, term.raw_actions):
-        assert kept.sum(dim=1).tolist() == [0, 2, 2, 0]
+    for stored in (manager.action, manager.prev_action, term.raw_actions):
+        assert stored.sum(dim=1).tolist() == [0, 2, 2, 0]
     assert (term.processed_actions == 1).all()
 
 
 @pytest.mark.parametrize("shape", [(4, 1), (1, 2), (2,), (4, 3), (3, 2)])
-def test_an_action_of_a_wrong_shape_is_refused(make_env, shape):
-    env = _env(make_env, a=_position())
+def test_an_action_of_a_wrong_shape_is_rejected(start_env, shape):
+    env = _env(start_env, a=_position())
     with pytest.raises((ValueError, WheellegError), match="action"):
         env.step(torch.zeros(shape))

@@ -19,64 +19,48 @@ def _interval(low, high=None, **fields):
     return _event("interval", interval_range_s=[low, low if high is None else high], **fields)
 
 
-def _tick(env):
-    env.event_manager.advance_timers(0.02)
-    env.event_manager.apply_due(0.02)
-
-
 def _run(env, steps):
     for _ in range(steps):
         env.step(STILL)
     return [step for _, step, _ in spies.LOG]
 
 
-def test_an_interval_event_fires_when_its_time_is_up_and_carries_nothing_over(make_env):
-    env = make_env(events={"e": _interval(0.05)})  # control step .02 s
-    env.reset()
-    assert _run(env, 12) == [2 + 1, 5 + 1, 8 + 1, 11 + 1]
+@pytest.mark.parametrize(
+    ("interval", "fields", "count", "steps"),
+    [((0.05,), {}, 12, [3, 6, 9, 12]), ((0.2, 0.4), {"episode_length_s": 0.2}, 200, [])],
+)
+def test_an_interval_event_fires_when_its_time_is_up_before_the_episode_ends(start_env, interval, fields, count, steps):
+    """A control step is 0.02 s. An interval starts from zero, without the excess of the previous interval."""
+    assert _run(start_env(events={"e": _interval(*interval)}, **fields), count) == steps
 
 
-def test_timers_are_redrawn_at_an_environments_reset(make_env):
-    env = make_env(events={"e": _interval(0.05)})
-    env.reset()
-    env.step(STILL)
-    env.step(STILL)
-    env.reset(env_ids=torch.tensor([1]))
-    env.step(STILL)
-    assert spies.LOG == [("event", 3, [0, 2, 3])]
+def test_timers_are_redrawn_at_an_environments_reset(start_env):
+    env = start_env(events={"e": _interval(0.05)})
     _run(env, 2)
-    assert spies.LOG[1:] == [("event", 5, [1])]
+    env.reset(env_ids=torch.tensor([1]))
+    _run(env, 3)
+    assert spies.LOG == [("event", 3, [0, 2, 3]), ("event", 5, [1])]
 
 
-def test_timers_lose_a_control_step_at_an_automatic_reset(make_env):
+def test_timers_lose_a_control_step_at_an_automatic_reset(start_env):
     """The reset happens before the interval events of the same step."""
-    env = make_env(events={"e": _interval(0.05)}, episode_length_s=0.02)
-    env.reset()
+    env = start_env(events={"e": _interval(0.05)}, episode_length_s=0.02)
     env.step(STILL)
     torch.testing.assert_close(env.event_manager._time_left["e"], torch.full((4,), 0.03))
 
 
-def test_an_interval_as_long_as_the_episode_never_fires(make_env):
-    env = make_env(events={"e": _interval(0.2, 0.4)}, episode_length_s=0.2)
-    env.reset()
-    assert _run(env, 200) == []
-
-
 def test_intervals_are_uniform_in_their_range_for_each_environment(make_env):
-    env = make_env(events={"e": _interval(1.0, 3.0)}, num_envs=2000)
-    left = env.event_manager._time_left["e"]
+    left = make_env(events={"e": _interval(1.0, 3.0)}, num_envs=2000).event_manager._time_left["e"]
     assert 1.0 <= float(left.min()) < 1.02
     assert 2.98 < float(left.max()) <= 3.0
     assert float(left.mean()) == pytest.approx(2.0, abs=0.05)
 
 
-def test_a_global_timer_fires_for_all_at_once_and_is_not_redrawn_at_resets(make_env):
-    env = make_env(events={"e": _interval(0.05, is_global_time=True)})
+def test_a_global_timer_fires_for_all_at_once_and_is_not_redrawn_at_resets(start_env):
+    env = start_env(events={"e": _interval(0.05, is_global_time=True)})
+    _run(env, 2)
     env.reset()
-    env.step(STILL)
-    env.step(STILL)
-    env.reset()
-    env.step(STILL)
+    _run(env, 1)
     assert spies.LOG == [("event", 3, None)]
     assert _run(env, 6) == [3, 6, 9]
 
@@ -85,15 +69,19 @@ def test_the_new_interval_is_drawn_before_the_event_runs(make_env):
     env = make_env(events={"e": _interval(0.04)})
     seen = []
     env.event_manager._terms["e"].func = lambda e, ids: seen.append(e.event_manager._time_left["e"].clone())
-    _tick(env)
-    _tick(env)
+    for _ in range(2):
+        env.event_manager.advance_timers(0.02)
+        env.event_manager.apply_due(0.02)
     torch.testing.assert_close(seen[0], torch.full((4,), 0.04))
 
 
-def test_a_reset_event_runs_for_the_environments_that_reset(make_env):
-    env = make_env(events={"e": _event("reset")})
-    env.reset(env_ids=torch.tensor([0, 2]))
-    assert spies.LOG == [("event", 0, [0, 2])]
+@pytest.mark.parametrize(("mode", "ids", "log"), [("reset", [[0, 2]], [0, 2]), ("startup", [None, None], None)])
+def test_a_reset_event_runs_for_the_environments_that_reset_and_startup_once_for_all(make_env, mode, ids, log):
+    env = make_env(events={"e": _event(mode)})
+    for each in ids:
+        env.reset(env_ids=None if each is None else torch.tensor(each))
+    (logged,) = spies.LOG
+    assert logged == ("event", 0, log)
 
 
 def test_a_reset_event_waits_its_least_number_of_steps(make_env):
@@ -104,70 +92,52 @@ def test_a_reset_event_waits_its_least_number_of_steps(make_env):
     assert [ids for _, _, ids in spies.LOG] == [[1], [1], [0]]
 
 
-def test_the_wait_is_counted_in_control_steps_of_the_environment(make_env):
-    env = make_env(events={"e": _event("reset", min_step_count_between_reset=5)})
-    env.reset()
-    for _ in range(4):
-        env.step(STILL)
-    env.reset()
-    env.step(STILL)
-    env.reset()
+def test_the_wait_is_counted_in_control_steps_of_the_environment(start_env):
+    env = start_env(events={"e": _event("reset", min_step_count_between_reset=5)})
+    for steps in (4, 1):
+        _run(env, steps)
+        env.reset()
     assert [step for _, step, _ in spies.LOG] == [0, 5]
 
 
-def test_a_mode_of_the_callers_own_runs_only_when_asked_for(make_env):
-    env = make_env(events={"e": _event("my_mode")})
-    env.reset()
+def test_a_user_defined_mode_runs_only_when_applied(start_env):
+    env = start_env(events={"e": _event("my_mode")})
     _run(env, 3)
     assert spies.LOG == []
     env.event_manager.apply("my_mode", torch.tensor([3]))
     env.apply_event("my_mode")
-    assert spies.LOG == [("event", 3, [3]), ("event", 3, None)]
-    assert env.event_manager.available_modes == ["my_mode"]
-
-
-def test_startup_runs_once_for_all(make_env):
-    env = make_env(events={"e": _event("startup")})
-    env.reset()
-    env.reset()
-    assert spies.LOG == [("event", 0, None)]
+    assert (spies.LOG, env.event_manager.available_modes) == ([("event", 3, [3]), ("event", 3, None)], ["my_mode"])
 
 
 def test_events_of_a_mode_run_in_the_order_of_the_config(make_env):
-    events = {name: _event("reset", key=name) for name in ("zeta", "alpha", "mid")}
-    make_env(events=events).reset()
+    make_env(events={name: _event("reset", key=name) for name in ("zeta", "alpha", "mid")}).reset()
     assert [key for key, _, _ in spies.LOG] == ["zeta", "alpha", "mid"]
 
 
-def test_the_counters_are_there_before_anything_else_is(make_env):
+def test_counters_exist_before_managers_and_changes_before_the_start_are_compiled(make_env):
     seen = {}
-    spies.VALUES["k"] = lambda env, ids: seen.update(vars(env))
-    make_env(events={"e": {"_target_": spies.HERE + "writes", "mode": "prestartup", "key": "k"}})
-    assert seen["common_step_counter"] == 0
-    assert seen["episode_length_buf"].tolist() == [0] * 4
-    assert {name for name in seen if name.endswith("_manager")} <= {"scene_manager", "event_manager"}
 
-
-def test_what_is_changed_before_the_start_is_compiled(make_env):
     def heavier(env, env_ids):
+        seen.update(vars(env))
         env.scene.spec.body("base").mass = 7.0
 
     spies.VALUES["k"] = heavier
     env = make_env(events={"e": {"_target_": spies.HERE + "writes", "mode": "prestartup", "key": "k"}})
+    assert (seen["common_step_counter"], seen["episode_length_buf"].tolist()) == (0, [0] * 4)
+    assert {name for name in seen if name.endswith("_manager")} <= {"scene_manager", "event_manager"}
     assert float(env.scene.model.body("base").mass[0]) == 7.0
 
 
 def test_a_class_that_runs_before_the_start_is_never_reset(make_env):
     node = {"_target_": spies.HERE + "SpyEvent"}
-    made = {mode: {**node, "mode": mode, "name": mode} for mode in ("prestartup", "startup")}
-    env = make_env(events=made)
+    env = make_env(events={mode: {**node, "mode": mode, "name": mode} for mode in ("prestartup", "startup")})
     assert spies.LOG[:2] == ["event prestartup made", "event prestartup None"]
     spies.LOG.clear()
     env.reset()
     assert spies.LOG == ["event startup reset [0, 1, 2, 3]"]
 
 
-def test_a_mode_that_no_event_has_is_warned_of(make_env):
+def test_a_mode_that_no_event_has_warns(make_env):
     env = make_env(events={"e": _event("my_mode")})
     with pytest.warns(UserWarning, match=r"'my_mod'.*'my_mode'"):
         env.apply_event("my_mod")
@@ -178,8 +148,7 @@ def test_a_mode_that_no_event_has_is_warned_of(make_env):
 def test_events_and_recorders_log_nothing(make_env):
     recorder = {"_target_": "wheelleg_exp.mdp.recorders.PreStepActionsRecorder"}
     env = make_env(events={"e": _interval(0.05), "r": _event("reset")}, recorders={"a": recorder})
-    assert env.event_manager.reset(torch.arange(4)) == {}
-    assert env.recorder_manager.reset(torch.arange(4)) == {}
+    assert (env.event_manager.reset(torch.arange(4)), env.recorder_manager.reset(torch.arange(4))) == ({}, {})
 
 
 @pytest.mark.parametrize(
@@ -199,7 +168,7 @@ def test_wrong_settings_name_their_key(make_env, fields, key):
 
 
 @pytest.mark.parametrize(("mode", "words"), [("interval", "interval"), ("reset", "step_count")])
-def test_what_cannot_be_applied_by_name_is_refused(make_env, mode, words):
+def test_modes_that_cannot_be_applied_by_name_are_rejected(make_env, mode, words):
     env = make_env(events={"e": _interval(1.0) if mode == "interval" else _event(mode)})
     with pytest.raises(ValueError, match=words):
         env.event_manager.apply(mode)

@@ -11,7 +11,7 @@ from wheelleg_exp.errors import ConfigError
 O = "wheelleg_exp.mdp.observations."
 N = "wheelleg_exp.mdp.noise."
 M = "wheelleg_exp.mdp.modifiers."
-STILL = torch.zeros(4, 4)
+UNFLATTENED = {"flatten_history_dim": False, "concatenate_terms": False}
 
 
 def _value(key="x", **fields):
@@ -35,9 +35,6 @@ def _series(env, key, *values):
     return out
 
 
-# ---- processing ----
-
-
 def test_noise_comes_before_clip_and_clip_before_scale(make_env):
     """The expected value is 2 + .25, clipped to at most 4, times 10."""
     noise = {"_target_": N + "ConstantNoise", "bias": 0.25}
@@ -47,26 +44,22 @@ def test_noise_comes_before_clip_and_clip_before_scale(make_env):
 
 
 def test_modifiers_come_before_noise_in_their_order(make_env):
-    modifiers = [
-        {"_target_": M + "Bias", "value": 1.0},
-        {"_target_": M + "Scale", "multiplier": 3.0},
-        {"_target_": M + "Clip", "bounds": [0.0, 8.0]},
-    ]
+    settings = (("Bias", {"value": 1.0}), ("Scale", {"multiplier": 3.0}), ("Clip", {"bounds": [0.0, 8.0]}))
+    modifiers = [{"_target_": M + name, **fields} for name, fields in settings]
     noise = {"_target_": N + "ConstantNoise", "bias": 0.5}
     env = _env(make_env, {"x": _value(modifiers=modifiers, noise=noise)}, enable_corruption=True)
     assert float(_series(env, "x", 1.0)[0]) == 6.5  # (1 + 1) * 3 + .5
     assert float(_series(env, "x", 2.0)[0]) == 8.5  # 9 is clipped to 8 before the noise
 
 
-def test_without_corruption_noise_is_off_and_modifiers_stay(make_env):
-    node = _value(
-        noise={"_target_": N + "ConstantNoise", "bias": 100.0}, modifiers=[{"_target_": M + "Scale", "multiplier": 2.0}]
-    )
-    assert float(_series(_env(make_env, {"x": node}, enable_corruption=False), "x", 3.0)[0]) == 6.0
-    assert float(_series(_env(make_env, {"x": node}), "x", 3.0)[0]) == 6.0  # off by default
+@pytest.mark.parametrize("group", [{"enable_corruption": False}, {}])  # off by default
+def test_without_corruption_noise_is_off_and_modifiers_stay(make_env, group):
+    noise, modifiers = {"_target_": N + "ConstantNoise"}, [{"_target_": M + "Scale", "multiplier": 2.0}]
+    node = _value(noise=noise | {"bias": 100.0}, modifiers=modifiers)
+    assert float(_series(_env(make_env, {"x": node}, **group), "x", 3.0)[0]) == 6.0
 
 
-def test_a_scale_may_have_one_number_a_column(make_env):
+def test_a_scale_can_have_one_number_per_column(make_env):
     scale = [1.0, 2.0, 3.0, 4.0]
     env = _env(make_env, {"q": {"_target_": O + "joint_pos", "scale": scale}})
     torch.testing.assert_close(_read(env), env.scene.robot.data.joint_pos * torch.tensor(scale))
@@ -74,31 +67,21 @@ def test_a_scale_may_have_one_number_a_column(make_env):
         _env(make_env, {"q": {"_target_": O + "joint_pos", "scale": [1.0, 2.0]}})
 
 
-# ---- history ----
-
-
-def test_the_first_sample_after_a_reset_fills_the_history(make_env):
+def test_the_first_sample_after_a_reset_fills_the_history_of_its_environments(make_env):
     env = _env(make_env, {"x": _value()}, history_length=3)
-    assert _series(env, "x", 5.0)[0].tolist() == [5, 5, 5]
-    assert _series(env, "x", 6.0)[0].tolist() == [5, 5, 6]
+    assert (_series(env, "x", 5.0)[0].tolist(), _series(env, "x", 6.0)[0].tolist()) == ([5, 5, 5], [5, 5, 6])
     assert _series(env, "x", 1.0, 2.0, 3.0, 4.0)[0].tolist() == [2, 3, 4]
-
-
-def test_a_reset_forgets_only_its_environments(make_env):
-    env = _env(make_env, {"x": _value()}, history_length=3)
-    _series(env, "x", 1.0, 2.0)
     env.observation_manager.reset(torch.tensor([1]))
     out = _series(env, "x", 9.0)
-    assert out[1].tolist() == [9, 9, 9]
-    assert out[0].tolist() == [1, 2, 9]
+    assert (out[1].tolist(), out[0].tolist()) == ([9, 9, 9], [3, 4, 9])
 
 
-def test_histories_are_flattened_term_by_term(make_env):
-    env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2)
-    spies.VALUES["y"] = 10.0
-    _series(env, "x", 1.0)
-    spies.VALUES["y"] = 20.0
-    assert _series(env, "x", 2.0)[0].tolist() == [1, 2, 10, 20]
+def test_histories_are_flattened_term_by_term_with_the_scaled_samples(make_env):
+    env = _env(make_env, {"x": _value("x", scale=2.0), "y": _value("y")}, history_length=2)
+    for x, y in ((1.0, 10.0), (2.0, 20.0)):
+        spies.VALUES.update(y=y)
+        out = _series(env, "x", x)
+    assert out[0].tolist() == [2, 4, 10, 20]
 
 
 def test_a_term_of_several_columns_is_flattened_sample_by_sample(make_env):
@@ -116,107 +99,77 @@ def test_unflattened_histories_keep_their_time_axis(make_env):
     env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2, flatten_history_dim=False)
     spies.VALUES["y"] = 7.0
     out = _series(env, "x", 1.0, 2.0)
-    assert out.shape == (4, 2, 2)
-    assert out[0].tolist() == [[1, 7], [2, 7]]
+    assert (out.shape, out[0].tolist()) == ((4, 2, 2), [[1, 7], [2, 7]])
     assert env.observation_manager.group_obs_dim["policy"] == (2, 2)
 
 
-def test_a_terms_own_history_is_overridden_by_the_groups(make_env):
-    terms = {"x": _value("x", history_length=4), "y": _value("y")}
-    own = _env(make_env, terms)
-    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,), (1,)]
-    group = _env(make_env, terms, history_length=2)
-    assert group.observation_manager.group_obs_term_dim["policy"] == [(2,), (2,)]
-    none = _env(make_env, terms, history_length=0)
-    assert none.observation_manager.group_obs_term_dim["policy"] == [(1,), (1,)]
+@pytest.mark.parametrize(
+    ("term", "group", "dims"),
+    [
+        ({}, {}, [(4,), (1,)]),
+        ({}, {"history_length": 2}, [(2,), (2,)]),
+        ({}, {"history_length": 0}, [(1,), (1,)]),
+        ({"flatten_history_dim": True}, UNFLATTENED, [(4,), (1,)]),
+        ({"flatten_history_dim": True}, UNFLATTENED | {"history_length": 2}, [(2, 1), (2, 1)]),
+    ],
+)
+def test_a_groups_history_overrides_length_and_flattening_of_its_terms(make_env, term, group, dims):
+    env = _env(make_env, {"x": _value("x", history_length=4, **term), "y": _value("y")}, **group)
+    assert env.observation_manager.group_obs_term_dim["policy"] == dims
 
 
-def test_a_group_without_a_history_of_its_own_leaves_flattening_to_its_terms(make_env):
-    terms = {"x": _value("x", history_length=4, flatten_history_dim=True)}
-    options = {"flatten_history_dim": False, "concatenate_terms": False}
-    own = _env(make_env, terms, **options)
-    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,)]
-    group = _env(make_env, terms, history_length=2, **options)
-    assert group.observation_manager.group_obs_term_dim["policy"] == [(2, 1)]
-
-
-def test_what_was_observed_last_can_be_asked_for_term_by_term(make_env):
-    groups = {
-        "a": {"terms": {"x": _value("x"), "y": _value("y")}, "history_length": 2},
-        "b": {"terms": {"y": _value("y")}},
-    }
-    env = make_env(observations=groups)
+def test_the_last_observation_can_be_read_term_by_term(make_env):
+    terms = {"x": _value("x"), "y": _value("y")}
+    env = make_env(observations={"a": {"terms": terms, "history_length": 2}, "b": {"terms": {"y": _value("y")}}})
     spies.VALUES.update(x=torch.tensor([1.0, 2.0, 3.0, 4.0]), y=7.0)
     env.observation_manager.compute()
     found = env.observation_manager.get_active_iterable_terms(2)
     assert found == [("a-x", [3.0, 3.0]), ("a-y", [7.0, 7.0]), ("b-y", [7.0])]
 
 
-def test_scale_is_inside_the_history(make_env):
-    env = _env(make_env, {"x": _value(scale=2.0)}, history_length=2)
-    assert _series(env, "x", 1.0, 3.0)[0].tolist() == [2, 6]
-
-
-# ---- layout ----
-
-
-def test_terms_and_groups_stand_in_the_order_of_the_config(make_env):
-    groups = {g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")}
-    env = make_env(observations=groups)
+def test_terms_and_groups_follow_the_order_of_the_config(make_env):
+    env = make_env(observations={g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")})
     spies.VALUES.update(z=1.0, a=2.0, m=3.0)
     out = env.observation_manager.compute()
-    assert list(out) == ["late", "early"]
-    assert out["late"][0].tolist() == [1, 2, 3]
+    assert (list(out), out["late"][0].tolist()) == (["late", "early"], [1, 2, 3])
     assert env.observation_manager.active_terms["late"] == ["z", "a", "m"]
     assert env.observation_manager.term_slices("late") == {"z": slice(0, 1), "a": slice(1, 2), "m": slice(2, 3)}
 
 
-def test_groups_may_stay_apart_by_term(make_env):
+def test_groups_can_be_separated_by_term(make_env):
     env = _env(make_env, {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}, concatenate_terms=False)
     out = _read(env)
     assert {k: v.shape for k, v in out.items()} == {"x": (4, 1), "q": (4, 4)}
     assert env.observation_manager.group_obs_dim["policy"] == [(1,), (4,)]
 
 
-def test_a_returned_observation_does_not_change_later(make_env):
-    terms = {
-        "action": {"_target_": O + "last_action"},
-        "q": {"_target_": O + "joint_pos"},
-        "past": {"_target_": O + "last_action", "history_length": 2},
-    }
-    env = make_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
-    env.reset()
+def test_a_returned_observation_does_not_change_later(start_env):
+    action = {"_target_": O + "last_action"}
+    terms = {"action": action, "q": {"_target_": O + "joint_pos"}, "past": action | {"history_length": 2}}
+    env = start_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
     first, *_ = env.step(torch.ones(4, 4))
-    kept = {k: v.clone() for k, v in first["policy"].items()}
+    copied = {k: v.clone() for k, v in first["policy"].items()}
     env.step(torch.full((4, 4), 2.0))
     env.reset()
-    for name, value in kept.items():
+    for name, value in copied.items():
         assert torch.equal(first["policy"][name], value), name
 
 
 @pytest.mark.parametrize(
     ("group", "key"),
     [
-        ({"terms": {}}, "env.observations.policy.terms"),
-        (
-            {"terms": {"q": {"_target_": O + "joint_pos"}}, "histroy_length": 2},
-            "env.observations.policy.histroy_length",
-        ),
+        ({"terms": {}}, "terms"),
+        ({"terms": {"q": {"_target_": O + "joint_pos"}}, "histroy_length": 2}, "histroy_length"),
     ],
 )
 def test_a_wrong_group_names_its_key(make_env, group, key):
     with pytest.raises(ConfigError) as caught:
         make_env(observations={"policy": group})
-    assert caught.value.key == key
+    assert caught.value.key == f"env.observations.policy.{key}"
 
 
-# ---- peeking without side effects ----
-
-
-BIAS = {
-    "noise_cfg": {"_target_": N + "GaussianNoise", "std": 0.1},
-    "bias_noise_cfg": {"_target_": N + "UniformNoise", "operation": "abs"},
-}
+BIAS = {"noise_cfg": {"_target_": N + "GaussianNoise", "std": 0.1}}
+BIAS["bias_noise_cfg"] = {"_target_": N + "UniformNoise", "operation": "abs"}
 
 
 def _busy_terms():
@@ -253,18 +206,17 @@ def test_construction_draws_no_noise(make_env):
     """The sizes of observations are determined without noise."""
     env = _env(make_env, _busy_terms(), enable_corruption=True)
     path = "env.observations.policy.terms.noisy.noise"
-    fresh = type(env.streams)(0).get(path).get_state()
-    assert torch.equal(env.streams.get(path).get_state(), fresh)
+    assert torch.equal(env.streams.get(path).get_state(), type(env.streams)(0).get(path).get_state())
 
 
-def test_stateful_terms_begin_at_zero_after_construction_and_reset(make_env):
+def test_stateful_terms_start_at_zero_after_construction_and_reset(make_env):
     env = _env(make_env, {"count": {"_target_": spies.HERE + "CountingObservation"}})
     assert _read(env).flatten().tolist() == [1, 1, 1, 1]
     env.observation_manager.reset(torch.tensor([2]))
     assert _read(env).flatten().tolist() == [2, 2, 1, 2]
 
 
-def test_a_reset_begins_modifiers_and_draws_biases_anew_for_its_environments(make_env):
+def test_a_reset_restarts_modifiers_and_redraws_biases_for_its_environments(make_env):
     terms = {name: term for name, term in _busy_terms().items() if name in ("filter", "biased")}
     terms["biased"]["noise"]["noise_cfg"] = {"_target_": N + "ConstantNoise"}
     env = _env(make_env, terms, enable_corruption=True)
@@ -280,14 +232,10 @@ def test_a_reset_begins_modifiers_and_draws_biases_anew_for_its_environments(mak
 
 
 def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
-    noisy = {"_target_": N + "UniformNoise"}
-    alone = _env(make_env, {"a": _value("a", noise=noisy)}, enable_corruption=True)
-    both = _env(make_env, {"b": _value("b", noise=noisy), "a": _value("a", noise=noisy)}, enable_corruption=True)
+    terms = {name: _value(name, noise={"_target_": N + "UniformNoise"}) for name in "ba"}
+    alone, both = (_env(make_env, t, enable_corruption=True) for t in ({"a": terms["a"]}, terms))
     for _ in range(3):
         assert torch.equal(_read(alone)[:, 0], _read(both)[:, 1])
-
-
-# ---- two groups ----
 
 
 def _two(make_env, policy, critic, **fields):
@@ -303,29 +251,23 @@ def _calls(env, **numbers):
     return "".join(called), float(observed["policy"][0]), float(observed["critic"][0])
 
 
-def test_a_function_of_two_groups_is_called_once_a_step(make_env):
+def test_a_function_of_two_groups_is_called_once_a_step_and_processed_by_each(make_env):
     assert _calls(_two(make_env, "x", "x"), x=2.0) == ("x", 2.0, 2.0)
     assert _calls(_two(make_env, "x", "y"), x=2.0, y=5.0) == ("xy", 2.0, 5.0)
-
-
-def test_each_group_does_its_own_with_what_was_computed_once(make_env):
     env = _two(make_env, "x", "x", modifiers=[{"_target_": M + "Bias", "value": 1.0}], scale=10.0)
     assert _calls(env, x=2.0) == ("x", 2.0, 30.0)
 
 
-def test_a_parameter_that_is_changed_later_is_one_groups_own(make_env):
+def test_a_parameter_that_is_changed_later_belongs_to_one_group(make_env):
     env = _two(make_env, "x", "x")
     env.observation_manager.terms("critic")["y"].term.params["key"] = "z"
     assert _calls(env, x=2.0, z=5.0) == ("xz", 2.0, 5.0)
 
 
-# ---- a group that is a prefix of another group ----
-
-
 def _policy_and_critic(make_env):
-    policy, critic = {"a": _value("x"), "b": _value("y")}, {"a": _value("x"), "b": _value("y"), "c": _value("z")}
-    groups = {"policy": {"terms": policy, "history_length": 3}, "critic": {"terms": critic, "history_length": 3}}
-    return make_env(observations=groups)
+    policy = {"a": _value("x"), "b": _value("y")}
+    groups = {"policy": policy, "critic": policy | {"c": _value("z")}}
+    return make_env(observations={name: {"terms": terms, "history_length": 3} for name, terms in groups.items()})
 
 
 def _observed(env, x, y, z, w=0.0):
@@ -334,7 +276,7 @@ def _observed(env, x, y, z, w=0.0):
     return observed["policy"][0].tolist(), observed["critic"][0].tolist()
 
 
-def test_a_group_that_begins_another_shows_the_same_rows(make_env):
+def test_a_group_that_is_a_prefix_of_another_has_the_same_rows(make_env):
     env = _policy_and_critic(make_env)
     assert _observed(env, 1.0, 2.0, 3.0) == ([1, 1, 1, 2, 2, 2], [1, 1, 1, 2, 2, 2, 3, 3, 3])
     assert _observed(env, 4.0, 5.0, 6.0) == ([1, 1, 4, 2, 2, 5], [1, 1, 4, 2, 2, 5, 3, 3, 6])
@@ -347,7 +289,7 @@ def test_a_group_that_begins_another_shows_the_same_rows(make_env):
     assert _observed(env, 0.0, 0.0, 0.0) == ([4, 7, 0, 5, 8, 0], [4, 7, 0, 5, 8, 0, 6, 9, 0])
 
 
-def test_a_group_goes_its_own_way_once_a_parameter_of_the_other_is_changed(make_env):
+def test_a_group_is_computed_separately_once_a_parameter_of_the_other_changes(make_env):
     env = _policy_and_critic(make_env)
     _observed(env, 1.0, 2.0, 3.0)
     env.observation_manager.terms("critic")["a"].term.params["key"] = "w"

@@ -11,6 +11,7 @@ from wheelleg_exp.errors import ConfigError
 O = "wheelleg_exp.mdp.observations."
 M = "wheelleg_exp.mdp.modifiers."
 STILL = torch.zeros(4, 4)
+PICTURE = {"_target_": "managers.test_observation_options.picture", "key": "a"}
 
 
 def _value(key="x", **fields):
@@ -30,14 +31,11 @@ def _series(env, key, *values):
     return out
 
 
-# ---- delay ----
-
-
-def _counting(make_env, **fields):
+def _counting(start_env, **fields):
     counted = {"n": 0}
     spies.VALUES["x"] = lambda env: torch.full((env.num_envs,), float(counted["n"]))
-    sections = {name: fields.pop(name) for name in ("num_envs", "seed") if name in fields}
-    env = _env(make_env, {"x": _value(**fields)}, **sections)
+    num_envs = fields.pop("num_envs", 4)
+    env = _env(start_env, {"x": _value(**fields)}, num_envs=num_envs)
     step = env.scene.sim.step
 
     def counting():
@@ -55,19 +53,16 @@ def test_a_delay_counts_physics_steps_and_not_control_steps(make_env):
     assert seen == [0, 0, 1, 3, 5]  # the counts 0, 2, 4, 6, and 8, three steps late
 
 
-def test_without_a_delay_there_is_nothing_to_remember(make_env):
+def test_without_a_delay_nothing_is_stored(start_env):
     for delay in (None, [0, 0]):
-        env = _counting(make_env, delay=delay)
-        env.reset()
+        env = _counting(start_env, delay=delay)
         assert float(env.step(STILL)[0]["policy"][0]) == 2
-        saved = env.observation_manager.state_dict()["groups"]["policy"]["x"]
-        assert "delay" not in saved
+        assert "delay" not in env.observation_manager.state_dict()["groups"]["policy"]["x"]
         assert "env.observations.policy.terms.x.delay" not in env.streams.state_dict()["generators"]
 
 
-def test_delays_are_drawn_at_the_reset_of_an_environment(make_env):
-    env = _counting(make_env, delay=[1, 3], num_envs=300)
-    env.reset()
+def test_delays_are_drawn_at_the_reset_of_an_environment(start_env):
+    env = _counting(start_env, delay=[1, 3], num_envs=300)
     (term,) = env.observation_manager.terms("policy").values()
     lags = term.delay.lag
     before = lags.clone()
@@ -83,35 +78,32 @@ def test_delays_are_drawn_at_the_reset_of_an_environment(make_env):
     assert torch.equal(shown[100:], 6.0 - before[100:])
 
 
-def test_what_is_late_is_modified_clipped_scaled_and_kept_when_it_arrives(make_env):
+def test_a_delayed_value_is_modified_clipped_scaled_and_stored_on_arrival(start_env):
     bias = {"_target_": M + "Bias", "value": 10.0}
-    env = _counting(make_env, delay=[2, 2], modifiers=[bias], clip=[0.0, 13.0], scale=2.0, history_length=2)
-    env.reset()
+    env = _counting(start_env, delay=[2, 2], modifiers=[bias], clip=[0.0, 13.0], scale=2.0, history_length=2)
     for _ in range(3):
         shown = env.step(STILL)[0]["policy"][0].tolist()
     assert shown == [24.0, 26.0]  # (2 + 10) * 2, and 4 + 10 clipped to 13, times 2
 
 
-def test_a_peek_at_something_late_changes_nothing(make_env):
-    env = _counting(make_env, delay=[3, 3])
-    env.reset()
+def test_a_peek_at_a_delayed_value_changes_nothing(start_env):
+    env = _counting(start_env, delay=[3, 3])
     for expected, ahead in ((0, 0), (1, 2), (3, 4), (5, 6)):
         assert env.step(STILL)[0]["policy"][0].item() == expected
         for _ in range(3):  # a peek acts like one more sample
             assert env.observation_manager.peek()["policy"][0].item() == ahead
 
 
-def test_two_groups_of_one_term_may_be_late_differently(make_env):
+def test_two_groups_of_one_term_can_have_different_delays(make_env):
     node = {"_target_": O + "joint_pos"}
-    groups = {"late": {"terms": {"q": {**node, "delay": [2, 2]}}}, "now": {"terms": {"q": node}}}
-    env = make_env(observations=groups)
+    env = make_env(observations={"late": {"terms": {"q": {**node, "delay": [2, 2]}}}, "now": {"terms": {"q": node}}})
     before, _ = env.reset()
     after, *_ = env.step(torch.ones(4, 4))
     assert torch.equal(after["late"], before["now"])
     assert not torch.equal(after["now"], before["now"])
 
 
-def test_what_is_late_goes_on_where_it_was_saved(make_env):
+def test_delayed_values_continue_from_a_saved_state(make_env):
     terms = {"q": {"_target_": O + "joint_pos", "delay": [0, 5]}}
     first, second = (_env(make_env, terms, seed=seed) for seed in (0, 6))
     first.reset()
@@ -124,17 +116,7 @@ def test_what_is_late_goes_on_where_it_was_saved(make_env):
         assert torch.equal(got["policy"], expected["policy"])
 
 
-@pytest.mark.parametrize("delay", [[2, 1], [-1, 2], [0.5, 1], 3])
-def test_a_wrong_delay_names_its_key(make_env, delay):
-    with pytest.raises(ConfigError) as caught:
-        _env(make_env, {"x": _value(delay=delay)})
-    assert caught.value.key == "env.observations.policy.terms.x.delay"
-
-
-# ---- histories step by step ----
-
-
-def test_histories_may_stand_step_by_step(make_env):
+def test_histories_can_be_ordered_step_by_step(make_env):
     terms = {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}
     env = _env(make_env, terms, history_length=2, history_order="time")
     manager, robot = env.observation_manager, env.scene.robot
@@ -159,38 +141,33 @@ def test_histories_may_stand_step_by_step(make_env):
 
 
 @pytest.mark.parametrize(
-    "group", [{}, {"history_length": 2, "flatten_history_dim": False}, {"concatenate_terms": False}]
+    ("group", "key", "words"),
+    [
+        *(({"terms": {"x": {"delay": delay}}}, "terms.x.delay", None) for delay in ([2, 1], [-1, 2], [0.5, 1], 3)),
+        ({"history_order": "time"}, "history_order", None),
+        ({"history_order": "time", "history_length": 2, "flatten_history_dim": False}, "history_order", None),
+        ({"history_order": "time", "concatenate_terms": False}, "history_order", None),
+        ({"concatenate_dim": 1}, "concatenate_dim", "from -1 to 0"),
+        ({"terms": {"x": {}, "a": PICTURE}}, "terms", r"x \(1,\), a \(2, 3, 1\).*value\.flatten\(1\)"),
+    ],
 )
-def test_only_flattened_histories_stand_step_by_step(make_env, group):
-    with pytest.raises(ConfigError) as caught:
-        _env(make_env, {"x": _value()}, history_order="time", **group)
-    assert caught.value.key == "env.observations.policy.history_order"
+def test_wrong_options_name_their_key(make_env, group, key, words):
+    spies.VALUES["a"] = 1.0
+    terms = {name: _value() | node for name, node in group.pop("terms", {"x": {}}).items()}
+    with pytest.raises(ConfigError, match=words) as caught:
+        _env(make_env, terms, **group)
+    assert caught.value.key == f"env.observations.policy.{key}"
 
 
-# ---- dimensions ----
-
-
-def test_terms_may_be_joined_along_their_steps(make_env):
+def test_terms_can_be_joined_along_their_steps(make_env):
     terms = {"x": _value("x"), "y": _value("y")}
-    group = {"history_length": 3, "flatten_history_dim": False, "concatenate_dim": 0}
-    env = _env(make_env, terms, **group)
+    env = _env(make_env, terms, history_length=3, flatten_history_dim=False, concatenate_dim=0)
     spies.VALUES["y"] = 5.0
     out = _series(env, "x", 1.0, 2.0)
-    assert out.shape == (4, 6, 1)
-    assert out[0].flatten().tolist() == [1, 1, 2, 5, 5, 5]
+    assert (out.shape, out[0].flatten().tolist()) == ((4, 6, 1), [1, 1, 2, 5, 5, 5])
     manager = env.observation_manager
     assert manager.group_obs_dim["policy"] == (6, 1)
     assert manager.split("policy", out)["y"][0].tolist() == [[5], [5], [5]]
-
-
-def test_a_dimension_that_is_not_there_is_refused(make_env):
-    with pytest.raises(ConfigError, match="from -1 to 0") as caught:
-        _env(make_env, {"x": _value()}, concatenate_dim=1)
-    assert caught.value.key == "env.observations.policy.concatenate_dim"
-
-
-def _picture(key, **fields):
-    return {"_target_": "managers.test_observation_options.picture", "key": key, **fields}
 
 
 def picture(env, key):
@@ -199,7 +176,7 @@ def picture(env, key):
 
 def test_pictures_are_joined_like_isaac_labs(make_env):
     spies.VALUES.update(a=1.0, b=10.0)
-    terms = {"a": _picture("a", clip=[0.0, 4.0]), "b": _picture("b", scale=2.0)}
+    terms = {"a": PICTURE | {"clip": [0.0, 4.0]}, "b": PICTURE | {"key": "b", "scale": 2.0}}
     env = _env(make_env, terms)
     out = env.observation_manager.compute()["policy"]
     assert out.shape == (4, 2, 3, 2)  # channels, by default
@@ -212,16 +189,8 @@ def test_pictures_are_joined_like_isaac_labs(make_env):
 def test_pictures_have_histories(make_env):
     spies.VALUES["a"] = 1.0
     for flatten, shape in ((False, (3, 2, 3, 1)), (True, (18,))):
-        env = _env(make_env, {"a": _picture("a")}, history_length=3, flatten_history_dim=flatten)
+        env = _env(make_env, {"a": PICTURE}, history_length=3, flatten_history_dim=flatten)
         for number in (1.0, 2.0):
             spies.VALUES["a"] = number
             out = env.observation_manager.compute()["policy"]
-        assert out.shape == (4, *shape)
-        assert out.view(4, 3, 6)[0, :, 5].tolist() == [5, 5, 10]
-
-
-def test_a_picture_among_vectors_is_refused_with_what_to_do(make_env):
-    spies.VALUES["a"] = 1.0
-    with pytest.raises(ConfigError, match=r"x \(1,\), a \(2, 3, 1\).*value\.flatten\(1\)") as caught:
-        _env(make_env, {"x": _value(), "a": _picture("a")})
-    assert caught.value.key == "env.observations.policy.terms"
+        assert (out.shape, out.view(4, 3, 6)[0, :, 5].tolist()) == ((4, *shape), [5, 5, 10])

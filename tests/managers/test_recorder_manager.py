@@ -1,4 +1,4 @@
-"""Recorders: what they note and when, the episodes that are cut of it, and that they change nothing."""
+"""Recorders: what they record and when, how episodes are split, and that recording changes nothing."""
 
 from __future__ import annotations
 
@@ -68,23 +68,19 @@ def recorders(*names: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def make(make_env):
-
-    def made(*names: str, terms: Any = (), **sections: Any) -> Any:
-        spies.VALUES["done"] = torch.zeros(4)
-        ends = {"success": {"_target_": spies.HERE + "flag", "key": "won"}, **dict(terms)}
+def make(start_env):
+    def made(*names: str, **sections: Any) -> Any:
+        spies.VALUES.update(done=torch.zeros(4), won=torch.zeros(4))
+        ends = {"success": {"_target_": spies.HERE + "flag", "key": "won"}}
         ends["stop"] = {"_target_": spies.HERE + "SpyTermination"}
-        spies.VALUES["won"] = torch.zeros(4)
-        env = make_env(recorders=recorders(*names), terminations=ends, observations=OBSERVATIONS, **sections)
-        env.reset()
-        return env
+        return start_env(recorders=recorders(*names), terminations=ends, observations=OBSERVATIONS, **sections)
 
     return made
 
 
 def step(env: Any, ends: Any = (), wins: Any = ()) -> None:
-    spies.VALUES["done"] = torch.zeros(4).index_fill(0, torch.tensor([*ends], dtype=torch.long), 1.0)
-    spies.VALUES["won"] = torch.zeros(4).index_fill(0, torch.tensor([*wins], dtype=torch.long), 1.0)
+    for key, ids in (("done", ends), ("won", wins)):
+        spies.VALUES[key] = torch.tensor([float(i in ids) for i in range(4)])
     env.step(torch.rand(4, 4))
 
 
@@ -99,17 +95,14 @@ def test_each_episode_has_its_own_rows_and_no_others(make):
     for number in range(1, 6):
         step(env, {2: [1], 5: [1, 3]}.get(number, []))
     (found,) = env.recorder_manager.take().values()
-    assert found["episode/env"].tolist() == [1, 1, 3]
-    assert found["episode/length"].tolist() == [2, 3, 5]
+    assert (found["episode/env"].tolist(), found["episode/length"].tolist()) == ([1, 1, 3], [2, 3, 5])
     assert found["episode/last_step"].tolist() == [2, 5, 5]
-    before = [rows[:, 0].tolist() for rows in episodes(found, "clock/before")]
-    assert before == [[0, 1], [2, 3, 4], [0, 1, 2, 3, 4]]
+    assert [rows[:, 0].tolist() for rows in episodes(found, "clock/before")] == [[0, 1], [2, 3, 4], [0, 1, 2, 3, 4]]
     assert [rows[:, 0].tolist() for rows in episodes(found, "after")] == [[1, 2], [3, 4, 5], [1, 2, 3, 4, 5]]
     assert [set(rows[:, 0].tolist()) for rows in episodes(found, "clock/env")] == [{1.0}, {1.0}, {3.0}]
     assert found["rows/physics"].tolist() == [4, 6, 10]  # a control step has two physics steps
     assert found["start"][:, 0].tolist() == pytest.approx([0.1, 2.1, 0.3])
-    assert found["end"][:, 0].tolist() == [1, 1, 3]
-    assert env.recorder_manager.take() == {}
+    assert (found["end"][:, 0].tolist(), env.recorder_manager.take()) == ([1, 1, 3], {})
 
 
 def test_long_episodes_are_whole(make):
@@ -124,7 +117,7 @@ def test_long_episodes_are_whole(make):
     assert [part for env_id, part in rows if env_id == 1] == [list(range(n, n + 7)) for n in range(0, 294, 7)]
 
 
-def test_the_stock_recorders_note_what_the_environment_has(make):
+def test_the_stock_recorders_record_the_environments_values(make):
     names = ("InitialStateRecorder", "PostStepStatesRecorder", "PreStepActionsRecorder")
     env = make(*names, "PostStepProcessedActionsRecorder", "PreStepFlatPolicyObservationsRecorder")
     start = env.scene.robot.data.joint_pos.clone()
@@ -173,7 +166,7 @@ def test_recorders_change_no_number_of_an_environment(make):
         ("none", {}),
     ],
 )
-def test_the_mode_says_which_episodes_are_kept(make, mode, groups):
+def test_the_export_mode_selects_the_saved_episodes(make, mode, groups):
     env = make("Clock", dataset={"export_mode": mode})
     step(env, [0], wins=[1])
     found = env.recorder_manager.take()
@@ -183,30 +176,26 @@ def test_the_mode_says_which_episodes_are_kept(make, mode, groups):
 
 
 @pytest.mark.parametrize("wanted", [False, True])
-def test_episodes_under_way_are_kept_at_the_end_where_asked_for(make, wanted):
+def test_unfinished_episodes_are_saved_at_the_end_if_configured(make, wanted):
     env = make("Clock", dataset={"export_in_close": wanted})
     step(env, [2])
     step(env)
     env.recorder_manager.close()
     env.recorder_manager.close()
-    found = env.recorder_manager.take()["episodes"]
-    assert found["episode/length"].tolist() == ([1, 2, 2, 1, 2] if wanted else [1])
+    assert env.recorder_manager.take()["episodes"]["episode/length"].tolist() == ([1, 2, 2, 1, 2] if wanted else [1])
 
 
-def test_an_episode_whose_beginning_is_in_another_process_is_left_out(make):
+def test_episodes_that_started_in_another_process_or_have_no_step_are_left_out(make):
     env = make("Clock")
+    env.reset()
+    assert env.recorder_manager.take() == {}
     step(env)
     env.load_state_dict(env.state_dict())
     step(env, [0])
     assert env.recorder_manager.take() == {}
     step(env, [0])
     assert env.recorder_manager.take()["episodes"]["episode/length"].tolist() == [1]
-
-
-def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
     env = make("Clock")
-    env.reset()
-    assert env.recorder_manager.take() == {}
     step(env)
     env.reset(env_ids=torch.tensor([1]))
     assert env.recorder_manager.take()["episodes"]["episode/env"].tolist() == [1]
@@ -226,7 +215,7 @@ def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
         (("after", torch.zeros(4)), "is already recorded by"),
     ],
 )
-def test_what_cannot_be_noted_is_told_with_the_term(make, noted, said):
+def test_values_that_cannot_be_recorded_name_their_term(make, noted, said):
     env = make("Clock", "Returns")
     spies.VALUES["noted"] = noted
     with pytest.raises(ConfigError) as caught:
@@ -235,7 +224,7 @@ def test_what_cannot_be_noted_is_told_with_the_term(make, noted, said):
     assert said in str(caught.value)
 
 
-def test_a_shape_that_changes_is_told(make):
+def test_a_shape_that_changes_is_rejected(make):
     env = make("Returns")
     spies.VALUES["noted"] = ("k", torch.zeros(4, 1))
     step(env)

@@ -66,19 +66,17 @@ def observed(**fields: Any) -> dict[str, Any]:
 
 
 ROW = {"_target_": HERE + "raw"}
+TERM = "env.observations.policy.terms.t"
 SECTIONS = {
     "rewards": ({"rewards": {"t": {**ROW, "weight": 1.0}}}, "env.rewards.t"),
     "terminations": ({"terminations": {"t": ROW}}, "env.terminations.t"),
-    "observations": ({"observations": {"policy": {"terms": {"t": ROW}}}}, "env.observations.policy.terms.t"),
+    "observations": ({"observations": {"policy": {"terms": {"t": ROW}}}}, TERM),
     "events": ({"events": {"t": {"_target_": HERE + "raw_of", "mode": "reset"}}}, "env.events.t"),
     "curriculum": ({"curriculum": {"t": {"_target_": HERE + "raw_of"}}}, "env.curriculum.t"),
     "commands": ({"commands": {"t": {"_target_": HERE + "RawCommand"}}}, "env.commands.t"),
     "actions": ({"actions": {"t": {"_target_": HERE + "RawAction"}}}, "env.actions.t"),
-    "noise": (observed(noise={"_target_": HERE + "RawNoise"}), "env.observations.policy.terms.t.noise"),
-    "modifiers": (
-        observed(modifiers=[{"_target_": HERE + "RawModifier"}]),
-        "env.observations.policy.terms.t.modifiers[0]",
-    ),
+    "noise": (observed(noise={"_target_": HERE + "RawNoise"}), f"{TERM}.noise"),
+    "modifiers": (observed(modifiers=[{"_target_": HERE + "RawModifier"}]), f"{TERM}.modifiers[0]"),
 }  # fmt: skip
 NUMBERS = "a real tensor of shape (4,), a number for each environment"
 FLAGS = "a bool tensor of shape (4,), a true or false for each environment"
@@ -127,19 +125,18 @@ WRONG: dict[tuple[str, str], tuple[Any, str, str]] = {
 }  # fmt: skip
 
 
-def _run(make_env, section):
+def _run(start_env, section):
     sections, key = SECTIONS[section]
-    env = make_env(**sections)
-    env.reset()
+    env = start_env(**sections)
     if section == "commands":
         env.command_manager.get_command("t")
     env.step(torch.zeros(N, env.action_manager.total_action_dim))
     return key
 
 
-def _told(make_env, section) -> ConfigError:
+def _error_of(start_env, section) -> ConfigError:
     with pytest.raises(ConfigError) as caught:
-        _run(make_env, section)
+        _run(start_env, section)
     error = caught.value
     assert error.key == SECTIONS[section][1]
     assert error.where is not None
@@ -148,12 +145,11 @@ def _told(make_env, section) -> ConfigError:
 
 
 @pytest.mark.parametrize("returned", WRONG, ids=" returns ".join)
-def test_what_a_term_returns_wrongly_is_told_with_what_to_write(returned, make_env):
-    value, told, expected = WRONG[returned]
-    section = returned[0]
+def test_a_wrong_return_value_is_reported_with_the_code_to_write(returned, start_env):
+    value, words, expected = WRONG[returned]
     spies.VALUES.update(raw=value, errors=lambda _: torch.zeros(2, N))
-    error = _told(make_env, section)
-    assert told in error.message
+    error = _error_of(start_env, returned[0])
+    assert words in error.message
     assert expected in str(error.expected)
 
 
@@ -172,48 +168,45 @@ def test_what_a_term_returns_wrongly_is_told_with_what_to_write(returned, make_e
         ("modifiers", lambda value: value * 2.0),
     ],
 )
-def test_what_a_manager_can_use_is_taken(section, value, make_env):
+def test_usable_return_values_are_accepted(section, value, start_env):
     spies.VALUES.update(raw=value, errors=lambda _: torch.zeros(2, N))
-    _run(make_env, section)
+    _run(start_env, section)
 
 
-def test_a_shape_that_changes_later_is_told(make_env):
+def test_a_shape_that_changes_later_is_rejected(start_env):
     spies.VALUES.update(raw=lambda env: torch.ones(N, 2 + env.common_step_counter))
-    error = _told(make_env, "observations")
-    assert error.message.endswith("returns shape (4, 3), and (4, 2) before")
+    assert _error_of(start_env, "observations").message.endswith("returns shape (4, 3), and (4, 2) before")
 
 
 @pytest.mark.parametrize("errors", [0.0, torch.zeros(N), torch.zeros(3, N)])
-def test_errors_of_a_command_have_a_row_for_each_metric(errors, make_env):
+def test_errors_of_a_command_have_a_row_for_each_metric(errors, start_env):
     spies.VALUES.update(raw=lambda _: torch.zeros(N, 2), errors=lambda _: errors)
     with pytest.raises(ConfigError) as caught:
-        _run(make_env, "commands")
+        _run(start_env, "commands")
     assert caught.value.key == "env.commands.t"
     assert "a tensor of shape (2, 4), a row for each of far, fast" in str(caught.value.expected)
 
 
 @pytest.mark.parametrize("section", [name for name in SECTIONS if name != "commands"])
-def test_what_a_terms_code_raises_is_told_with_its_key_and_the_line(section, make_env):
+def test_an_error_in_a_terms_code_is_reported_with_its_key_and_line(section, start_env):
     spies.VALUES.update(raw=lambda _: {"action_dim": 2} if section == "actions" else {}["missing"])
-    error = _told(make_env, section)
-    assert f"raises KeyError: '{'wheels' if section == 'actions' else 'missing'}'" in error.message
+    assert (
+        f"raises KeyError: '{'wheels' if section == 'actions' else 'missing'}'" in _error_of(start_env, section).message
+    )
 
 
-def test_a_term_that_has_worked_and_raises_later_is_a_failed_run(make_env):
+def test_a_term_that_raises_after_it_has_worked_is_a_failed_run(start_env):
     spies.VALUES.update(raw=lambda _: torch.ones(N))
-    env = make_env(**SECTIONS["rewards"][0])
-    env.reset()
+    env = start_env(**SECTIONS["rewards"][0])
     env.step(STILL)
     spies.VALUES.update(raw=lambda _: 1 // 0)
-    with pytest.raises(SimulationFailure) as caught:
+    with pytest.raises(SimulationFailure, match="ZeroDivisionError") as caught:
         env.step(STILL)
     assert caught.value.key == "env.rewards.t"
-    assert "ZeroDivisionError" in caught.value.message
 
 
-def test_a_class_whose_making_fails_is_told_with_its_key(make_env):
+def test_a_class_that_cannot_be_constructed_is_reported_with_its_key(start_env):
     spies.VALUES.update(raw=lambda env: env.nothing)
-    with pytest.raises(WheellegError) as caught:
-        make_env(**SECTIONS["actions"][0])
+    with pytest.raises(WheellegError, match="AttributeError") as caught:
+        start_env(**SECTIONS["actions"][0])
     assert caught.value.key == "env.actions.t"
-    assert "AttributeError" in caught.value.message

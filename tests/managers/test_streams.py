@@ -26,12 +26,12 @@ def test_seeds_fit_the_generator_and_do_not_collide():
 
 
 def test_draws_of_one_stream_do_not_move_another():
-    quiet, busy = Streams(0), Streams(0)
+    busy = Streams(0)
     _draws(busy, "b", 100)
-    assert _draws(quiet, "a") == _draws(busy, "a")
+    assert _draws(busy, "a") == _draws(Streams(0), "a")
 
 
-def test_reseeding_starts_every_stream_anew():
+def test_reseeding_restarts_every_stream():
     streams = Streams(1)
     first = _draws(streams, "a")
     streams.reseed(2)
@@ -52,15 +52,11 @@ def test_saved_streams_continue_where_they_were():
     assert (_draws(other, "a"), _draws(other, "late")) == expected
 
 
-def _events(*names, mode="reset"):
-    return {n: {"_target_": spies.HERE + "draw_once", "mode": mode, "key": n} for n in names}
-
-
 def test_adding_a_term_changes_no_other_terms_draws(make_env):
     logs = []
     for names in (("a", "c"), ("a", "b", "c"), ("c", "a")):
         spies.LOG.clear()
-        env = make_env(events=_events(*names))
+        env = make_env(events={n: {"_target_": spies.HERE + "draw_once", "mode": "reset", "key": n} for n in names})
         for _ in range(3):
             env.reset()
         logs.append(spies.LOG.copy())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from sim.small_envs import run
 
 from managers import spies
 
@@ -18,27 +19,19 @@ def _at(*ids):
     return torch.tensor([float(i in ids) for i in range(4)])
 
 
-def _env(make_env):
-    env = make_env(terminations={"fall": _term("fall"), "hit": _term("hit"), "late": _term("late", time_out=True)})
-    env.reset()
-    return env
+def _env(start_env):
+    return start_env(terminations={"fall": _term("fall"), "hit": _term("hit"), "late": _term("late", time_out=True)})
 
 
-def test_a_time_out_truncates_and_anything_else_terminates(make_env):
-    env = _env(make_env)
+def test_a_time_out_truncates_other_terms_terminate_and_each_term_can_be_read(start_env):
+    env = _env(start_env)
+    manager = env.termination_manager
     spies.VALUES.update(fall=_at(0, 3), late=_at(1, 3))
     *_, terminated, time_outs, _ = env.step(STILL)
-    assert terminated.tolist() == [True, False, False, True]
-    assert time_outs.tolist() == [False, True, False, True]
-    assert env.termination_manager.dones.tolist() == [True, True, False, True]
-
-
-def test_terms_that_fired_can_be_asked_for(make_env):
-    env = _env(make_env)
-    spies.VALUES.update(hit=_at(2))
-    env.termination_manager.compute()
-    assert env.termination_manager.get_term("hit").tolist() == [False, False, True, False]
-    assert not env.termination_manager.get_term("fall").any()
+    assert (terminated.tolist(), time_outs.tolist()) == ([True, False, False, True], [False, True, False, True])
+    assert manager.dones.tolist() == [True, True, False, True]
+    assert manager.get_term("fall").tolist() == [True, False, False, True]
+    assert not manager.get_term("hit").any()
 
 
 def _shares(env):
@@ -46,8 +39,8 @@ def _shares(env):
     return [float(log[f"Episode_Termination/{name}"]) for name in ("fall", "hit", "late")]
 
 
-def test_the_log_is_the_share_of_all_environments_whose_last_episode_a_term_ended(make_env):
-    env = _env(make_env)
+def test_the_log_is_the_share_of_all_environments_whose_last_episode_a_term_ended(start_env):
+    env = _env(start_env)
     seen = []
     for ids in ([0], [1], []):
         spies.VALUES.update(fall=_at(*ids))
@@ -56,8 +49,8 @@ def test_the_log_is_the_share_of_all_environments_whose_last_episode_a_term_ende
     assert seen == [0.25, 0.5, 0.5]
 
 
-def test_a_new_end_replaces_the_old_one(make_env):
-    env = _env(make_env)
+def test_a_new_end_replaces_the_old_one(start_env):
+    env = _env(start_env)
     spies.VALUES.update(fall=_at(0, 1))
     env.step(STILL)
     assert _shares(env) == [0.5, 0.0, 0.0]
@@ -66,44 +59,35 @@ def test_a_new_end_replaces_the_old_one(make_env):
     assert _shares(env) == [0.25, 0.25, 0.25]
 
 
-def test_the_outcome_returned_does_not_change_later(make_env):
-    env = _env(make_env)
+def test_the_outcome_returned_does_not_change_later(start_env):
+    env = _env(start_env)
     spies.VALUES.update(fall=_at(0))
-    *_, terminated, _, _ = env.step(STILL)
+    terminated = env.step(STILL)[2]
     spies.VALUES.update(fall=_at())
     env.step(STILL)
     assert terminated[0]
 
 
-def test_an_environment_forced_to_end_has_failed_by_no_term(make_env):
-    env = _env(make_env)
+def test_an_environment_forced_to_end_has_failed_by_no_term(start_env):
+    env = _env(start_env)
     spies.VALUES.update(fall=_at(0))
     env.step(STILL)
     spies.VALUES.update(fall=_at())
     env.termination_manager.compute()
     assert env.termination_manager.force(torch.tensor([0])).tolist() == [True, False, False, False]
-    assert _last(env, "fall") == 0.0
+    assert float(env.termination_manager.reset(torch.arange(4))["Episode_Termination/fall"]) == 0.0
 
 
-def _last(env, name):
-    return float(env.termination_manager.reset(torch.arange(4))[f"Episode_Termination/{name}"])
-
-
-def test_an_environment_without_terminations_runs_on(make_env):
-    env = make_env(terminations={})
-    env.reset()
-    for _ in range(3):
-        *_, terminated, time_outs, _ = env.step(STILL)
+def test_an_environment_without_terminations_runs_on(start_env):
+    *_, terminated, time_outs, _ = run(start_env(terminations={}), 3)
     assert not (terminated | time_outs).any()
 
 
-def test_an_environment_counts_once_whatever_ended_its_episode(make_env):
+def test_an_environment_counts_once_whatever_ended_its_episode(start_env):
     """Two terms end environment 0, one ends 1, a reward that is not finite ends 2, and 3 continues."""
-    env = _env(make_env)
-    manager = env.termination_manager
+    manager = _env(start_env).termination_manager
     spies.VALUES.update(fall=_at(0), hit=_at(0, 1))
     manager.compute()
     manager.force(torch.tensor([2]))
-    expected = {"fall and hit": 1, "hit": 1, "a number that is not finite": 1}
-    assert manager.endings(manager.dones) == expected
+    assert manager.endings(manager.dones) == {"fall and hit": 1, "hit": 1, "a number that is not finite": 1}
     assert manager.last_endings() == {"fall and hit": 1, "hit": 1, "none": 2}

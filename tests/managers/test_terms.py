@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import env_config
 
 from managers import spies
 from wheelleg_exp.config.checking.check_terms import check_nested_targets
@@ -41,8 +42,6 @@ def breaks(env: Env):
 
 HERE = "managers.test_terms."
 ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
-
-
 R = "wheelleg_exp.mdp.rewards."
 HEIGHT = {"_target_": R + "base_height_l2", "weight": 1.0}
 SPEED = {"_target_": R + "joint_vel_l2", "weight": 1.0}
@@ -89,7 +88,7 @@ def _refused(make_env, node):
         (SPEED | {"asset_cfg": _entity(name="contact", body_names=["shin"])}, "asset_cfg.body_names", "", None),
     ],
 )
-def test_a_wrong_term_is_refused_by_key(make_env, node, key, words, nearest):
+def test_a_wrong_term_is_rejected_by_key(make_env, node, key, words, nearest):
     error = _refused(make_env, node)
     assert error.key == "env.rewards.term" + (f".{key}" if key else "")
     assert words in error.message
@@ -99,20 +98,14 @@ def test_a_wrong_term_is_refused_by_key(make_env, node, key, words, nearest):
 @pytest.mark.parametrize(
     "target", ["wheelleg_exp.managers.manager_base.inspect.signature", "wheelleg_exp.mdp.observations.torch.load"]
 )
-def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env, target):
+def test_imports_of_an_allowed_module_cannot_be_targets(make_env, target):
     _refused(make_env, {"_target_": target, "weight": 1.0})
-    nested = {
-        "policy": {
-            "terms": {
-                "term": {"_target_": "wheelleg_exp.mdp.observations.joint_pos", "modifiers": [{"_target_": target}]}
-            }
-        }
-    }
+    node = {"_target_": "wheelleg_exp.mdp.observations.joint_pos", "modifiers": [{"_target_": target}]}
     with pytest.raises(ConfigError):
-        make_env(observations=nested)
+        make_env(observations={"policy": {"terms": {"term": node}}})
 
 
-def test_a_text_that_looks_like_an_interpolation_is_a_text(make_env, tmp_path):
+def test_a_string_that_looks_like_an_interpolation_is_a_string(make_env, tmp_path):
     """Hydra's own instantiate would resolve the interpolation, and call the function in it."""
     read = tmp_path / "read.npy"
     np.save(read, np.arange(3))
@@ -131,7 +124,7 @@ def test_no_other_special_key_of_hydra_works(make_env, key):
 @pytest.mark.parametrize(
     ("section", "words"), [("actions", "action term"), ("commands", "command term"), ("recorders", "not a recorder")]
 )
-def test_a_class_of_another_section_is_refused(make_env, section, words):
+def test_a_class_of_another_section_is_rejected(make_env, section, words):
     with pytest.raises(ConfigError, match=words) as caught:
         make_env(**{section: {"t": {"_target_": spies.HERE + "CountingObservation"}}})
     assert caught.value.key == f"env.{section}.t"
@@ -144,19 +137,13 @@ def test_an_error_inside_a_term_names_the_whole_key(make_env):
     assert caught.value.key == "env.actions.hips.scale"
 
 
-def test_a_null_term_is_not_there(make_env):
-    env = make_env(rewards={"gone": None, "alive": ALIVE}, events={"gone": None}, terminations={"gone": None})
-    assert env.reward_manager.active_terms == ["alive"]
-    assert env.event_manager.active_terms == {}
-    env.reset()
+def test_null_terms_are_absent_and_the_others_follow_the_order_of_the_config(start_env):
+    rewards = {"gone": None, "b": ALIVE, "a": ALIVE, "c": ALIVE}
+    env = start_env(rewards=rewards, events={"gone": None}, terminations={"gone": None})
+    assert (env.reward_manager.active_terms, env.event_manager.active_terms) == (["b", "a", "c"], {})
 
 
-def test_terms_stand_in_the_order_of_the_config(make_env):
-    env = make_env(rewards={"b": ALIVE, "a": ALIVE, "c": ALIVE})
-    assert env.reward_manager.active_terms == ["b", "a", "c"]
-
-
-def test_a_term_asked_for_by_a_wrong_name_names_the_nearest(make_env):
+def test_an_unknown_term_names_the_nearest(make_env):
     env = make_env(rewards={"alive": ALIVE})
     with pytest.raises(ConfigError) as caught:
         env.reward_manager.get_term_cfg("alve")
@@ -171,25 +158,18 @@ def test_an_entity_finds_joints_in_the_robots_or_its_own_order(make_env):
         assert env.reward_manager.get_term_cfg("term").params["asset_cfg"].joint_ids.tolist() == expected
 
 
-def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(make_env):
+def test_an_entity_that_is_a_default_is_not_resolved_and_means_all_joints(start_env):
     default = {"_target_": spies.HERE + "default_entity", "weight": 1.0}
     given = _entity(name="robot", joint_names=["right_hip"])
-    env = make_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
-    env.reset()
+    env = start_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
     spies.LOG.clear()
     env.step(torch.zeros(4, 4))
     everything, one = spies.LOG
-    assert everything == slice(None)
-    assert one.tolist() == [1]
+    assert (everything, one.tolist()) == (slice(None), [1])
 
 
-def test_configs_are_left_as_they_were(make_env):
-    from sim.small_envs import env_config
-
-    config = env_config(rewards={"alive": dict(ALIVE)})
-    env = make_env(rewards={"alive": dict(ALIVE)})
-    env.reset()
-    assert env.cfg == config
+def test_configs_are_not_modified(start_env):
+    assert start_env(rewards={"alive": dict(ALIVE)}).cfg == env_config(rewards={"alive": dict(ALIVE)})
 
 
 def test_managers_print_as_tables(make_env):
@@ -199,10 +179,8 @@ def test_managers_print_as_tables(make_env):
 
 
 @pytest.mark.parametrize(("name", "said"), [("leaves", "SystemExit: 0"), ("breaks", "RuntimeError: broken")])
-def test_a_term_that_fails_while_the_environment_is_built_is_a_mistake_of_the_config(make_env, name, said):
-    observations = {"policy": {"terms": {"term": {"_target_": HERE + name}}}}
-    with pytest.raises(ConfigError, match=said) as caught:
-        make_env(observations=observations)
+def test_a_term_that_fails_while_the_environment_is_built_is_a_config_error(make_env, name, said):
+    with pytest.raises(ConfigError, match=rf"'managers.test_terms.{name}' raises.*{said}") as caught:
+        make_env(observations={"policy": {"terms": {"term": {"_target_": HERE + name}}}})
     assert caught.value.key == "env.observations.policy.terms.term"
-    assert f"'managers.test_terms.{name}' raises" in caught.value.message
     assert "test_terms.py:" in caught.value.where

@@ -44,11 +44,15 @@ def fake_env(**fields: Any) -> Any:
     scene.robot = robot
     ground = fields.pop("ground", lambda xy: torch.zeros_like(xy[..., 0]))
     scene.terrain = SimpleNamespace(height_at=ground, **fields.pop("terrain", {}))
-    commands = fields.pop("commands", {})
-    fields.setdefault("command_manager", SimpleNamespace(get_command=commands.__getitem__))
+    fields.setdefault("command_manager", SimpleNamespace(get_command=fields.pop("commands", {}).__getitem__))
     scene.env_origins = fields.pop("env_origins", None)
-    rest = {k: v for k, v in fields.items() if not k.startswith("data_")}
-    return SimpleNamespace(scene=scene, **rest)
+    return SimpleNamespace(scene=scene, **{k: v for k, v in fields.items() if not k.startswith("data_")})
+
+
+def close(got: torch.Tensor, expected: Any) -> None:
+    """Check that a reward has the expected values and the type float32."""
+    torch.testing.assert_close(got.float(), torch.tensor(expected, dtype=torch.float32), atol=1e-6, rtol=1e-6)
+    assert got.dtype == torch.float32
 
 
 def two_numbers(env: Any) -> torch.Tensor:

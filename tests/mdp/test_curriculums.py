@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from sim.small_envs import run
 
 from mdp.fakes import fake_env
 from wheelleg_exp.errors import ConfigError
@@ -22,46 +23,32 @@ VELOCITY = {
     "resampling_time_range": [1.0, 1.0],
     "ranges": {"lin_vel_x": [-0.2, 0.3], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]},
 }
+HEIGHT = {"_target_": "wheelleg_exp.mdp.rewards.base_height_l2", "weight": -1.0, "target_height": 0.1}
+PUSH = {"_target_": "wheelleg_exp.mdp.events.push_by_setting_velocity", "velocity_range": {"x": [-0.5, 0.5]}}
+PUSH |= {"mode": "interval", "interval_range_s": [1.0, 2.0]}
+SPEED = VELOCITY | {"ranges": {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}}
+LEVELS_BY_SPEED = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
 
 
 def later(env, env_ids, old_value, add):
-    del env_ids
     return old_value + add if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
 
 
 @pytest.fixture
 def one(make_env, allow_test_terms):
-
     def make(**node):
         noise = {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "n_min": -0.1, "n_max": 0.1}
         terms = {"q": {"_target_": "wheelleg_exp.mdp.observations.joint_pos", "noise": noise}}
-        return make_env(
-            commands={"v": VELOCITY},
-            rewards={"alive": ALIVE, "low": HEIGHT},
-            observations={"policy": {"terms": terms, "enable_corruption": True}},
-            events={"push": PUSH},
-            curriculum={"c": node},
-        )
+        observations = {"policy": {"terms": terms, "enable_corruption": True}}
+        sections = {"commands": {"v": VELOCITY}, "rewards": {"alive": ALIVE, "low": HEIGHT}, "events": {"push": PUSH}}
+        return make_env(observations=observations, curriculum={"c": node}, **sections)
 
     return make
 
 
-HEIGHT = {"_target_": "wheelleg_exp.mdp.rewards.base_height_l2", "weight": -1.0, "target_height": 0.1}
-PUSH = {
-    "_target_": "wheelleg_exp.mdp.events.push_by_setting_velocity",
-    "mode": "interval",
-    "interval_range_s": [1.0, 2.0],
-    "velocity_range": {"x": [-0.5, 0.5]},
-}
-
-
 def _pass(env, steps=1):
-    for _ in range(steps):
-        env.step(STILL)
+    run(env, steps)
     return env.reset()[1]["log"].get("Curriculum/c")
-
-
-# ---- levels ----
 
 
 def test_levels_follow_the_way_that_was_made():
@@ -100,43 +87,35 @@ def _put(env, positions):
     env.scene.robot.write_root_pose_to_sim(pose, torch.arange(4))
 
 
-def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
+def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(start_env):
     """The ground ends at x = 5 m and y = 4 m. Robots that cover less than half of 0.2 m/s times 2 s go down."""
-    speed = VELOCITY | {"ranges": {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}}
-    node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
     gone = {"_target_": "wheelleg_exp.mdp.terminations.terrain_out_of_bounds", "distance_buffer": 0.5}
-    sections = {"commands": {"v": speed}, "curriculum": {"c": node}, "terminations": {"gone": gone}, "events": {}}
-    env = make_env(scene={"terrain": TILES}, **sections)
-    env.reset()
+    sections = {"scene": {"terrain": TILES}, "commands": {"v": SPEED}, "terminations": {"gone": gone}, "events": {}}
+    env = start_env(curriculum={"c": LEVELS_BY_SPEED}, **sections)
     levels = env.scene.terrain.terrain_levels
 
     def walk(way):
         _put(env, env.scene.env_origins + T([[x, y, 0.5] for x, y in way]))
         return env.reset()[1]["log"]["Curriculum/c"]
 
-    assert walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]) == 0.5
-    assert levels.tolist() == [1, 1, 0, 0]
-    assert walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]) == 0.75
-    assert levels.tolist() == [0, 2, 1, 0]
+    assert (walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.5, [1, 1, 0, 0])
+    assert (walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.75, [0, 2, 1, 0])
     assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
     _put(env, T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]]))
     assert env.step(STILL)[2].tolist() == [False, True, True, False]
 
 
-def test_a_second_reset_before_any_motion_sends_robots_down(make_env):
-    ranges = {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
-    node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
-    for standing, expected in ((0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])):
-        speed = VELOCITY | {"ranges": ranges, "rel_standing_envs": standing}
-        env = make_env(scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node})
-        env.reset()
-        env.step(STILL)
-        terrain, ids = env.scene.terrain, torch.arange(4)
-        terrain.terrain_levels[:] = T([3, 0, 2, 2])
-        terrain.update_env_origins(ids, torch.zeros(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))
-        _put(env, env.scene.env_origins + T([0.0, 0.0, 0.5]))
-        env.reset()
-        assert terrain.terrain_levels.tolist() == expected
+@pytest.mark.parametrize(("standing", "expected"), [(0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])])
+def test_a_second_reset_before_any_motion_sends_robots_down(start_env, standing, expected):
+    command = SPEED | {"rel_standing_envs": standing}
+    env = start_env(scene={"terrain": TILES}, commands={"v": command}, curriculum={"c": LEVELS_BY_SPEED})
+    env.step(STILL)
+    terrain, none = env.scene.terrain, torch.zeros(4, dtype=torch.bool)
+    terrain.terrain_levels[:] = T([3, 0, 2, 2])
+    terrain.update_env_origins(torch.arange(4), none, none)
+    _put(env, env.scene.env_origins + T([0.0, 0.0, 0.5]))
+    env.reset()
+    assert terrain.terrain_levels.tolist() == expected
 
 
 LEVELS = {
@@ -154,8 +133,7 @@ def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     v = env.command_manager.get_term("v")
     _pass(env, 96)
     assert v.ranges["lin_vel_x"] == [-0.2, 0.3]
-    for _ in range(96):
-        env.step(STILL)
+    run(env, 96)
     _, extras = env.reset()
     assert v.ranges == {"lin_vel_x": [-0.25, 0.4], "lin_vel_y": [-0.1, 0.1], "ang_vel_z": [-1.0, 1.0]}
     assert extras["log"]["Curriculum/c/lin_vel_x"] == 0.4
@@ -174,45 +152,29 @@ def test_drawn_commands_lie_in_the_new_range(one):
     assert (v.command[:, 2].abs() <= 1.0).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        ({"limit_ranges": {"lin_vel_z": [-1.0, 1.0]}}, "limit_ranges.lin_vel_z"),
-        ({"limit_ranges": {"lin_vel_x": [-0.1, 1.0]}}, "limit_ranges.lin_vel_x"),
-    ],
-)
-def test_limits_have_to_be_around_the_ranges_that_there_are(one, change, key):
+@pytest.mark.parametrize(("name", "limits"), [("lin_vel_z", [-1.0, 1.0]), ("lin_vel_x", [-0.1, 1.0])])
+def test_limits_must_contain_the_ranges(one, name, limits):
     with pytest.raises(ConfigError) as caught:
-        one(**LEVELS | change)
-    assert caught.value.key == f"env.curriculum.c.{key}"
+        one(**LEVELS | {"limit_ranges": {name: limits}})
+    assert caught.value.key == f"env.curriculum.c.limit_ranges.{name}"
 
 
-# ---- settings by address ----
-
-
-def _modify(address, value, *, term=True):
-    return {
-        "_target_": C + ("modify_term_cfg" if term else "modify_env_param"),
-        "address": address,
-        "modify_fn": "wheelleg_exp.mdp.schedules.override_value",
-        "modify_params": {"value": value, "num_steps": 2},
-    }
+def _modify(address, value, *, term=True, **changes):
+    node = {"_target_": C + ("modify_term_cfg" if term else "modify_env_param"), "address": address}
+    node |= {"modify_fn": "wheelleg_exp.mdp.schedules.override_value"}
+    return node | {"modify_params": {"value": value, "num_steps": 2}} | changes
 
 
 def _reward(env, name):
     return env.reward_manager.get_term_cfg(name)
 
 
-def _push(env):
-    return env.event_manager.get_term_cfg("push")
+def _observed(env):
+    return env.observation_manager.terms("policy")["q"].term
 
 
 def _ranges(env):
     return env.command_manager.get_term("v").ranges
-
-
-def _noise(env):
-    return env.observation_manager.terms("policy")["q"].term.fields["noise"]
 
 
 PLACES = [
@@ -222,12 +184,27 @@ PLACES = [
     (True, "commands.v.ranges.lin_vel_x", [0, 2], lambda env: _ranges(env)["lin_vel_x"]),
     (True, "commands.v.ranges.lin_vel_x[1]", 2.0, lambda env: _ranges(env)["lin_vel_x"][1]),
     (True, "commands.v.func.ranges.lin_vel_x[1]", 2.0, lambda env: _ranges(env)["lin_vel_x"][1]),
-    (True, "events.push.velocity_range.x[0]", -2.0, lambda env: _push(env).func._low[0].item()),
-    (True, "events.push.interval_range_s", [3.0, 4.0], lambda env: _push(env).fields["interval_range_s"]),
-    (True, "observations.policy.q.noise.n_max", 0.7, lambda env: _noise(env).n_max),
-    (True, "observations.policy.terms.q.noise.n_max", 0.7, lambda env: _noise(env).n_max),
+    (
+        True,
+        "events.push.velocity_range.x[0]",
+        -2.0,
+        lambda env: env.event_manager.get_term_cfg("push").func._low[0].item(),
+    ),
+    (
+        True,
+        "events.push.interval_range_s",
+        [3.0, 4.0],
+        lambda env: env.event_manager.get_term_cfg("push").fields["interval_range_s"],
+    ),
+    (True, "observations.policy.q.noise.n_max", 0.7, lambda env: _observed(env).fields["noise"].n_max),
+    (True, "observations.policy.terms.q.noise.n_max", 0.7, lambda env: _observed(env).fields["noise"].n_max),
     (False, "reward_manager.cfg.alive.weight", 5.0, lambda env: _reward(env, "alive").fields["weight"]),
-    (False, "event_manager.cfg.push.params.velocity_range", {"y": [0, 7]}, lambda env: _push(env).func._high),
+    (
+        False,
+        "event_manager.cfg.push.params.velocity_range",
+        {"y": [0, 7]},
+        lambda env: env.event_manager.get_term_cfg("push").func._high,
+    ),
     (True, "actions.axles.scale", 0.5, lambda env: env.action_manager.get_term("axles")._scale),
     (False, "max_episode_length_s", 7.0, lambda env: env.max_episode_length_s),
 ]
@@ -239,7 +216,7 @@ def _plain(value):
 
 
 @pytest.mark.parametrize(("term", "place", "value", "read"), PLACES, ids=[p[1] for p in PLACES])
-def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value, read):
+def test_a_value_changes_at_its_address_and_is_saved(one, term, place, value, read):
     """A value changes after more than ``num_steps``. Loading a state restores the changed or the original value."""
     first = one(**_modify(place, value, term=term))
     first.reset()
@@ -249,8 +226,7 @@ def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value,
     _pass(first, 2)
     assert _plain(read(first)) == before
     logged = _pass(first, 1)
-    assert _plain(read(first)) == wanted
-    assert logged == (float(value) if isinstance(value, float) else None)
+    assert (_plain(read(first)), logged) == (wanted, float(value) if isinstance(value, float) else None)
     second = one(**_modify(place, value, term=term))
     second.load_state_dict(first.state_dict())
     assert _plain(read(second)) == wanted
@@ -262,7 +238,7 @@ def ones(env, env_ids, old_value):
     return torch.ones_like(old_value) if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
 
 
-def test_a_tensor_anywhere_below_the_environment_goes_round(one):
+def test_a_tensor_anywhere_below_the_environment_is_saved(one):
     node = {"_target_": C + "modify_env_param", "modify_fn": HERE + "ones"}
     first, second = (one(**node, address="scene.robot.data.default_joint_vel") for _ in range(2))
     first.reset()
@@ -279,33 +255,29 @@ def test_a_term_object_keeps_its_state_and_its_tensors_when_an_argument_changes(
     v = env.command_manager.get_term("v")
     env.reset()
     v.ranges["lin_vel_x"], tensor = [5.0, 6.0], v.time_left
-    for _ in range(3):
-        env.step(STILL)
+    run(env, 3)
     env.reset(env_ids=T([0]))
     assert v.time_left is tensor
-    assert v.time_left.tolist() == pytest.approx([7.0, 0.94, 0.94, 0.94])
-    assert v.ranges["lin_vel_x"] == [5.0, 6.0]
+    assert (v.time_left.tolist(), v.ranges["lin_vel_x"]) == (pytest.approx([7.0, 0.94, 0.94, 0.94]), [5.0, 6.0])
     assert float(v.command[0, 0]) >= 5.0
 
 
-def test_an_argument_of_a_wrong_kind_is_told(one):
+def test_an_argument_of_a_wrong_type_is_rejected(one):
     env = one(**_modify("actions.axles.scale", "fast"))
     with pytest.raises(ConfigError) as caught:
         _pass(env, 3)
     assert caught.value.key == "env.actions.axles.scale"
 
 
-def test_a_tuple_is_made_anew():
+def test_a_tuple_is_replaced_by_a_changed_copy():
     holder = SimpleNamespace(pairs=[(1.0, 2.0), (3.0, 4.0)])
     config_address.write(holder, config_address.parse("pairs[1][0]"), 9.0)
     assert holder.pairs == [(1.0, 2.0), (9.0, 4.0)]
 
 
-def test_a_function_of_the_users_own_sees_the_present_value(one):
-    node = _modify("rewards.alive.weight", None) | {"modify_fn": HERE + "later", "modify_params": {"add": 2}}
-    env = one(**node)
-    assert env.reset()[1]["log"]["Curriculum/c"] == 1.0
-    assert [_pass(env), _pass(env)] == [3.0, 5.0]
+def test_a_user_defined_function_gets_the_current_value(one):
+    env = one(**_modify("rewards.alive.weight", None, modify_fn=HERE + "later", modify_params={"add": 2}))
+    assert (env.reset()[1]["log"]["Curriculum/c"], [_pass(env), _pass(env)]) == (1.0, [3.0, 5.0])
 
 
 @pytest.mark.parametrize(
@@ -319,23 +291,15 @@ def test_a_function_of_the_users_own_sees_the_present_value(one):
         (_modify("rewards..weight", 1.0), "address", None),
         (_modify("events.push.mode", "reset"), "address", None),
         (_modify("max_episode_lenght_s", 1.0, term=False), "address", "max_episode_length_s"),
-        (
-            _modify("rewards.alive.weight", 1.0) | {"modify_params": {"valu": 1.0, "num_steps": 1}},
-            "modify_params",
-            None,
-        ),
-        (_modify("rewards.alive.weight", 1.0) | {"modify_fn": "os.getcwd"}, "modify_fn._target_", None),
-        (_modify("rewards.alive.weight", 1.0) | {"modify_fn": 3}, "modify_fn", None),
+        (_modify("rewards.alive.weight", 1.0, modify_params={"valu": 1.0, "num_steps": 1}), "modify_params", None),
+        (_modify("rewards.alive.weight", 1.0, modify_fn="os.getcwd"), "modify_fn._target_", None),
+        (_modify("rewards.alive.weight", 1.0, modify_fn=3), "modify_fn", None),
     ],
 )
-def test_what_is_wrong_is_told_when_the_environment_is_made(one, node, key, nearest):
+def test_wrong_settings_are_rejected_when_the_environment_is_built(one, node, key, nearest):
     with pytest.raises(ConfigError) as caught:
         one(**node)
-    assert caught.value.key == f"env.curriculum.c.{key}"
-    assert caught.value.nearest == nearest
-
-
-# ---- schedules ----
+    assert (caught.value.key, caught.value.nearest) == (f"env.curriculum.c.{key}", nearest)
 
 
 @pytest.mark.parametrize(("step", "share"), [(0, 0.0), (10, 0.0), (15, 0.25), (30, 1.0), (99, 1.0)])
@@ -347,8 +311,8 @@ def test_linear(step, share):
     assert schedules.linear(env, None, None, 1.0, 2.0, num_steps=0, first_step=10) == (2.0 if step > 10 else 1.0)
 
 
-def test_override():
-    def at(step):
-        return schedules.override_value(SimpleNamespace(common_step_counter=step), None, 1.0, value=2.0, num_steps=5)
-
-    assert [at(6), at(5) is curriculums.modify_env_param.NO_CHANGE] == [2.0, True]
+def test_a_value_is_overridden_after_its_number_of_steps():
+    envs = (SimpleNamespace(common_step_counter=step) for step in (6, 5))
+    later_value, early = (schedules.override_value(env, None, 1.0, value=2.0, num_steps=5) for env in envs)
+    assert later_value == 2.0
+    assert early is curriculums.modify_env_param.NO_CHANGE

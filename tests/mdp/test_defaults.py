@@ -1,4 +1,4 @@
-"""What terms do where a config says nothing is what Isaac Lab 2.3.2's do: its defaults, written down by hand."""
+"""The defaults of terms are those of Isaac Lab 2.3.2, written down by hand."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from wheelleg_exp.terms.config_sections import ObservationGroup
 
 JOINTS = {"scale": 1.0, "offset": 0.0, "clip": None, "preserve_order": False}
 TO_LIMITS = {"scale": 1.0, "clip": None, "rescale_to_limits": True, "preserve_order": False}
+HEADINGS = {"heading_command": False, "heading_control_stiffness": 1.0, "rel_standing_envs": 0.0}
+HEADINGS |= {"rel_heading_envs": 1.0}
+HISTORY = {"history_length": None, "flatten_history_dim": True}
 DRAWN = {"operation": "abs", "distribution": "uniform"}
 DEFAULTS = {
     actions.JointPositionAction: JOINTS | {"use_default_offset": True},
@@ -20,12 +23,7 @@ DEFAULTS = {
     actions.JointEffortAction: JOINTS,
     actions.JointPositionToLimitsAction: TO_LIMITS,
     actions.EMAJointPositionToLimitsAction: TO_LIMITS | {"alpha": 1.0},
-    commands.UniformVelocityCommand: {
-        "heading_command": False,
-        "heading_control_stiffness": 1.0,
-        "rel_standing_envs": 0.0,
-        "rel_heading_envs": 1.0,
-    },
+    commands.UniformVelocityCommand: HEADINGS,
     events.randomize_rigid_body_material: {"make_consistent": False},
     events.randomize_rigid_body_mass: {"distribution": "uniform", "recompute_inertia": True, "min_mass": 1e-6},
     events.randomize_actuator_gains: DRAWN,
@@ -43,13 +41,7 @@ DEFAULTS = {
     terminations.command_resample: {"num_resamples": 1},
     terminations.terrain_out_of_bounds: {"distance_buffer": 3.0},
     RayCaster: {"ray_alignment": "base", "max_distance": 1e6, "drift_range": (0.0, 0.0), "update_period": 0.0},
-    ObservationGroup: {
-        "concatenate_terms": True,
-        "concatenate_dim": -1,
-        "enable_corruption": False,
-        "history_length": None,
-        "flatten_history_dim": True,
-    },
+    ObservationGroup: {"concatenate_terms": True, "concatenate_dim": -1, "enable_corruption": False} | HISTORY,
 }
 
 
@@ -59,7 +51,7 @@ def test_a_default_is_isaac_labs(target):
     assert {name: given[name] for name in DEFAULTS[target]} == DEFAULTS[target]
 
 
-def test_isaac_labs_names_are_kept():
+def test_isaac_labs_names_are_aliases():
     assert rewards.body_lin_acc_l2 is rewards.body_lin_acc_norm_sum
     assert rewards.desired_contacts is rewards.no_desired_contact
     assert events.push_by_setting_velocity is events.push_by_adding_velocity

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import run
 
 from mdp.nodes import bodies, event, joints
 from wheelleg_exp.mdp import events
@@ -16,14 +17,9 @@ from wheelleg_exp.sim import rotation
 ALL = torch.arange(4)
 
 
-# ---- material ----
-
-MATERIAL = {
-    "static_friction_range": [0.6, 1.2],
-    "dynamic_friction_range": [0.5, 1.0],
-    "restitution_range": [0.0, 0.05],
-    "num_buckets": 8,
-}
+MATERIAL = {"static_friction_range": [0.6, 1.2], "dynamic_friction_range": [0.5, 1.0]}
+MATERIAL |= {"restitution_range": [0.0, 0.05], "num_buckets": 8}
+CONSISTENT = {"make_consistent": True}
 
 
 def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
@@ -31,64 +27,51 @@ def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
     term = env.event_manager.get_term_cfg("m").func
     friction = torch.from_numpy(np.array(env.scene.sim.batch.expanded("geom_friction")))
     model = env.scene.model
-    robot = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
-    written = friction[:, robot, 0]
-    allowed = (term.buckets[:, 0].double() + 0.5) / 2
-    distance = (written.unsqueeze(2) - allowed).abs().amin(dim=2)
-    assert distance.max() < 1e-6
-    assert float(written.min()) >= 0.55
-    assert float(written.max()) <= 0.85
+    written = friction[:, [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0], 0]
+    assert (written.unsqueeze(2) - (term.buckets[:, 0].double() + 0.5) / 2).abs().amin(dim=2).max() < 1e-6
+    assert ((written >= 0.55) & (written <= 0.85)).all()
     assert len(written.unique()) == 8
     assert (written != written[:, :1]).any()
     assert (friction[:, model.geom("ground").id, 0] == model.geom("ground").friction[0]).all()
     assert (friction[:, :, 1:] == torch.from_numpy(model.geom_friction[:, 1:])).all()
-    assert (term.buckets[:, 2] >= 0).all()
-    assert (term.buckets[:, 2] <= 0.05).all()
+    assert ((term.buckets[:, 2] >= 0) & (term.buckets[:, 2] <= 0.05)).all()
 
 
-def test_the_dynamic_coefficient_is_written_when_the_robot_asks_for_it(make_env):
+def test_the_dynamic_coefficient_is_written_if_the_robot_names_it(make_env):
     node = event("randomize_rigid_body_material", **MATERIAL | {"dynamic_friction_range": [0.2, 0.2]})
     env = make_env(events={"m": node}, robot={"friction_source": "dynamic"})
     friction = env.scene.sim.batch.expanded("geom_friction")
     assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx((0.2 + 0.4) / 2)
 
 
-def test_only_shapes_of_the_bodies_asked_for_are_written(make_env):
-    node = event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))
-    env = make_env(events={"m": node})
+def test_only_shapes_of_the_configured_bodies_are_written(make_env):
+    env = make_env(events={"m": event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))})
     friction, model = env.scene.sim.batch.expanded("geom_friction"), env.scene.model
     assert friction[0, model.geom("base_box").id, 0] == pytest.approx((0.9 + 0.5) / 2)
     assert friction[0, model.geom("left_wheel").id, 0] != pytest.approx((1.0 + 0.5) / 2)
 
 
-def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
-    many = MATERIAL | {"num_buckets": 500}
-    loose = make_env(events={"m": event("randomize_rigid_body_material", **many)})
-    tight = make_env(events={"m": event("randomize_rigid_body_material", **many, make_consistent=True)})
-    loose, tight = (e.event_manager.get_term_cfg("m").func.buckets for e in (loose, tight))
+def test_dynamic_friction_can_exceed_static_unless_made_consistent(make_env):
+    nodes = (event("randomize_rigid_body_material", **MATERIAL | {"num_buckets": 500, **o}) for o in ({}, CONSISTENT))
+    loose, tight = (make_env(events={"m": n}).event_manager.get_term_cfg("m").func.buckets for n in nodes)
     assert (loose[:, 1] > loose[:, 0]).any()
     assert (tight[:, 1] <= tight[:, 0]).all()
     assert torch.equal(loose[:, 0], tight[:, 0])
 
 
-def test_the_written_friction_acts(make_env):
+def test_the_written_friction_acts(start_env):
     """A cube pushed with half its weight stays with an effective friction of .65 and slides with .35."""
     speeds = []
     for cube in (0.8, 0.2):
         ranges = {"static_friction_range": [cube, cube], "dynamic_friction_range": [cube, cube]}
-        env = make_env("block", events={"m": event("randomize_rigid_body_material", **MATERIAL | ranges)})
-        env.reset()
+        env = start_env("block", events={"m": event("randomize_rigid_body_material", **MATERIAL | ranges)})
         wrench = torch.zeros(4, 1, 6)
         wrench[:, 0, 0] = 0.5 * 2.001 * 9.81
         env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-        for _ in range(30):
-            env.step(torch.zeros(4, 1))
+        run(env, 30)
         speeds.append(float(env.scene.robot.data.root_lin_vel_w[0, 0]))
     assert abs(speeds[0]) < 0.02
     assert speeds[1] == pytest.approx((0.5 - 0.35) * 9.81 * 0.6, rel=0.2)
-
-
-# ---- mass and centre of mass ----
 
 
 def _mass(make_env, operation, params, **fields):
@@ -111,13 +94,11 @@ def _mass(make_env, operation, params, **fields):
 def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_env, operation, params, low, high):
     env, model, ids, mass, inertia = _mass(make_env, operation, params)
     drawn = mass[:, ids]
-    assert (drawn >= np.array(low) - 1e-6).all()
-    assert (drawn <= np.array(high) + 1e-6).all()
+    assert ((drawn >= np.array(low) - 1e-6) & (drawn <= np.array(high) + 1e-6)).all()
     assert len(np.unique(drawn)) == drawn.size
     others = [b for b in range(model.nbody) if b not in ids]
     assert (mass[:, others] == model.body_mass[others]).all()
-    ratio = drawn / model.body_mass[ids]
-    np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * ratio[..., None])
+    np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * (drawn / model.body_mass[ids])[..., None])
     assert env.scene.sim.batch.expanded("body_ipos") is None  # centres of mass stay
 
 
@@ -125,8 +106,7 @@ def test_masses_drawn_again_do_not_add_up(make_env):
     env, _, ids, mass, inertia = _mass(make_env, "add", [0.1, 0.1], recompute_inertia=False)
     assert inertia is None
     env.event_manager.apply("startup")
-    again = np.array(env.scene.sim.batch.expanded("body_mass"))
-    np.testing.assert_allclose(again[:, ids], mass[:, ids])
+    np.testing.assert_allclose(np.array(env.scene.sim.batch.expanded("body_mass"))[:, ids], mass[:, ids])
 
 
 def test_a_mass_never_falls_below_its_minimum(make_env):
@@ -135,10 +115,9 @@ def test_a_mass_never_falls_below_its_minimum(make_env):
 
 
 @pytest.mark.parametrize("what", ["mass", "inertia"])
-def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_env, what):
+def test_values_derived_from_mass_and_inertia_are_mujocos(start_env, what):
     params = {f"{what}_distribution_params": [2.0, 2.0], "operation": "scale", "asset_cfg": bodies("base")}
-    env = make_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
-    env.reset()
+    env = start_env(events={"e": event(f"randomize_rigid_body_{what}", mode="custom", **params)})
     model, sim = env.scene.model, env.scene.sim
     before = sim.derived("subtree_com")[:, model.body("base").id].clone()
     base = sim.derived("xipos")[:, model.body("base").id].clone()
@@ -155,22 +134,19 @@ def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_en
     torch.testing.assert_close(sim.derived("subtree_com")[1, model.body("base").id], expected)
 
 
-def test_the_drawn_mass_is_what_the_engine_moves(make_env):
+def test_the_drawn_mass_is_what_the_engine_moves(start_env):
     ranges = {"operation": "add", "mass_distribution_params": [0.0, 3.0], "asset_cfg": bodies("block")}
-    env = make_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
-    env.reset()
-    for _ in range(60):
-        env.step(torch.zeros(4, 1))
+    env = start_env("block", events={"m": event("randomize_rigid_body_mass", **ranges)})
+    run(env, 60)
     mass = np.array(env.scene.sim.batch.expanded("body_mass")).sum(axis=1)
     np.testing.assert_allclose(env.scene["contact"].data.net_forces_w[:, 0, 2], mass * 9.81, atol=0.05)
 
 
 @pytest.mark.parametrize("what", ["mass", "inertia"])
-def test_a_gaussians_deviation_may_be_less_than_its_mean(make_env, what):
+def test_a_gaussians_deviation_can_be_less_than_its_mean(make_env, what):
     params = {f"{what}_distribution_params": [0.5, 0.01], "operation": "abs", "distribution": "gaussian"}
     env = make_env(events={"m": event(f"randomize_rigid_body_{what}", asset_cfg=bodies("base"), **params)})
-    drawn = env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id]
-    assert (drawn - 0.5).abs().max() < 0.06
+    assert (env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id] - 0.5).abs().max() < 0.06
 
 
 @pytest.mark.parametrize(
@@ -188,11 +164,10 @@ def test_distributions(distribution, mean, std):
         assert 3.99 < float(drawn.max()) <= 4.0
 
 
-def test_centres_of_mass_shift_together_and_add_up(make_env):
+def test_centres_of_mass_shift_together_and_add_up(start_env):
     ranges = {"x": [-0.01, 0.02], "y": [0.005, 0.005]}
     fields = {"mode": "custom", "com_range": ranges, "asset_cfg": bodies("base", "left_arm")}
-    env = make_env(events={"c": event("randomize_rigid_body_com_cumulative", **fields)})
-    env.reset()
+    env = start_env(events={"c": event("randomize_rigid_body_com_cumulative", **fields)})
     model = env.scene.model
     ids = [model.body("base").id, model.body("left_arm").id]
     env.apply_event("custom")
@@ -208,11 +183,10 @@ def test_centres_of_mass_shift_together_and_add_up(make_env):
     torch.testing.assert_close(env.scene.robot.data.com_b.double(), expected, atol=1e-7, rtol=0)
 
 
-def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
+def test_a_shifted_centre_of_mass_moves_the_engines(start_env):
     """The robot's centre of mass moves by m / M times the offset of one body."""
     node = event("randomize_rigid_body_com", mode="custom", com_range={"x": [0.03, 0.03]}, asset_cfg=bodies("base"))
-    env = make_env(events={"c": node})
-    env.reset()
+    env = start_env(events={"c": node})
     root = env.scene.model.body("base").id
     before = env.scene.sim.derived("subtree_com")[:, root].clone()
     velocity = env.scene.robot.data.root_lin_vel_w.clone()
@@ -222,13 +196,9 @@ def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
     assert torch.equal(env.scene.robot.data.root_lin_vel_w, velocity)
 
 
-# ---- wrench and pushes ----
-
-
-def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_env):
+def test_wrenches_are_drawn_within_their_ranges_for_the_configured_bodies(start_env):
     ranges = {"force_range": [1.0, 2.0], "torque_range": [-0.2, -0.1], "asset_cfg": bodies("base", "right_arm")}
-    env = make_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
-    env.reset()
+    env = start_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
     env.step(torch.zeros(64, 4))
     applied = env.scene.robot._wrench  # link axes, (N, bodies, 3, [force, torque])
     named = [env.scene.robot.body_names.index(n) for n in ("base", "right_arm")]
@@ -236,8 +206,7 @@ def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_en
     assert ((force >= 1.0) & (force <= 2.0)).all()
     assert ((torque >= -0.2) & (torque <= -0.1)).all()
     assert len(force.unique()) == force.numel()
-    others = [b for b in range(5) if b not in named]
-    assert (applied[:, others] == 0).all()
+    assert (applied[:, [b for b in range(5) if b not in named]] == 0).all()
 
 
 def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
@@ -248,40 +217,43 @@ def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
     present = []
     for _ in range(3):
         env.reset()
-        for _ in range(3):
-            env.step(torch.zeros(4, 4))
+        run(env, 3)
         present.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 1).all()))
     assert present == [True, False, True]
 
 
 RANGES = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "yaw": [0.5, 0.5]}
+REACHED = pytest.approx([0.7, 0.7, 0.5, 0.5])
+MOVING = [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
 
 
-def _moving(make_env, name):
-    env = make_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
-    env.reset()
+def _moving(start_env, name):
+    env = start_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
     pos = env.scene.robot.data.root_pos_w.clone()
     quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
     env.scene.robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ALL)
-    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]] * 4), ALL)
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([MOVING] * 4), ALL)
     env.apply_event("custom", torch.tensor([0, 2]))
     return env.scene.robot.data
 
 
-@pytest.mark.parametrize("name", ["push_by_adding_velocity", "push_by_setting_velocity"])
-def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
-    data = _moving(make_env, name)
-    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.1, -1.8, 0.3]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[1.0, 2.0, 3.5]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_lin_vel_w[[1, 3]], torch.tensor([[0.1, 0.2, 0.3]] * 2), atol=1e-5, rtol=0)
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("push_by_adding_velocity", [1.1, -1.8, 0.3, 1.0, 2.0, 3.5]),
+        ("push_by_setting_velocity", [1.1, -1.8, 0.3, 1.0, 2.0, 3.5]),
+        ("set_root_velocity", [1.0, -2.0, 0.0, 0.0, 0.0, 0.5]),
+    ],
+)
+def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes_or_sets_it(start_env, name, expected):
+    velocity = _moving(start_env, name).root_vel_w
+    torch.testing.assert_close(velocity, torch.tensor([expected, MOVING] * 2), atol=1e-5, rtol=0)
 
 
-def test_a_push_in_the_yaw_frame_turns_with_the_robot(make_env):
+def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
     """The four robots have the yaw angles 0, 90, 180, and -30 degrees. The second and third robots are pushed."""
     ranges = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "z": [3.0, 3.0], "roll": [4.0, 4.0], "yaw": [0.5, 0.5]}
-    node = event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")
-    env = make_env(events={"p": node})
-    env.reset()
+    env = start_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")})
     yaw = torch.tensor([0.0, math.pi / 2, math.pi, -math.pi / 6])
     pitch = torch.full((4,), 0.3)  # a leaning robot is pushed along the ground, too
     pose = (env.scene.robot.data.root_pos_w, rotation.quat_from_euler_xyz(torch.zeros(4), pitch, yaw))
@@ -294,15 +266,8 @@ def test_a_push_in_the_yaw_frame_turns_with_the_robot(make_env):
     torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, turned, atol=1e-5, rtol=0)
 
 
-def test_a_velocity_that_is_set_is_the_drawn_one(make_env):
-    data = _moving(make_env, "set_root_velocity")
-    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.0, -2.0, 0.0]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[0.0, 0.0, 0.5]] * 2), atol=1e-5, rtol=0)
-
-
-def test_two_pushes_in_a_row_add_up(make_env):
-    env = make_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
-    env.reset()
+def test_two_pushes_in_a_row_add_up(start_env):
+    env = start_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
     for _ in range(2):
         env.apply_event("custom", torch.tensor([3]))
     velocity = env.scene.robot.data.root_lin_vel_w
@@ -310,56 +275,49 @@ def test_two_pushes_in_a_row_add_up(make_env):
     assert velocity[:3].abs().max() == 0
 
 
-def test_a_push_shows_in_the_observation_of_the_same_step(make_env):
+def test_a_push_shows_in_the_observation_of_the_same_step(start_env):
     fields = {"mode": "interval", "interval_range_s": [0.04, 0.04], "velocity_range": {"x": [3.0, 3.0]}}
     events_ = {"r": event("reset_scene_to_default", mode="reset"), "p": event("push_by_adding_velocity", **fields)}
     seen = {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}
-    env = make_env(events=events_, observations={"policy": {"terms": seen}})
-    env.reset()
+    env = start_env(events=events_, observations={"policy": {"terms": seen}})
     speeds = [float(env.step(torch.zeros(4, 4))[0]["policy"][0, 0]) for _ in range(3)]
     assert abs(speeds[0]) < 0.5
     assert speeds[1] == pytest.approx(3.0, abs=0.5)
 
 
-# ---- states at the start of episodes ----
-
-
-def _placed(make_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
+def _placed(start_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
     init = {"pos": [0.1, 0.2, 0.5], "rot": list(rot), "joint_pos": {".*": 0.0}, "joint_vel": {".*": 0.0}}
-    env = make_env(events={"p": event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
-    env.reset()
+    env = start_env(events={"p": event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
     return env, env.scene.robot.data
 
 
-def test_the_root_stands_at_its_default_plus_origin_plus_draw(make_env):
-    env, data = _placed(make_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
-    expected = env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6])
-    torch.testing.assert_close(data.root_pos_w, expected)
+def test_the_root_starts_at_its_default_plus_origin_plus_draw(start_env):
+    env, data = _placed(start_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
+    torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6]))
     assert data.root_lin_vel_w.abs().max() == 0
 
 
-def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(make_env):
-    rot = (0.8, 0.0, 0.6, 0.0)
-    angles = (0.3, -0.2, 0.5)
-    pose = {"roll": [0.3, 0.3], "pitch": [-0.2, -0.2], "yaw": [0.5, 0.5]}
-    _, data = _placed(make_env, rot=rot, pose_range=pose, velocity_range={})
+def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(start_env):
+    rot, angles = (0.8, 0.0, 0.6, 0.0), (0.3, -0.2, 0.5)
+    pose = {name: [angle, angle] for name, angle in zip(("roll", "pitch", "yaw"), angles, strict=True)}
+    _, data = _placed(start_env, rot=rot, pose_range=pose, velocity_range={})
     turn, expected = np.zeros(4), np.zeros(4)
     mujoco.mju_euler2Quat(turn, np.array(angles), "XYZ")
     mujoco.mju_mulQuat(expected, np.array(rot), turn)
     np.testing.assert_allclose(data.root_quat_w[0], expected, atol=1e-6)
 
 
-def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(make_env):
+def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(start_env):
     velocity = {"x": [1.0, 1.0], "z": [2.0, 2.0], "pitch": [3.0, 3.0]}
-    _, data = _placed(make_env, rot=(0.8, 0.6, 0.0, 0.0), pose_range={"yaw": [1.0, 1.0]}, velocity_range=velocity)
+    _, data = _placed(start_env, rot=(0.8, 0.6, 0.0, 0.0), pose_range={"yaw": [1.0, 1.0]}, velocity_range=velocity)
     torch.testing.assert_close(data.root_lin_vel_w, torch.tensor([[1.0, 0.0, 2.0]] * 4), atol=1e-5, rtol=0)
     torch.testing.assert_close(data.root_ang_vel_w, torch.tensor([[0.0, 3.0, 0.0]] * 4), atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("name", ["reset_root_state_uniform", "reset_root_state_with_random_orientation"])
-def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name):
+def test_episodes_start_at_a_default_state_that_was_changed(start_env, name):
     half = math.sqrt(0.5)
-    env, data = _placed(make_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
+    env, data = _placed(start_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
     data.default_root_state[1] = torch.tensor([1.0, 2.0, 3.0, half, 0.0, 0.0, half, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     env.reset()
     torch.testing.assert_close(data.root_pos_w[1], env.scene.env_origins[1] + torch.tensor([1.5, 2.0, 3.0]))
@@ -370,35 +328,31 @@ def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name
         torch.testing.assert_close(data.root_quat_w[1], torch.tensor([half, 0.0, 0.0, half]))
 
 
-def test_draws_are_independent_between_axes_and_environments(make_env):
-    env, data = _placed(make_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
+def test_draws_are_independent_between_axes_and_environments(start_env):
+    env, data = _placed(start_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
     offset = data.root_pos_w - env.scene.env_origins - torch.tensor([0.1, 0.2, 0.5])
     assert offset[:, :2].abs().max() <= 1 + 1e-4
     assert abs(float(torch.corrcoef(offset[:, :2].T)[0, 1])) < 0.15
     assert float(offset[:, 0].std()) == pytest.approx(2 / math.sqrt(12), abs=0.05)
 
 
-def test_random_orientations_cover_the_sphere(make_env):
+def test_random_orientations_cover_the_sphere(start_env):
     name = "reset_root_state_with_random_orientation"
-    _, data = _placed(make_env, name, num_envs=500, pose_range={}, velocity_range={})
+    _, data = _placed(start_env, name, num_envs=500, pose_range={}, velocity_range={})
     up = rotation.quat_to_matrix(data.root_quat_w)[:, 2, 2]
-    assert float(up.min()) < -0.9
-    assert float(up.max()) > 0.9
+    assert float(up.min()) < -0.9 < 0.9 < float(up.max())
     assert abs(float(up.mean())) < 0.1
 
 
-def _joint_reset(make_env, name, position, velocity, defaults=0.5, speed=2.0, **fields):
+def _joint_reset(start_env, kind, position, velocity, defaults=0.5, speed=2.0, **fields):
     init = {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {".*": defaults}, "joint_vel": {".*": speed}}
-    node = event(name, mode="reset", position_range=position, velocity_range=velocity, **fields)
-    env = make_env(events={"j": node}, robot={"init_state": init}, num_envs=100)
-    env.reset()
-    return env.scene.robot.data
+    node = event(f"reset_joints_by_{kind}", mode="reset", position_range=position, velocity_range=velocity, **fields)
+    return start_env(events={"j": node}, robot={"init_state": init}, num_envs=100).scene.robot.data
 
 
-def test_joints_by_scale(make_env):
-    still = _joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0)
-    assert (still.joint_vel == 0).all()
-    data = _joint_reset(make_env, "reset_joints_by_scale", [0.5, 1.5], [-1.0, 1.0])
+def test_joints_by_scale(start_env):
+    assert (_joint_reset(start_env, "scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0).joint_vel == 0).all()
+    data = _joint_reset(start_env, "scale", [0.5, 1.5], [-1.0, 1.0])
     assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
     assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
     assert len(data.joint_pos.unique()) == 400
@@ -406,48 +360,43 @@ def test_joints_by_scale(make_env):
     assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint have separate draws
 
 
-def test_joints_by_offset(make_env):
-    data = _joint_reset(make_env, "reset_joints_by_offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
+def test_joints_by_offset(start_env):
+    data = _joint_reset(start_env, "offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
     assert ((data.joint_pos >= 0.6 - 1e-6) & (data.joint_pos <= 0.7 + 1e-6)).all()
     assert ((data.joint_vel >= -3) & (data.joint_vel <= -2)).all()
 
 
-def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env):
-    data = _joint_reset(make_env, "reset_joints_by_offset", [5.0, 5.0], [100.0, 100.0])
-    assert data.joint_pos[0].tolist() == [1.5, 1.5, 5.5, 5.5]
-    assert data.joint_vel[0].tolist() == [30, 30, 20, 20]
+@pytest.mark.parametrize(
+    ("position", "velocity", "fields", "reached", "speeds"),
+    [
+        ([5.0, 5.0], [100.0, 100.0], {}, [1.5, 1.5, 5.5, 5.5], [30, 30, 20, 20]),
+        ([0.2, 0.2], [1.0, 1.0], {"speed": 0.0, "asset_cfg": joints(".*_hip")}, REACHED, [1, 1, 0, 0]),
+    ],
+)
+def test_configured_joints_are_reset_within_their_limits(start_env, position, velocity, fields, reached, speeds):
+    data = _joint_reset(start_env, "offset", position, velocity, **fields)
+    assert (data.joint_pos[0].tolist(), data.joint_vel[0].tolist()) == (reached, speeds)
 
 
-def test_joints_are_clamped_to_their_soft_limits(make_env):
+def test_joints_are_clamped_to_their_soft_limits(start_env):
     """The hips' limits of -1 and 1.5 rad shrink by the factor 0.8 around their middle."""
     node = event("reset_joints_by_offset", mode="reset", position_range=[-9.0, 9.0], velocity_range=[0.0, 0.0])
-    env = make_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
-    env.reset()
+    env = start_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
     hips = env.scene.robot.data.joint_pos[:, :2]
     assert (float(hips.min()), float(hips.max())) == (pytest.approx(-0.75), pytest.approx(1.25))
 
 
-def test_only_the_joints_asked_for_are_reset(make_env):
-    only = {"speed": 0.0, "asset_cfg": joints(".*_hip")}
-    data = _joint_reset(make_env, "reset_joints_by_offset", [0.2, 0.2], [1.0, 1.0], **only)
-    torch.testing.assert_close(data.joint_pos[0], torch.tensor([0.7, 0.7, 0.5, 0.5]))
-    assert data.joint_vel[0].tolist() == [1, 1, 0, 0]
-
-
 @pytest.mark.parametrize("targets", [True, False])
-def test_everything_goes_back_to_its_default(make_env, targets):
+def test_everything_returns_to_its_default(make_env, targets):
     env = make_env(events={"d": event("reset_scene_to_default", mode="reset", reset_joint_targets=targets)})
-    env.scene.robot.data.default_root_state[2, 7] = 0.5  # m/s
+    data = env.scene.robot.data
+    data.default_root_state[2, 7] = 0.5  # m/s
     env.reset()
     start = env.scene.sim.view("qpos").clone()
-    for _ in range(20):
-        env.step(torch.ones(4, 4))
+    run(env, 20, 1.0)
     env.reset()
     torch.testing.assert_close(env.scene.sim.view("qpos"), start, atol=1e-7, rtol=0)
-    velocity = torch.zeros(4, 6)
-    velocity[2, 0] = 0.5
-    torch.testing.assert_close(env.scene.robot.data.root_vel_w, velocity)
-    data = env.scene.robot.data
+    torch.testing.assert_close(data.root_vel_w, torch.eye(6)[0] * torch.tensor([[0.0], [0.0], [0.5], [0.0]]))
     assert data.joint_vel.abs().max() == 0
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.0, 0.0, 0.3]))
     assert torch.equal(data.joint_pos_target, data.default_joint_pos) == targets

@@ -7,30 +7,19 @@ import math
 import numpy as np
 import pytest
 import torch
-from sim.small_envs import ACTUATORS, env_config
+from sim.small_envs import ACTUATORS, physics_step, run, wheel_env
 
 from mdp.nodes import event, joints
-from wheelleg_exp.env import ManagerBasedRLEnv
 
 ALL = torch.arange(4)
 
 
 @pytest.fixture
 def wheel(tmp_path):
-    """Return a function that makes wheels of 0.01 kg·m² on fixed axles without gravity, with the given events."""
-
     def make(model="ImplicitActuator", gains=(0.0, 0.0), limited="", /, **events):
-        (tmp_path / "wheel.xml").write_text(
-            "<mujoco><compiler angle='radian'/><worldbody><body name='mount'><body name='wheel'>"
-            f"<joint name='axle' axis='0 1 0' {limited}/>"
-            "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
-        )
-        config = env_config("arm", actions={}, events=events, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]})
-        config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
-        limits = {"effort_limit": 100.0, "velocity_limit": 100.0}
-        drive = {"stiffness": gains[0], "damping": gains[1], **limits}
-        config["robot"]["actuators"] = {"a": {"_target_": ACTUATORS + model, "joint_names_expr": ["axle"], **drive}}
-        env = ManagerBasedRLEnv(config, tmp_path / "wheel.xml", 0)
+        drive = {"_target_": ACTUATORS + model, "stiffness": gains[0], "damping": gains[1]}
+        drive |= {"effort_limit": 100.0, "velocity_limit": 100.0}
+        env = wheel_env(tmp_path, drive, limited, events=events)
         env.reset()
         return env
 
@@ -38,21 +27,9 @@ def wheel(tmp_path):
 
 
 def turn(env, steps):
-    for _ in range(steps):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+    physics_step(env, steps)
     data = env.scene.robot.data
     return data.joint_pos[:, 0].clone(), data.joint_vel[:, 0].clone()
-
-
-def launch(env, speed):
-    data = env.scene.robot.data
-    env.scene.robot.write_joint_state_to_sim(torch.zeros(4, 1), torch.full((4, 1), speed))
-    data.invalidate()
-
-
-# ---- gains ----
 
 
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
@@ -70,7 +47,7 @@ def test_each_environments_drive_acts_with_its_own_gains(wheel, model):
     torch.testing.assert_close(env.scene.robot.data.joint_damping[:, 0], in_solver)
 
 
-def test_gains_are_drawn_from_the_configs_for_the_joints_asked_for(make_env):
+def test_gains_are_drawn_from_the_configs_for_the_configured_joints(make_env):
     ranges = {"stiffness_distribution_params": [0.5, 2.0], "damping_distribution_params": [1.5, 1.5]}
     fields = {"mode": "custom", "operation": "scale", "asset_cfg": joints("left_.*")}
     env = make_env(events={"g": event("randomize_actuator_gains", **ranges, **fields)}, num_envs=50)
@@ -94,12 +71,22 @@ def test_gains_are_drawn_from_the_configs_for_the_joints_asked_for(make_env):
     assert bias[0].tolist() == model.actuator_biasprm.tolist()
 
 
-def test_gains_do_not_fall_below_0(make_env):
-    node = event("randomize_actuator_gains", damping_distribution_params=[-5.0, -5.0], operation="add")
-    assert (make_env(events={"g": node}).scene.robot.data.joint_damping == 0).all()
-
-
-# ---- joint parameters ----
+@pytest.mark.parametrize(
+    ("name", "parameters", "members"),
+    [
+        ("randomize_actuator_gains", ["damping"], ["joint_damping"]),
+        (
+            "randomize_joint_parameters",
+            ["friction", "armature"],
+            ["joint_friction_coeff", "joint_viscous_friction_coeff", "joint_armature"],
+        ),
+    ],
+)
+def test_parameters_do_not_fall_below_0(make_env, name, parameters, members):
+    ranges = {f"{parameter}_distribution_params": [-5.0, -5.0] for parameter in parameters}
+    data = make_env(events={"p": event(name, operation="add", **ranges)}).scene.robot.data
+    for member in members:
+        assert (getattr(data, member) == 0).all()
 
 
 def test_friction_stops_a_wheel_and_viscous_friction_slows_it(wheel):
@@ -112,13 +99,14 @@ def test_friction_stops_a_wheel_and_viscous_friction_slows_it(wheel):
         assert len(drawn.unique()) == 4
         assert ((drawn >= 0.02) & (drawn <= 0.08)).all()
     assert not torch.equal(friction, viscous)
-    launch(env, 5.0)
+    env.scene.robot.write_joint_state_to_sim(torch.zeros(4, 1), torch.full((4, 1), 5.0))
+    data.invalidate()
     _, speed = turn(env, 100)
     expected = (5.0 + friction / viscous) * torch.exp(-0.1 * viscous / 0.01) - friction / viscous
     torch.testing.assert_close(speed, expected, rtol=0.03, atol=0.0)
 
 
-def test_an_armature_weighs_like_inertia(wheel):
+def test_an_armature_acts_like_inertia(wheel):
     ranges = {"armature_distribution_params": [0.01, 0.05], "operation": "add"}
     env = wheel(joints=event("randomize_joint_parameters", **ranges))
     armature = env.scene.robot.data.joint_armature[:, 0]
@@ -134,8 +122,7 @@ LIMITS = {"lower_limit_distribution_params": [-0.6, -0.2], "upper_limit_distribu
 @pytest.mark.parametrize("limited", ["", "limited='true' range='-2 2'"])
 def test_a_joint_stops_at_its_own_limit(wheel, limited):
     env = wheel("ImplicitActuator", (0.0, 0.1), limited, limits=event("randomize_joint_parameters", **LIMITS))
-    data = env.scene.robot.data
-    limits = data.joint_pos_limits[:, 0]
+    limits = env.scene.robot.data.joint_pos_limits[:, 0]
     assert ((limits[:, 0] >= -0.6) & (limits[:, 0] <= -0.2)).all()
     assert ((limits[:, 1] >= 0.1) & (limits[:, 1] <= 0.4)).all()
     for effort, column in ((0.5, 1), (-0.5, 0)):
@@ -147,8 +134,7 @@ def test_a_joint_stops_at_its_own_limit(wheel, limited):
 def test_soft_limits_and_defaults_follow_the_limits(make_env):
     ranges = {"lower_limit_distribution_params": [0.5, 0.6], "upper_limit_distribution_params": [0.1, 0.2]}
     node = event("randomize_joint_parameters", **ranges, operation="add", asset_cfg=joints(".*_hip"))
-    env = make_env(events={"l": node}, robot={"soft_joint_pos_limit_factor": 0.5})
-    data = env.scene.robot.data
+    data = make_env(events={"l": node}, robot={"soft_joint_pos_limit_factor": 0.5}).scene.robot.data
     hips = [data.joint_names.index(n) for n in ("left_hip", "right_hip")]
     axles = [data.joint_names.index(n) for n in ("left_axle", "right_axle")]
     before, now = data.default_joint_pos_limits[:, hips], data.joint_pos_limits[:, hips]
@@ -160,25 +146,14 @@ def test_soft_limits_and_defaults_follow_the_limits(make_env):
     assert torch.equal(data.soft_joint_pos_limits[:, axles], data.default_joint_pos_limits[:, axles])
 
 
-def test_defaults_are_clamped_to_the_limits_and_resets_begin_there(wheel):
+def test_defaults_are_clamped_to_the_limits(wheel):
     ranges = {"lower_limit_distribution_params": [0.2, 0.3], "upper_limit_distribution_params": [0.4, 0.5]}
-    env = wheel(joints=event("randomize_joint_parameters", **ranges, operation="abs"))
-    data = env.scene.robot.data
+    data = wheel(joints=event("randomize_joint_parameters", **ranges, operation="abs")).scene.robot.data
     assert torch.equal(data.default_joint_pos, data.joint_pos_limits[..., 0])
 
 
-def test_friction_and_armature_do_not_fall_below_0(make_env):
-    ranges = {f"{name}_distribution_params": [-5.0, -5.0] for name in ("friction", "armature")}
-    data = make_env(events={"j": event("randomize_joint_parameters", operation="add", **ranges)}).scene.robot.data
-    for parameter in (data.joint_friction_coeff, data.joint_viscous_friction_coeff, data.joint_armature):
-        assert (parameter == 0).all()
-
-
-# ---- effort and velocity limits ----
-
-
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
-def test_effort_limits_by_environment_limit_what_acts(wheel, model):
+def test_effort_limits_by_environment_limit_the_torque(wheel, model):
     env = wheel(model, (0.0, 0.0))
     limits = torch.tensor([[0.1], [0.2], [math.inf], [0.4]])
     env.scene.robot.write_joint_effort_limit_to_sim(limits)
@@ -197,44 +172,33 @@ def test_velocity_limits_by_environment_clip_targets(wheel):
     assert torch.equal(env.scene.robot.targets.vel, limits)
 
 
-# ---- encoders ----
-
-
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
-def test_a_drive_holds_what_its_encoder_reads(make_env, model):
+def test_a_drive_holds_the_position_that_its_encoder_reads(make_env, start_env, model):
     groups = make_env("arm").cfg["robot"]["actuators"]
     groups["all"] |= {"_target_": ACTUATORS + model, "stiffness": 50.0, "damping": 2.0, "effort_limit": 100.0}
-    terms = {
-        "read": {"_target_": "wheelleg_exp.mdp.observations.joint_pos_rel"},
-        "true": {"_target_": "wheelleg_exp.mdp.observations.joint_pos_rel", "measured": False},
-    }
+    read = {"_target_": "wheelleg_exp.mdp.observations.joint_pos_rel"}
+    terms = {"read": read, "true": read | {"measured": False}}
     bias = event("randomize_encoder_bias", "reset", bias_range=[-0.05, 0.05])
     events = {"to_default": event("reset_scene_to_default", "reset"), "bias": bias}
     sections = {"robot": {"actuators": groups}, "sim": {"gravity": [0.0, 0.0, 0.0]}, "events": events}
-    env = make_env("arm", observations={"policy": {"terms": terms}}, **sections)
-    env.reset()
+    env = start_env("arm", observations={"policy": {"terms": terms}}, **sections)
     data = env.scene.robot.data
     bias = data.encoder_bias.clone()
     assert len(bias.unique()) == 8
     assert bias.abs().max() <= 0.05
-    for _ in range(99):
-        obs, *_ = env.step(torch.full((4, 2), -0.05))
-    asked = data.joint_pos_target
-    torch.testing.assert_close(data.joint_pos + bias, asked, atol=2e-3, rtol=0.0)
+    obs, *_ = run(env, 99, -0.05)
+    torch.testing.assert_close(data.joint_pos + bias, data.joint_pos_target, atol=2e-3, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, :2] - obs["policy"][:, 2:], bias, atol=1e-6, rtol=0.0)
     torch.testing.assert_close(obs["policy"][:, 2:], data.joint_pos - data.default_joint_pos)
     assert data.computed_torque.abs().max() < 0.2
 
 
-def test_a_bias_is_that_of_the_environments_that_were_reset(make_env):
+def test_a_bias_is_drawn_for_the_environments_that_reset(start_env):
     node = event("randomize_encoder_bias", "reset", bias_range=[0.1, 0.2], asset_cfg=joints(".*_hip"))
-    env = make_env(events={"b": node})
-    env.reset()
+    env = start_env(events={"b": node})
     bias = env.scene.robot.data.encoder_bias
     before = bias.clone()
     env.reset(env_ids=torch.tensor([2]))
-    changed = (bias != before).any(dim=1)
-    assert changed.tolist() == [False, False, True, False]
-    axles = [env.scene.robot.joint_names.index(n) for n in ("left_axle", "right_axle")]
-    assert (bias[:, axles] == 0).all()
+    assert (bias != before).any(dim=1).tolist() == [False, False, True, False]
+    assert (bias[:, [env.scene.robot.joint_names.index(n) for n in ("left_axle", "right_axle")]] == 0).all()
     assert np.isfinite(bias.numpy()).all()

@@ -32,33 +32,35 @@ def test_uniform_noise_lies_between_its_bounds():
 
 def test_gaussian_noise_has_its_mean_and_deviation():
     drawn = noise.GaussianNoise(1.0, 0.5, "scale")(torch.full((20000, 1), 4.0), gen())
-    assert float(drawn.mean()) == pytest.approx(4.0, abs=0.05)
-    assert float(drawn.std()) == pytest.approx(2.0, abs=0.05)
+    assert (float(drawn.mean()), float(drawn.std())) == (pytest.approx(4.0, abs=0.05), pytest.approx(2.0, abs=0.05))
 
 
 N = "wheelleg_exp.mdp.noise."
+KINDS = ("Constant", "Uniform", "Gaussian")
 
 
-@pytest.mark.parametrize("kind", ["ConstantNoise", "UniformNoise", "GaussianNoise"])
-def test_an_unknown_operation_is_refused(kind):
-    with pytest.raises(ConfigError, match=r"noise\.operation: 'ad'.*did you mean 'add'"):
-        build({"_target_": N + kind, "operation": "ad"}, "noise")
-
-
-def _biased(operation="abs"):
-    bias = {"_target_": N + "UniformNoise", "operation": operation}
+def _bias(operation="abs"):
     node = {"_target_": N + "NoiseModelWithAdditiveBias", "noise_cfg": {"_target_": N + "ConstantNoise"}}
-    return build(node | {"bias_noise_cfg": bias}, "noise")
+    return node | {"bias_noise_cfg": {"_target_": N + "UniformNoise", "operation": operation}}
 
 
-def test_a_bias_that_would_add_up_is_refused():
-    for operation in ("add", "scale"):
-        with pytest.raises(ConfigError, match=r"noise\.bias_noise_cfg\.operation: .*expected abs"):
-            _biased(operation)
+@pytest.mark.parametrize(
+    ("node", "message"),
+    [
+        *(
+            ({"_target_": f"{N}{kind}Noise", "operation": "ad"}, r"operation: 'ad'.*did you mean 'add'")
+            for kind in KINDS
+        ),
+        *((_bias(operation), r"bias_noise_cfg\.operation: .*expected abs") for operation in ("add", "scale")),
+    ],
+)
+def test_unknown_operations_and_biases_that_would_add_up_are_rejected(node, message):
+    with pytest.raises(ConfigError, match=r"noise\." + message):
+        build(node, "noise")
 
 
 def test_a_bias_stays_between_resets_and_is_fresh_after_one():
-    model, generator = _biased(), gen()
+    model, generator = build(_bias(), "noise"), gen()
     zero = torch.zeros(3, 2)
     first = model(zero, generator).clone()
     assert torch.equal(model(zero, generator), first)
@@ -73,7 +75,7 @@ def test_a_bias_stays_between_resets_and_is_fresh_after_one():
     assert len(stacked[:, 1].unique()) > 590
 
 
-def test_a_bias_may_be_one_for_all_components():
+def test_a_bias_can_be_one_for_all_components():
     generator = gen()
     model = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(), noise.UniformNoise(operation="abs"), False)
     first = model(torch.zeros(3, 4), generator).clone()
@@ -88,13 +90,13 @@ def test_a_bias_may_be_one_for_all_components():
     assert len(picture(torch.zeros(3, 4, 5, 2), generator).unique()) == 3
 
 
-def test_a_bias_comes_on_top_of_the_noise():
+def test_a_bias_is_added_to_the_noise():
     model = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(10.0), noise.ConstantNoise(0.5, "abs"))
     assert model(T([[1.0]]), gen()).item() == 11.5
 
 
-def test_a_bias_drawn_inside_inference_mode_may_be_redrawn_outside():
-    model, generator = _biased(), gen()
+def test_a_bias_drawn_in_inference_mode_can_be_redrawn_outside():
+    model, generator = build(_bias(), "noise"), gen()
     with torch.inference_mode():
         model(torch.zeros(2, 2), generator)
     before = model.state_dict()["bias"]

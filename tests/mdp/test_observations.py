@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import mujoco
 import pytest
 import torch
+from sim.small_envs import physics_step
 
 from mdp.fakes import entity, fake_env
 from wheelleg_exp.errors import ConfigError, WheellegError
@@ -35,59 +36,47 @@ def close(got, expected):
     torch.testing.assert_close(got, T(expected), atol=1e-6, rtol=1e-6)
 
 
-def test_height_is_in_the_world_and_position_is_from_the_environments_origin():
-    close(observations.base_pos_z(ENV), [[0.3], [0.75]])
-    close(observations.root_pos_w(ENV), [[0.5, 0.0, 0.3], [0.0, 1.0, 0.25]])
+FIRST = entity(joints=[0])
+ANGLES = [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1.0, 1.0]]
 
 
-def test_orientation_may_be_made_unique():
-    close(observations.root_quat_w(ENV), [[-0.6, 0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
-    close(observations.root_quat_w(ENV, make_quat_unique=True), [[0.6, -0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
-
-
-def test_joints():
-    first = entity(joints=[0])
-    close(observations.joint_pos(ENV, asset_cfg=first), [[0.5], [0.0]])
-    close(observations.joint_pos_rel(ENV), [[0.25, 0.0, 3.0], [-0.1, 0.0, 0.0]])
-    close(observations.joint_vel(ENV, asset_cfg=first), [[1.0], [0.0]])
-    close(observations.joint_vel_rel(ENV), [[0.5, 2.0, 3.0], [0.0, 0.0, -1.0]])
-    close(observations.joint_effort(ENV, asset_cfg=entity(joints=[2, 0])), [[3.0, 1.0], [6.0, 4.0]])
+@pytest.mark.parametrize(
+    ("name", "fields", "expected"),
+    [
+        ("base_pos_z", {}, [[0.3], [0.75]]),  # in the world
+        ("root_pos_w", {}, [[0.5, 0.0, 0.3], [0.0, 1.0, 0.25]]),  # from the environment's origin
+        ("root_quat_w", {}, [[-0.6, 0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+        ("root_quat_w", {"make_quat_unique": True}, [[0.6, -0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+        ("joint_pos", {"asset_cfg": FIRST}, [[0.5], [0.0]]),
+        ("joint_pos_rel", {}, [[0.25, 0.0, 3.0], [-0.1, 0.0, 0.0]]),
+        ("joint_vel", {"asset_cfg": FIRST}, [[1.0], [0.0]]),
+        ("joint_vel_rel", {}, [[0.5, 2.0, 3.0], [0.0, 0.0, -1.0]]),
+        ("joint_effort", {"asset_cfg": entity(joints=[2, 0])}, [[3.0, 1.0], [6.0, 4.0]]),
+        ("joint_pos_sin_cos", {"asset_cfg": entity(joints=[0, 2])}, ANGLES),
+        ("current_time_s", {}, [[0.0], [1.0]]),
+        ("remaining_time_s", {}, [[5.0], [4.0]]),
+    ],
+)
+def test_a_formula_by_hand(name, fields, expected):
+    close(getattr(observations, name)(ENV, **fields), expected)
 
 
 def test_positions_between_their_limits():
     close(observations.joint_pos_limit_normalized(ENV)(ENV), [[0.0, 1.0, 0.5], [-0.5, 0.0, -1.0]])
 
 
-def test_angles_as_sines_and_cosines():
-    close(
-        observations.joint_pos_sin_cos(ENV, asset_cfg=entity(joints=[0, 2])),
-        [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1.0, 1.0]],
-    )
-
-
-def test_times():
-    close(observations.current_time_s(ENV), [[0.0], [1.0]])
-    close(observations.remaining_time_s(ENV), [[5.0], [4.0]])
-
-
 def test_velocities_are_those_of_the_robot():
-    names = {
-        observations.base_lin_vel: "root_lin_vel_b",
-        observations.base_ang_vel: "root_ang_vel_b",
-        observations.root_link_lin_vel: "root_link_lin_vel_b",
-        observations.projected_gravity: "projected_gravity_b",
-        observations.root_lin_vel_w: "root_lin_vel_w",
-        observations.root_ang_vel_w: "root_ang_vel_w",
-    }
-    for k, (function, name) in enumerate(names.items()):
-        fields = {f"data_{other}": torch.full((2, 3), float(i)) for i, other in enumerate(names.values())}
-        assert (function(fake_env(**fields)) == k).all(), name
+    names = {name: f"root_{name.removeprefix('base_')}_b" for name in ("base_lin_vel", "base_ang_vel")}
+    names |= {"root_link_lin_vel": "root_link_lin_vel_b", "projected_gravity": "projected_gravity_b"}
+    names |= {name: name for name in ("root_lin_vel_w", "root_ang_vel_w")}
+    env = fake_env(**{f"data_{name}": torch.full((2, 3), float(i)) for i, name in enumerate(names.values())})
+    for k, name in enumerate(names):
+        assert (getattr(observations, name)(env) == k).all(), name
 
 
 def test_actions_of_all_terms_or_one():
     term = SimpleNamespace(raw_actions=T([[7.0]]))
-    manager = SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name])
-    env = fake_env(action_manager=manager)
+    env = fake_env(action_manager=SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name]))
     close(observations.last_action(env), [[1.0, 2.0]])
     close(observations.last_action(env, action_name="legs"), [[7.0]])
 
@@ -98,7 +87,7 @@ def test_commands_by_name():
     close(observations.generated_commands(env, "v"), [[1.0, 2.0]])
 
 
-def test_an_unlimited_joint_has_no_place_between_limits(make_env):
+def test_an_unlimited_joint_has_no_position_between_limits(make_env):
     node = {"_target_": "wheelleg_exp.mdp.observations.joint_pos_limit_normalized"}
     with pytest.raises(WheellegError, match=r"left_axle|limit"):
         make_env(observations={"policy": {"terms": {"x": node}}})
@@ -115,7 +104,7 @@ def test_heights_and_tilts_of_the_base():
     close(observations.base_roll_pitch(env), [[0.0, 0.3], [-2.0, 0.0]])
 
 
-def test_a_gait_clock_goes_round_with_its_period():
+def test_a_gait_clock_repeats_with_its_period():
     """With steps of .02 s and a period of .16 s, the steps 0, 3, and 10 are at 0, 3/8, and 10/8 of a cycle."""
     env = fake_env(episode_length_buf=T([0, 3, 10]), step_dt=0.02)
     half = math.sqrt(0.5)
@@ -130,15 +119,12 @@ def test_joint_accelerations_are_zero_after_a_reset(make_env):
     assert (observed["policy"] == 0).all()
     before = env.scene.robot.data.joint_vel.clone()
     env.scene.robot.data.begin_control_step()
-    env.scene.write_data_to_sim()
-    env.scene.sim.step()
-    env.scene.update()
+    physics_step(env)
     close(observations.joint_acc(env), ((env.scene.robot.data.joint_vel - before) / 0.01).tolist())
 
 
-def test_bodies_are_seen_as_mujoco_sees_them(make_env):
-    env = make_env(num_envs=3)
-    env.reset()
+def test_poses_of_bodies_are_mujocos(start_env):
+    env = start_env(num_envs=3)
     quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
     place = env.scene.env_origins + T([0.5, -1.0, 2.0])
     env.scene.robot.write_root_pose_to_sim(torch.cat((place, quat), dim=1), torch.arange(3))
@@ -163,25 +149,16 @@ def test_bodies_are_seen_as_mujoco_sees_them(make_env):
 def test_a_height_scan_is_from_the_sensor_to_the_ground_and_a_miss_is_cut_by_the_clip():
     data = SimpleNamespace(pos_w=T([[5.0, 6.0, 1.0]]), ray_hits_w=T([[[0.0, 0.0, 0.25], [9.0, 9.0, math.inf]]]))
     env = SimpleNamespace(scene={"scanner": SimpleNamespace(data=data)})
-    scan = observations.height_scan(env, sensor_cfg=entity("scanner"), offset=0.5)
-    close(scan, [[0.25, -math.inf]])
+    close(observations.height_scan(env, sensor_cfg=entity("scanner"), offset=0.5), [[0.25, -math.inf]])
     close(observations.height_scan(env, sensor_cfg=entity("scanner")).clip(-1.0, 1.0), [[0.25, -1.0]])
 
 
-@pytest.mark.parametrize(
-    ("term", "measured"),
-    [
-        (observations.imu_orientation, "quat_w"),
-        (observations.imu_projected_gravity, "projected_gravity_b"),
-        (observations.imu_ang_vel, "ang_vel_b"),
-        (observations.imu_lin_acc, "lin_acc_b"),
-    ],
-)
-def test_an_imu_shows_what_it_measured(term, measured):
-    names = ("quat_w", "projected_gravity_b", "ang_vel_b", "lin_acc_b")
-    data = SimpleNamespace(**{name: T([[float(name == measured)]]) for name in names})
+def test_an_imus_measurements_are_observed():
+    names = {"orientation": "quat_w", "projected_gravity": "projected_gravity_b", "ang_vel": "ang_vel_b"}
+    names |= {"lin_acc": "lin_acc_b"}
+    data = SimpleNamespace(**{measured: T([[float(k)]]) for k, measured in enumerate(names.values())})
     env = SimpleNamespace(scene={"imu": SimpleNamespace(data=data)})
-    assert term(env).item() == 1.0
+    assert [getattr(observations, f"imu_{name}")(env).item() for name in names] == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_contacts_of_bodies_as_flags_forces_and_times():
@@ -201,7 +178,7 @@ def _camera(intrinsics=None, **output):
     return SimpleNamespace(scene={"eye": SimpleNamespace(data=data)})
 
 
-def test_pictures_are_normalised_by_what_they_show():
+def test_images_are_normalised_by_their_type():
     rgb = T([[[[0, 51, 255], [255, 51, 0]]]], dtype=torch.uint8)
     far = T([[[[1.5], [math.inf]]]])
     env = _camera(rgb=rgb, depth=far, normals=T([[[[-1.0, 0.0, 1.0]]]]))
@@ -214,20 +191,18 @@ def test_pictures_are_normalised_by_what_they_show():
     assert rgb.tolist() == [[[[0, 51, 255], [255, 51, 0]]]]
 
 
-def test_a_kind_of_pictures_that_the_camera_does_not_take_is_told_with_those_that_it_takes():
+def test_a_missing_image_type_is_rejected_with_the_existing_types():
     env = _camera(depth=T([[[[1.0]]]]), rgba=T([[[[1.0]]]]))
     with pytest.raises(ConfigError) as raised:
         observations.image(env, sensor_cfg=entity("eye"))
     assert (raised.value.key, raised.value.expected) == ("data_type", "one of depth, rgba")
 
 
-def test_distances_become_those_along_the_axis():
+def test_distances_can_be_converted_to_those_along_the_axis():
     """The camera with f = 2 px and 4 px about pixel (1, 0.5) sees a wall at 2 m."""
     columns, rows = T([-0.5, 0.0, 0.5]), T([-0.125, 0.125])
     slant = torch.sqrt(1 + columns.view(1, 3) ** 2 + rows.view(2, 1) ** 2)
     intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.5], [0.0, 0.0, 1.0]]])
     env = _camera(intrinsics, distance_to_camera=2.0 * slant.view(1, 2, 3, 1))
-    seen = observations.image(
-        env, sensor_cfg=entity("eye"), data_type="distance_to_camera", convert_perspective_to_orthogonal=True
-    )
-    close(seen, torch.full((1, 2, 3, 1), 2.0).tolist())
+    settings = {"data_type": "distance_to_camera", "convert_perspective_to_orthogonal": True}
+    close(observations.image(env, sensor_cfg=entity("eye"), **settings), torch.full((1, 2, 3, 1), 2.0).tolist())

@@ -27,8 +27,7 @@ def _gains(key, **fields):
 
 
 def _gravity(pairs, **fields):
-    node = {GRAVITY: pairs, "operation": "abs", **fields}
-    return ("events", "randomize_physics_scene_gravity", node, GRAVITY, "")
+    return ("events", "randomize_physics_scene_gravity", {GRAVITY: pairs, "operation": "abs", **fields}, GRAVITY, "")
 
 
 def _reset(pose, key):
@@ -93,9 +92,8 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("section", "name", "fields", "key", "words"), ROWS)
-def test_a_wrong_term_is_refused_by_key(make_env, section, name, fields, key, words):
-    mode = {"mode": "startup"} if section == "events" else {}
-    node = {"_target_": f"{MDP}{section}.{name}", **mode, **fields}
+def test_a_wrong_term_is_rejected_by_key(make_env, section, name, fields, key, words):
+    node = {"_target_": f"{MDP}{section}.{name}", **({"mode": "startup"} if section == "events" else {}), **fields}
     with pytest.raises(ConfigError) as caught:
         make_env(**{section: {"t": node}})
     assert caught.value.key == f"env.{section}.t" + (f".{key}" if key else "")

@@ -9,15 +9,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from mdp.fakes import entity, fake_env
+from mdp.fakes import close, entity, fake_env
 from wheelleg_exp.mdp import rewards
 
 T = torch.tensor
-
-
-def close(got, expected):
-    torch.testing.assert_close(got.float(), T(expected, dtype=torch.float32), atol=1e-6, rtol=1e-6)
-    assert got.dtype == torch.float32
 
 
 def _ends(terminated, time_outs, **fired):
@@ -45,8 +40,6 @@ VELOCITY = {
     "data_root_lin_vel_b": T([[1.0, 2.0, 3.0], [0.0, -1.0, -2.0]]),
     "data_root_ang_vel_b": T([[0.5, -1.0, 4.0], [0.0, 0.0, -0.5]]),
 }
-
-
 GRAVITY = {"data_projected_gravity_b": T([[0.6, 0.0, -0.8], [0.3, 0.4, -0.86]])}
 HEIGHTS = {"data_root_pos_w": T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.1]])}
 ACTIONS = SimpleNamespace(action=T([[1.0, 2.0], [0.0, 0.0]]), prev_action=T([[0.0, 4.0], [3.0, 0.0]]))
@@ -70,26 +63,18 @@ def test_a_formula_by_hand(function, fields, expected):
     close(function(fake_env(**fields)), expected)
 
 
-def test_closeness_to_a_height_is_counted_from_the_ground_below():
-    env = fake_env(
-        data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.52], [1.0, 9.0, 0.5]]),
-        ground=lambda xy: torch.where(xy[..., 0] > 5.0, 0.2, 0.16),
-    )
-    reward = rewards.base_height_exp(env, target_height=0.3, std=0.02)
-    close(reward, [1.0, math.exp(-1.0), math.exp(-4.0)])
-
-
-def test_height_over_what_rays_hit():
-    env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.5], [9.0, 9.0, 0.5]]))
-    hits = T([[[0.0, 0.0, 0.1], [5.0, 5.0, 0.3]], [[0.0, 0.0, 0.2]] * 2, [[0.0, 0.0, 0.0], [0.0, 0.0, math.inf]]])
-    env.scene["rays"] = SimpleNamespace(data=SimpleNamespace(ray_hits_w=hits))
-    close(rewards.base_height_l2(env, target_height=0.2, sensor_cfg=entity("rays")), [0.01, 0.01, math.inf])
-
-
-def test_height_over_the_ground_below():
+def test_heights_are_measured_from_the_ground_below():
+    """The ground is a formula of the position, or the rays' hits."""
+    positions = T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.52], [1.0, 9.0, 0.5]])
+    env = fake_env(data_root_pos_w=positions, ground=lambda xy: torch.where(xy[..., 0] > 5.0, 0.2, 0.16))
+    close(rewards.base_height_exp(env, target_height=0.3, std=0.02), [1.0, math.exp(-1.0), math.exp(-4.0)])
     positions = T([[1.0, 2.0, 2.5], [0.0, 0.0, 0.1]])
     env = fake_env(data_root_pos_w=positions, ground=lambda xy: 0.1 * xy[..., 0] + xy[..., 1])
     close(rewards.base_height_over_ground_l2(env, target_height=0.3), [0.01, 0.04])
+    env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5]] * 3))
+    hits = T([[[0.0, 0.0, 0.1], [5.0, 5.0, 0.3]], [[0.0, 0.0, 0.2]] * 2, [[0.0, 0.0, 0.0], [0.0, 0.0, math.inf]]])
+    env.scene["rays"] = SimpleNamespace(data=SimpleNamespace(ray_hits_w=hits))
+    close(rewards.base_height_l2(env, target_height=0.2, sensor_cfg=entity("rays")), [0.01, 0.01, math.inf])
 
 
 def test_norms_of_accelerations_add_up():
@@ -128,23 +113,18 @@ def test_sums_over_joints(function, all_joints, last_two):
     close(function(fake_env(**JOINTS), asset_cfg=entity(joints=[1, 2])), last_two)
 
 
-def test_speeds_beyond_their_limits_are_cut_at_one_each():
-    close(rewards.joint_vel_limits(fake_env(**JOINTS), soft_ratio=0.9), [1.1, 1.0])  # .1 + 1 (of 1.1); 1 (of 2.1)
-
-
-def test_differences_between_left_and_right():
+def test_speeds_differences_and_power_of_joints():
     env = fake_env(**JOINTS)
+    # Each speed beyond its limit is cut at 1: .1 + 1 (of 1.1), and 1 (of 2.1).
+    close(rewards.joint_vel_limits(env, soft_ratio=0.9), [1.1, 1.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 2])), [4.5, 0.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0]), entity(joints=[1]), mirrored=True), [0.5, 0.0])  # not 1.5
-
-
-def test_power_that_drives_put_in():
     env = fake_env(**JOINTS | {"data_joint_vel": T([[1.0, 2.0, 0.5], [0.0, 3.0, 0.0]])})
     close(rewards.joint_power(env), [5, 1.5])
     close(rewards.joint_power(env, positive_only=True), [1, 1.5])
 
 
-def test_pose_counts_while_nothing_is_asked_for():
+def test_the_pose_counts_while_the_command_is_zero():
     env = fake_env(**JOINTS, commands={"v": T([[0.06, 0.0, 9.0], [0.03, 0.05, 9.0]])})
     close(rewards.stand_still_joint_deviation_l1(env, "v"), [0, 0.1])
     close(rewards.stand_still_joint_deviation_l1(env, "v", command_threshold=0.07), [1, 0.1])
@@ -161,7 +141,7 @@ def test_velocities_are_compared_with_the_last_step_of_the_episode():
     close(term(env), [0.25, 0])
 
 
-def test_second_differences_of_actions_begin_anew_with_an_episode():
+def test_second_differences_of_actions_restart_with_an_episode():
     steps = [T([[1.0, 0.0], [2.0, 1.0]]), T([[1.0, 2.0], [0.0, 1.0]]), T([[4.0, 2.0], [1.0, 0.0]])]
     manager = SimpleNamespace(action=steps[0], prev_action=torch.zeros(2, 2))
     env = fake_env(action_manager=manager)
@@ -172,10 +152,6 @@ def test_second_differences_of_actions_begin_anew_with_an_episode():
     term.reset(T([1]))
     manager.action, manager.prev_action = steps[2], T([[1.0, 2.0], [0.0, 0.0]])
     close(term(env), [9 + 4, 1])  # (4 - 2 + 1, 2 - 4 + 0), (1, 0)
-
-
-def _contact():
-    return fake_env(contact_norm=T([[0.0, 2.0, 5.0], [0.5, 1.0, 1.0]]))
 
 
 @pytest.mark.parametrize(
@@ -189,11 +165,12 @@ def _contact():
     ],
 )
 def test_contacts(function, threshold, all_bodies, first_two):
-    close(function(_contact(), threshold=threshold, sensor_cfg=entity("contact")), all_bodies)
-    close(function(_contact(), threshold=threshold, sensor_cfg=entity("contact", bodies=[0, 1])), first_two)
+    env = fake_env(contact_norm=T([[0.0, 2.0, 5.0], [0.5, 1.0, 1.0]]))
+    close(function(env, threshold=threshold, sensor_cfg=entity("contact")), all_bodies)
+    close(function(env, threshold=threshold, sensor_cfg=entity("contact", bodies=[0, 1])), first_two)
 
 
-def test_tracking():
+def test_tracking_in_the_axes_of_the_base():
     env = fake_env(**VELOCITY, commands={"v": T([[1.0, 1.5, 4.5], [0.0, -1.0, -0.5]])})
     close(rewards.track_lin_vel_xy_exp(env, std=0.5, command_name="v"), [math.exp(-0.25 / 0.25), 1.0])
     close(rewards.track_ang_vel_z_exp(env, std=0.25, command_name="v"), [math.exp(-0.25 / 0.0625), 1.0])
@@ -228,7 +205,6 @@ def test_tracking_height_and_tilt():
 
 
 def test_a_value_that_is_not_finite_stays_so():
-    env = fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]]))
-    nan, inf = rewards.lin_vel_z_l2(env)
+    nan, inf = rewards.lin_vel_z_l2(fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]])))
     assert nan.isnan()
     assert inf.isinf()

@@ -9,32 +9,26 @@ import numpy as np
 import pytest
 import torch
 
-from mdp.fakes import entity, fake_env
+from mdp.fakes import close, entity, fake_env
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.mdp import rewards
 
 T = torch.tensor
 FEET = entity("contact", bodies=[0, 2])
-
-
-def close(got, expected):
-    torch.testing.assert_close(got.float(), T(expected, dtype=torch.float32), atol=1e-6, rtol=1e-6)
-    assert got.dtype == torch.float32
+CONTACT, ALL = entity("contact"), entity()
 
 
 def _timed(command):
+    last_contact = T([[0.25, 9.0, 0.25], [1.0, 9.0, 0.5]])
     return fake_env(
         step_dt=0.02,
         first_contact=T([[True, True, True], [False, True, True]]),
-        contact={
-            "last_air_time": T([[0.75, 9.0, 0.25], [0.75, 9.0, 1.0]]),
-            "last_contact_time": T([[0.25, 9.0, 0.25], [1.0, 9.0, 0.5]]),
-        },
+        contact={"last_air_time": T([[0.75, 9.0, 0.25], [0.75, 9.0, 1.0]]), "last_contact_time": last_contact},
         commands={"v": T([[command, 0.0, 9.0]] * 2)},
     )
 
 
-def test_flights_count_when_they_end_and_while_walking_is_asked_for():
+def test_flights_count_when_they_end_and_while_walking_is_commanded():
     """The rewards are 0.75 - 0.5 + 0.25 - 0.5, and 1.0 - 0.5 where the first foot has not landed."""
     close(rewards.feet_air_time(_timed(0.2), "v", FEET, threshold=0.5), [0.0, 0.5])
     close(rewards.feet_air_time(_timed(0.2), "v", FEET, threshold=0.25), [0.5, 0.75])
@@ -69,17 +63,17 @@ def test_feet_that_touch_and_slide():
     close(rewards.feet_slide(env, FEET, bodies, threshold=0.4), [6, 2.5])
 
 
-def _slip(env, sensor, asset):
+def _slip(env, sensor=CONTACT, asset=ALL):
     return rewards.wheel_slip(env, 0.1, sensor, asset)
 
 
 @pytest.mark.parametrize("reward", [rewards.feet_slide, rewards.wheel_spin_in_air_l1, _slip])
-def test_a_sensors_bodies_have_to_be_the_robots(reward):
+def test_a_sensors_bodies_must_be_the_robots(reward):
     contact = {"contact_norm": torch.ones(2, 3), "contact": {"net_forces_w": torch.ones(2, 3, 3)}}
     still = {"data_body_ang_vel_w": torch.zeros(2, 2, 3), "data_joint_vel": torch.zeros(2, 2)}
     env = fake_env(**MOVING, **contact, **still)
     with pytest.raises(ConfigError, match="3 bodies of the sensor, and 2 of the robot"):
-        reward(env, entity("contact"), entity())
+        reward(env, CONTACT, ALL)
 
 
 def test_a_foot_that_runs_into_something_steep():
@@ -114,27 +108,20 @@ def test_a_wheel_that_rolls_does_not_slip():
     """Wheels of 0.1 m roll along x, roll with a turned axle, lock, spin in place, slide sideways, or barely touch."""
     velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0], [1.0, 0, 0]]
     spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
-    force = [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]]
-    env = _wheels(velocity, spin, force)
-    close(rewards.wheel_slip(env, 0.1, entity("contact"), entity()), [0, 0, 1, 0.5, 0.3, 0, 0])
+    close(_slip(_wheels(velocity, spin, [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]])), [0, 0, 1, 0.5, 0.3, 0, 0])
 
 
-def test_a_wheel_may_roll_up_a_slope_and_its_bounce_is_no_slip():
+def test_rolling_up_a_slope_and_bouncing_are_not_slip():
     """The slope has 30 degrees, and the second wheel also has a velocity along the normal of the slope."""
     c, s = math.cos(math.pi / 6), math.sin(math.pi / 6)
     up, normal = [2 * c, 0.0, 2 * s], [-7 * s, 0.0, 7 * c]
-    env = _wheels([up, [2 * c - s, 0.0, 2 * s + c]], [[0, 20.0, 0]] * 2, [normal] * 2)
-    close(rewards.wheel_slip(env, 0.1, entity("contact"), entity()), [0, 0])
+    close(_slip(_wheels([up, [2 * c - s, 0.0, 2 * s + c]], [[0, 20.0, 0]] * 2, [normal] * 2)), [0, 0])
 
 
-BALL = """
-<mujoco>
-  <worldbody>
-    <geom type="plane" size="0 0 1" euler="20 -10 0"/>
-    <body name="wheel"><freejoint/><geom type="sphere" size=".1" mass="1"/></body>
-  </worldbody>
-</mujoco>
-"""
+BALL = """<mujoco><worldbody>
+  <geom type="plane" size="0 0 1" euler="20 -10 0"/>
+  <body name="wheel"><freejoint/><geom type="sphere" size=".1" mass="1"/></body>
+</worldbody></mujoco>"""
 
 
 def test_slip_is_the_speed_of_mujocos_contact_point():
@@ -154,6 +141,4 @@ def test_slip_is_the_speed_of_mujocos_contact_point():
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, 1, moved, 0)
         slip, normal = jacobian @ data.qvel, contact.frame[:3]
         env = _wheels([moved[3:].tolist()], [moved[:3].tolist()], [(3.0 * normal).tolist()])
-        expected = np.linalg.norm(slip - slip @ normal * normal)
-        got = rewards.wheel_slip(env, 0.1, entity("contact"), entity())
-        assert float(got) == pytest.approx(expected, rel=1e-4)
+        assert float(_slip(env)) == pytest.approx(np.linalg.norm(slip - slip @ normal * normal), rel=1e-4)

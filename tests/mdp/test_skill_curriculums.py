@@ -14,7 +14,9 @@ from wheelleg_exp.mdp.curriculums import command_levels_by_skill, terrain_levels
 from wheelleg_exp.mdp.terminations import terrain_tile_left
 from wheelleg_exp.state import made
 
+approx = pytest.approx
 N, LONGEST = 4, 10
+PASSES, MORE = {"passes": 2}, {"min_episodes": 2 * N}
 ALL = torch.arange(N)
 
 
@@ -30,22 +32,13 @@ class World:
         self.term = SimpleNamespace(ranges={"lin_vel_x": [-0.3, 0.3], "ang_vel_z": [-0.5, 0.5]})
         self.command_manager = SimpleNamespace(get_command=lambda _: self.command, get_term=lambda _: self.term)
         self.termination_manager = SimpleNamespace(terminated=torch.zeros(N, dtype=torch.bool))
-        zeros = torch.zeros(N, 3)
-        self.data = SimpleNamespace(
-            root_lin_vel_b=zeros.clone(),
-            root_ang_vel_b=zeros.clone(),
-            root_lin_vel_w=zeros.clone(),
-            heading_w=torch.zeros(N),
-            root_pos_w=zeros.clone(),
-        )
+        names = ("root_lin_vel_b", "root_ang_vel_b", "root_lin_vel_w", "root_pos_w")
+        self.data = SimpleNamespace(**{name: torch.zeros(N, 3) for name in names}, heading_w=torch.zeros(N))
         self.moved: list = []
-        terrain = SimpleNamespace(
-            terrain_levels=torch.zeros(N), max_terrain_level=10, update_env_origins=self._move, size=(1.2, 1.2)
-        )
-        self.scene = Scene(self.data, terrain)
-
-    def _move(self, env_ids, up, down) -> None:
-        self.moved.append((up.tolist(), down.tolist()))
+        terrain = SimpleNamespace(terrain_levels=torch.zeros(N), max_terrain_level=10, size=(1.2, 1.2))
+        terrain.update_env_origins = lambda _, up, down: self.moved.append((up.tolist(), down.tolist()))
+        self.scene = Scene(robot=SimpleNamespace(data=self.data))
+        self.scene.terrain, self.scene.env_origins = terrain, torch.zeros(N, 3)
 
     def state_dict(self) -> dict:
         return {}
@@ -59,15 +52,13 @@ class World:
             for observe in self.observers:
                 observe()
         self.termination_manager.terminated.fill_(failed)
-        told = curriculum(self, ALL)
+        state = curriculum(self, ALL)
         self.episode_length_buf.zero_()
-        return told
+        return state
 
 
 class Scene(dict):
-    def __init__(self, data, terrain) -> None:
-        super().__init__(robot=SimpleNamespace(data=data))
-        self.terrain, self.env_origins = terrain, torch.zeros(N, 3)
+    """A scene, to which a test adds attributes."""
 
 
 @pytest.fixture
@@ -84,31 +75,27 @@ def by_skill(world, **settings):
     return curriculum
 
 
-def test_standing_still_has_no_skill_whatever_it_is_told(world):
+def test_standing_still_has_no_skill_for_any_command(world):
     curriculum = by_skill(world)
     world.command[:, 0] = torch.tensor([0.05, 0.1, -0.2, 0.3])
-    told = world.episode(curriculum)
-    assert told["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
+    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
     assert world.term.ranges["lin_vel_x"] == [-0.3, 0.3]
 
 
 def test_the_skill_is_that_of_the_formula(world):
     curriculum = by_skill(world)
     world.command[:, 0], world.data.root_lin_vel_b[:, 0] = 0.3, 0.2
-    told = world.episode(curriculum)
     score, still = math.exp(-1.0), math.exp(-9.0)
-    assert told["lin_vel_x_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
+    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
 
 
 def test_the_skill_is_that_of_the_formula_for_a_turn_the_other_way(world):
-    curriculum = command_levels_by_skill(
-        world, {"ang_vel_z": [-1.0, 1.0]}, std={"ang_vel_z": 0.5}, step={"ang_vel_z": 0.1}, min_episodes=N
-    )
+    settings = {"std": {"ang_vel_z": 0.5}, "step": {"ang_vel_z": 0.1}, "min_episodes": N}
+    curriculum = command_levels_by_skill(world, {"ang_vel_z": [-1.0, 1.0]}, **settings)
     world.command[:, 2], world.data.root_ang_vel_b[:, 2] = -0.4, -0.25
     world.data.root_lin_vel_b[:] = 9.0
-    told = world.episode(curriculum)
     score, still = math.exp(-(0.15**2) / 0.25), math.exp(-(0.4**2) / 0.25)
-    assert told["ang_vel_z_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
+    assert world.episode(curriculum)["ang_vel_z_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
 
 
 def test_steps_without_a_command_do_not_count(world):
@@ -119,25 +106,35 @@ def test_steps_without_a_command_do_not_count(world):
 
 
 def test_a_fall_scores_nothing_in_the_rest_of_a_longest_episode(world):
-    curriculum = by_skill(world)
+    curriculum, still = by_skill(world), math.exp(-9.0)
     world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
-    told = world.episode(curriculum, steps=4, failed=True)
-    still = math.exp(-9.0)
-    assert told["lin_vel_x_skill"] == pytest.approx((0.4 - still) / (1 - still), rel=1e-5)
+    skill = world.episode(curriculum, steps=4, failed=True)["lin_vel_x_skill"]
+    assert skill == pytest.approx((0.4 - still) / (1 - still), rel=1e-5)
     assert world.episode(curriculum, steps=4)["lin_vel_x_skill"] == pytest.approx(1.0)  # truncation is not failure
 
 
-def test_a_range_grows_at_so_many_passes_in_a_row_up_to_its_limit(world):
-    curriculum = by_skill(world, passes=2)
-    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
-    highs = [world.episode(curriculum)["lin_vel_x"] for _ in range(6)]
-    assert highs == pytest.approx(
-        [0.3, 0.36, 0.36, 0.36, 0.4, 0.4]
-    )  # the third evaluation has only episodes from before the growth
-    assert world.term.ranges == {"lin_vel_x": [-0.4, 0.4], "ang_vel_z": [-0.5, 0.5]}
+@pytest.mark.parametrize(
+    ("settings", "key", "speeds", "expected", "high"),
+    [
+        # The third evaluation has only episodes from before the growth.
+        (PASSES, "lin_vel_x", [0.3] * 6, approx([0.3, 0.36, 0.36, 0.36, 0.4, 0.4]), 0.4),
+        (PASSES, "lin_vel_x", [0.3, 0.0, 0.3, 0.3], approx([0.3, 0.3, 0.3, 0.36]), 0.36),
+        (MORE, "lin_vel_x", [0.3, 0.3], [0.3, approx(0.36)], 0.36),
+        (MORE, "lin_vel_x_skill", [0.0, 0.0, 0.3, 0.3], approx([0.0, 0.0, 0.0, 1.0], abs=1e-6), 0.36),
+    ],
+    ids=["up to the limit", "a failure restarts the row", "too few episodes", "as many new episodes"],
+)
+def test_a_range_grows_after_enough_episodes_and_passes_in_a_row(world, settings, key, speeds, expected, high):
+    curriculum, found = by_skill(world, **settings), []
+    world.command[:, 0] = 0.3
+    for speed in speeds:
+        world.data.root_lin_vel_b[:, 0] = speed
+        found.append(world.episode(curriculum)[key])
+    assert found == expected
+    assert world.term.ranges == {"lin_vel_x": [-high, high], "ang_vel_z": [-0.5, 0.5]}
 
 
-def test_episodes_that_began_before_the_growth_do_not_count(world):
+def test_episodes_that_started_before_the_growth_do_not_count(world):
     curriculum = by_skill(world, min_episodes=2)
     world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
     for _ in range(4):
@@ -147,38 +144,11 @@ def test_episodes_that_began_before_the_growth_do_not_count(world):
     world.episode_length_buf[:2] = 0
     world.data.root_lin_vel_b[:, 0] = 0.0
     curriculum(world, ALL[2:])
-    assert curriculum(world, ALL[:0])["lin_vel_x_skill"] == pytest.approx(1.0)  # nobody has judged since
+    assert curriculum(world, ALL[:0])["lin_vel_x_skill"] == pytest.approx(1.0)  # no evaluation since
     assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_fewer_episodes_than_asked_for_are_not_judged(world):
-    curriculum = by_skill(world, min_episodes=2 * N)
-    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
-    assert world.episode(curriculum)["lin_vel_x"] == 0.3
-    assert world.episode(curriculum)["lin_vel_x"] == pytest.approx(0.36)
-
-
-def test_the_next_judgement_is_of_as_many_new_episodes(world):
-    curriculum = by_skill(world, min_episodes=2 * N)
-    world.command[:, 0] = 0.3
-    skills = []
-    for velocity in (0.0, 0.0, 0.3, 0.3):
-        world.data.root_lin_vel_b[:, 0] = velocity
-        skills.append(world.episode(curriculum)["lin_vel_x_skill"])
-    assert skills == pytest.approx([0.0, 0.0, 0.0, 1.0], abs=1e-6)
-
-
-def test_a_failure_between_two_passes_begins_the_row_anew(world):
-    curriculum = by_skill(world, passes=2)
-    world.command[:, 0] = 0.3
-    highs = []
-    for velocity in (0.3, 0.0, 0.3, 0.3):
-        world.data.root_lin_vel_b[:, 0] = velocity
-        highs.append(world.episode(curriculum)["lin_vel_x"])
-    assert highs == pytest.approx([0.3, 0.3, 0.3, 0.36])
-
-
-def test_a_reset_before_the_first_step_is_no_episode(world):
+def test_a_reset_before_the_first_step_is_not_an_episode(world):
     curriculum, ground = by_skill(world), terrain_levels_by_distance(world)
     world.command[:, 0] = 0.3
     assert world.episode(curriculum, steps=0, failed=True)["lin_vel_x_stuck"] == 0.0
@@ -190,20 +160,19 @@ def test_a_reset_before_the_first_step_is_no_episode(world):
     assert world.moved[-1] == ([False] * N, [False] * N)
 
 
-def test_one_that_does_not_get_on_says_so_and_is_told_once_by_name(world):
+def test_a_stuck_curriculum_is_reported_once_by_name(world):
     curriculum, found = by_skill(world), StuckCurricula()
     world.command[:, 0] = 0.3
     lines = []
     for index in range(5):
-        told = world.episode(curriculum)
-        lines += found.take(index, {f"Curriculum/road/{key}": value for key, value in told.items()})
+        log = {f"Curriculum/road/{key}": value for key, value in world.episode(curriculum).items()}
+        lines += found.take(index, log)
     assert len(lines) == 1
     assert "env.curriculum.road (lin_vel_x) is stuck by iteration 3" in lines[0]
     assert found.now == ["road/lin_vel_x"]
     world.data.root_lin_vel_b[:, 0] = 0.3
     assert world.episode(curriculum)["lin_vel_x_stuck"] == 0.0
-    assert list(found.take(9, {"Curriculum/road/lin_vel_x_stuck": 0.0})) == []
-    assert found.now == []
+    assert (list(found.take(9, {"Curriculum/road/lin_vel_x_stuck": 0.0})), found.now) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -215,12 +184,9 @@ def test_one_that_does_not_get_on_says_so_and_is_told_once_by_name(world):
         ({"lin_vel_x": [-1.0, 1.0]}, {}, "std.lin_vel_x"),
     ],
 )
-def test_axes_that_cannot_grow_are_refused(world, limits, std, said):
+def test_axes_that_cannot_grow_are_rejected(world, limits, std, said):
     with pytest.raises(ConfigError, match=said):
         command_levels_by_skill(world, limits, std=std, step={"lin_vel_x": 0.1})
-
-
-# --- ground ---
 
 
 @pytest.mark.parametrize(
@@ -241,8 +207,7 @@ def test_robots_move_by_the_share_of_the_way_that_was_commanded(world, speed, st
     curriculum = terrain_levels_by_distance(world)
     world.data.heading_w.fill_(0.6)
     world.command[:, :2] = 2.0 * torch.tensor([0.6, 0.8])
-    x, y = 2.0 * speed * 0.6 - 0.8, 2.0 * speed * 0.8 + 0.6
-    cos, sin = math.cos(0.6), math.sin(0.6)
+    x, y, cos, sin = 2.0 * speed * 0.6 - 0.8, 2.0 * speed * 0.8 + 0.6, math.cos(0.6), math.sin(0.6)
     world.data.root_lin_vel_w[:, :2] = torch.tensor([cos * x - sin * y, sin * x + cos * y])
     world.episode(curriculum, steps, failed)
     assert world.moved == [([moves[0]] * N, [moves[1]] * N)]
@@ -257,7 +222,7 @@ def test_the_way_of_an_episode_is_not_that_of_the_last(world):
     assert [(up[0], down[0]) for up, down in world.moved] == [(True, False), (False, True), (True, False)]
 
 
-def test_who_was_told_to_stand_stays_unless_it_fell(world):
+def test_a_robot_commanded_to_stand_stays_unless_it_fell(world):
     curriculum = terrain_levels_by_distance(world)
     world.episode(curriculum)
     world.episode(curriculum, steps=3, failed=True)
@@ -280,7 +245,7 @@ def test_levels_beyond_half_of_the_hardest_are_not_stuck(world, level, stuck):
     assert [world.episode(curriculum)["stuck"] for _ in range(3)][-1] == stuck
 
 
-def test_down_has_to_be_below_up(world):
+def test_down_must_be_below_up(world):
     with pytest.raises(ConfigError, match="less than up"):
         terrain_levels_by_distance(world, up=0.3, down=0.5)
 

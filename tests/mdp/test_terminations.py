@@ -27,16 +27,11 @@ def test_a_command_about_to_be_redrawn():
     assert terminations.command_resample(env, "v", num_resamples=2).tolist() == [False, False, False, True]
 
 
-def _tilted(*angles):
-    return fake_env(data_projected_gravity_b=T([[math.sin(a), 0.0, -math.cos(a)] for a in angles]))
-
-
 def test_tilt():
-    found = terminations.bad_orientation(_tilted(0.0, 0.9, 1.1, -1.1, 3.0), 1.0)
-    assert found.tolist() == [False, False, True, True, True]
+    gravity = [[math.sin(a), 0.0, -math.cos(a)] for a in (0.0, 0.9, 1.1, -1.1, 3.0)]
     # Rounding can leave the range of acos.
-    env = fake_env(data_projected_gravity_b=T([[0.0, 0.0, 1.0000002], [0.0, 0.0, -1.0000002]]))
-    assert terminations.bad_orientation(env, 1.0).tolist() == [True, False]
+    env = fake_env(data_projected_gravity_b=T([*gravity, [0.0, 0.0, 1.0000002], [0.0, 0.0, -1.0000002]]))
+    assert terminations.bad_orientation(env, 1.0).tolist() == [False, False, True, True, True, True, False]
 
 
 def test_height():
@@ -52,15 +47,11 @@ def test_the_edge_of_the_tiles():
     env = fake_env(data_root_pos_w=position, terrain=terrain)
     assert terminations.terrain_out_of_bounds(env, distance_buffer=1.0).tolist() == [False, True, False, True, True]
     assert terminations.terrain_out_of_bounds(env).tolist() == [True] * 5
+    env.scene.robot.data.root_pos_w = T([[3.9, 0, 0], [4.1, 0, 0], [0, -2.9, 0], [0, 3.1, 0], [4.0, 3.0, 0]])
+    # The default buffer is 3 m.
+    assert terminations.terrain_out_of_bounds(env).tolist() == [False, True, False, True, False]
     plane = fake_env(data_root_pos_w=position * 1e6, terrain={"terrain_origins": None})
     assert terminations.terrain_out_of_bounds(plane).tolist() == [False] * 5
-
-
-def test_three_metres_before_the_edge_by_default():
-    terrain = {"terrain_origins": torch.zeros(3, 2, 3), "size": (4.0, 5.0), "border_width": 1.0}
-    position = T([[3.9, 0, 0], [4.1, 0, 0], [0, -2.9, 0], [0, 3.1, 0], [4.0, 3.0, 0]])
-    env = fake_env(data_root_pos_w=position, terrain=terrain)
-    assert terminations.terrain_out_of_bounds(env).tolist() == [False, True, False, True, False]
 
 
 def test_stuck():
@@ -86,23 +77,22 @@ JOINTS = {
 }
 
 
-def test_positions():
-    env = fake_env(**JOINTS)
-    assert terminations.joint_pos_out_of_limit(env).tolist() == [True, False, False]
-    assert terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4)).tolist() == [True, True, False]
-    only = entity(joints=[1])
-    found = terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4), asset_cfg=only)
-    assert found.tolist() == [False, True, False]
+@pytest.mark.parametrize(
+    ("name", "fields", "expected"),
+    [
+        ("pos_out_of_limit", {}, [True, False, False]),
+        ("pos_out_of_manual_limit", {"bounds": (-1.0, 0.4)}, [True, True, False]),
+        ("pos_out_of_manual_limit", {"bounds": (-1.0, 0.4), "asset_cfg": entity(joints=[1])}, [False, True, False]),
+        ("vel_out_of_limit", {}, [True, True, False]),
+        ("vel_out_of_manual_limit", {"max_velocity": 2.0}, [True, False, False]),
+        ("vel_out_of_manual_limit", {"max_velocity": 1.2}, [True, True, False]),
+    ],
+)
+def test_positions_and_velocities_of_joints(name, fields, expected):
+    assert getattr(terminations, f"joint_{name}")(fake_env(**JOINTS), **fields).tolist() == expected
 
 
-def test_velocities():
-    env = fake_env(**JOINTS)
-    assert terminations.joint_vel_out_of_limit(env).tolist() == [True, True, False]
-    assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=2.0).tolist() == [True, False, False]
-    assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=1.2).tolist() == [True, True, False]
-
-
-def test_what_is_just_at_its_limit_is_not_beyond_it():
+def test_a_value_at_its_limit_is_not_beyond_it():
     half = 0.5  # which float32 has
     env = fake_env(
         data_root_pos_w=T([[0.0, 0.0, half]]),
@@ -127,18 +117,16 @@ def test_what_is_just_at_its_limit_is_not_beyond_it():
 
 def test_contacts():
     env = fake_env(contact_norm=T([[0.0, 2.0], [0.3, 0.0], [0.31, 0.0]]))
-    cfg = entity("contact")
-    assert terminations.illegal_contact(env, 0.3, cfg).tolist() == [True, False, True]
+    assert terminations.illegal_contact(env, 0.3, entity("contact")).tolist() == [True, False, True]
     assert terminations.illegal_contact(env, 0.3, entity("contact", bodies=[0])).tolist() == [False, False, True]
 
 
-def _ended_by(make_env, name, **fields):
-    return make_env(terminations={"t": {"_target_": f"wheelleg_exp.mdp.terminations.{name}", **fields}})
+def _ended_by(start_env, name, **fields):
+    return start_env(terminations={"t": {"_target_": f"wheelleg_exp.mdp.terminations.{name}", **fields}})
 
 
-def test_a_torque_within_its_limit_is_not_out_of_it(make_env):
-    env = _ended_by(make_env, "joint_effort_out_of_limit")
-    env.reset()
+def test_a_torque_within_its_limit_is_not_out_of_it(start_env):
+    env = _ended_by(start_env, "joint_effort_out_of_limit")
     for k in range(60):
         *_, terminated, _, _ = env.step(0.05 * torch.randn(4, 4, generator=torch.Generator().manual_seed(k)))
         assert (env.scene.robot.data.computed_torque.abs() < env.scene.robot.data.joint_effort_limits).all()
@@ -151,21 +139,19 @@ def test_a_torque_is_out_of_its_limit_where_less_is_applied_than_was_computed():
     applied = T([[3.0, -1.0], [4.0, 0.0], [0.0, -4.0], [4.0, -4.0], [2.5, 1.0], [3.0003, 0.0]])
     limits = torch.full((6, 2), 4.0)
     env = fake_env(data_computed_torque=computed, data_applied_torque=applied, data_joint_effort_limits=limits)
-    found = terminations.joint_effort_out_of_limit(env)
-    assert found.tolist() == [False, True, True, False, True, False]
+    assert terminations.joint_effort_out_of_limit(env).tolist() == [False, True, True, False, True, False]
     second = terminations.joint_effort_out_of_limit(env, entity(joints=[1]))
     assert second.tolist() == [False, False, True, False, False, False]
 
 
-def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env):
+def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env, start_env):
     """At three quarters of the no-load speed, the line from 2 N·m leaves 0.5 N·m of the demanded 0.6 N·m."""
     motor = {"_target_": "wheelleg_exp.sim.actuators.DCMotor", "joint_names_expr": [".*_axle"]}
     motor |= {"saturation_effort": 2.0, "stiffness": 0.0, "damping": 0.0, "effort_limit": 1.0, "velocity_limit": 20.0}
     robot = {"actuators": {**make_env().cfg["robot"]["actuators"], "axles": motor}}
     ended = {"t": {"_target_": "wheelleg_exp.mdp.terminations.joint_effort_out_of_limit"}}
     actions = {"a": {"_target_": "wheelleg_exp.mdp.actions.JointEffortAction", "joint_names": [".*_axle"]}}
-    env = make_env(robot=robot, actions=actions, terminations=ended, decimation=1)
-    env.reset()
+    env = start_env(robot=robot, actions=actions, terminations=ended, decimation=1)
     speed = torch.zeros(4, 4)
     speed[1, 2] = 15.0
     env.scene.robot.write_joint_velocity_to_sim(speed)
@@ -173,9 +159,8 @@ def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env):
     assert terminated.tolist() == [False, True, False, False]
 
 
-def test_a_torque_that_is_cut_is_out_of_its_limit(make_env):
-    env = _ended_by(make_env, "joint_effort_out_of_limit")
-    env.reset()
+def test_a_torque_that_is_cut_is_out_of_its_limit(start_env):
+    env = _ended_by(start_env, "joint_effort_out_of_limit")
     action = torch.zeros(4, 4)
     action[1, 0] = 2.0  # an error of 1 rad at 20 N·m/rad, with a limit of 4 N·m
     *_, terminated, _, _ = env.step(action)
@@ -183,10 +168,9 @@ def test_a_torque_that_is_cut_is_out_of_its_limit(make_env):
 
 
 @pytest.mark.parametrize("field", ["qvel", "qpos"])
-def test_a_state_that_is_not_finite_ends_its_environment_only(make_env, field, tmp_path, monkeypatch):
+def test_a_state_that_is_not_finite_ends_its_environment_only(start_env, field, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    env = _ended_by(make_env, "non_finite_state")
-    env.reset()
+    env = _ended_by(start_env, "non_finite_state")
     env.step(STILL)
     env.scene.sim.view(field)[2, 8] = math.nan
     obs, _, terminated, _, _ = env.step(STILL)
@@ -196,11 +180,10 @@ def test_a_state_that_is_not_finite_ends_its_environment_only(make_env, field, t
     assert not terminated.any()
 
 
-def test_a_state_that_breaks_in_the_last_physics_step_is_noticed_at_once(make_env, tmp_path, monkeypatch):
+def test_a_state_that_breaks_in_the_last_physics_step_is_noticed_at_once(start_env, tmp_path, monkeypatch):
     """The engine checks a state only when the next step starts from this state."""
     monkeypatch.chdir(tmp_path)
-    env = _ended_by(make_env, "non_finite_state")
-    env.reset()
+    env = _ended_by(start_env, "non_finite_state")
     step, count = env.scene.sim.step, iter(range(100))
 
     def breaking_step():

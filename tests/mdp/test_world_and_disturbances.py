@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import physics_step, run
 
 from mdp.nodes import bodies, event
 from wheelleg_exp.mdp import events
@@ -20,23 +21,17 @@ def fall(env, steps=10):
     robot = env.scene.robot
     robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
     robot.write_root_velocity_to_sim(torch.zeros(4, 6))
-    for _ in range(steps):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+    physics_step(env, steps)
     return robot.data.root_lin_vel_w / (steps * env.physics_dt)
 
-
-# ---- gravity ----
 
 OFF = [[-1.0, 0.5, -2.0], [1.0, 0.5, 2.0]]
 
 
 @pytest.mark.parametrize("per_env", [True, False])
-def test_everything_falls_as_gravity_was_drawn(make_env, per_env):
+def test_everything_falls_as_gravity_was_drawn(start_env, per_env):
     node = event("randomize_physics_scene_gravity", gravity_distribution_params=OFF, operation="add", per_env=per_env)
-    env = make_env("block", events={"g": node})
-    env.reset()
+    env = start_env("block", events={"g": node})
     written = torch.from_numpy(np.array(env.scene.sim.batch.expanded("opt.gravity"))).float()
     assert len(written.unique(dim=0)) == (4 if per_env else 1)
     assert ((written - torch.tensor([0.0, 0.5, -9.81])).abs() <= torch.tensor([1.0, 1e-6, 2.0])).all()
@@ -44,7 +39,7 @@ def test_everything_falls_as_gravity_was_drawn(make_env, per_env):
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([[0.0, 0.0, -1.0]] * 4))
 
 
-def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(make_env):
+def test_gravity_is_drawn_from_the_configs_each_time_for_the_given_environments(make_env):
     fields = {"operation": "scale", "distribution": "log_uniform", "per_env": True}
     fields |= {"gravity_distribution_params": [[1.0, 1.0, 1.1], [1.0, 1.0, 1.5]]}
     env = make_env("block", events={"g": event("randomize_physics_scene_gravity", "custom", **fields)})
@@ -55,24 +50,19 @@ def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(ma
     assert ((down[1:3] <= -9.81 * 1.1) & (down[1:3] >= -9.81 * 1.5)).all()
 
 
-def test_one_gravity_holds_for_all_whoever_is_reset(make_env):
+def test_one_gravity_applies_to_all_whichever_environment_resets(make_env):
     node = event("randomize_physics_scene_gravity", "custom", gravity_distribution_params=OFF, operation="add")
     env = make_env("block", events={"g": node})
     env.apply_event("custom", torch.tensor([1]))
     written = env.scene.sim.expanded["opt.gravity"]
-    assert len(written.unique(dim=0)) == 1
-    assert written[0, 1] == pytest.approx(0.5)
+    assert (len(written.unique(dim=0)), written[0, 1]) == (1, pytest.approx(0.5))
 
 
-# ---- inertia ----
-
-
-def test_a_body_turns_as_its_drawn_inertia_says(make_env):
+def test_a_body_turns_as_its_drawn_inertia_says(start_env):
     """The expected speed is w = torque * t / I."""
     ranges = {"inertia_distribution_params": [0.8, 1.4], "operation": "scale", "asset_cfg": bodies("block")}
     node = event("randomize_rigid_body_inertia", **ranges)
-    env = make_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
-    env.reset()
+    env = start_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
     model, body = env.scene.model, env.scene.model.body("block").id
     drawn = np.array(env.scene.sim.batch.expanded("body_inertia"))[:, body]
     ratio = drawn / model.body_inertia[body]
@@ -82,10 +72,7 @@ def test_a_body_turns_as_its_drawn_inertia_says(make_env):
     wrench = torch.zeros(4, 1, 6)
     wrench[:, 0, 5] = 0.01
     env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-    for _ in range(10):
-        env.scene.write_data_to_sim()
-        env.scene.sim.step()
-        env.scene.update()
+    physics_step(env, 10)
     expected = [_whole_inertia(model, row, body) for row in drawn]
     speeds = env.scene.robot.data.root_ang_vel_w[:, 2].double().numpy()
     np.testing.assert_allclose(speeds, 0.01 * 0.1 / np.array(expected), rtol=1e-3)
@@ -93,7 +80,7 @@ def test_a_body_turns_as_its_drawn_inertia_says(make_env):
 
 def _whole_inertia(model, moments, body):
     """Return the robot's moment of inertia about z, by MuJoCo, if its base has the given moments."""
-    own, data = mujoco.MjModel.__copy__(model), None
+    own = mujoco.MjModel.__copy__(model)
     own.body_inertia[body] = moments
     data = mujoco.MjData(own)
     mujoco.mj_forward(own, data)
@@ -118,30 +105,25 @@ def test_a_moment_of_inertia_never_falls_below_its_minimum(make_env):
     assert moments.tolist() == [pytest.approx([1e-4] * 3)] * 4
 
 
-# ---- pushes of some duration ----
-
 IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
 
 
-def test_a_push_lasts_and_a_pause_follows(make_env):
+def test_a_push_lasts_and_a_pause_follows(start_env):
     """Pauses take 0.1 s, pushes 0.06 s, and control steps 0.02 s."""
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.06, 0.06], pause_s=[0.1, 0.1])
-    env = make_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
-    env.reset()
+    env = start_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
     body = env.scene.model.body("block").id
     felt = []
     for _ in range(18):
         env.step(torch.zeros(4, 1))
         felt.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 0.5).all()))
     assert felt == [False] * 5 + [True] * 3 + [False] * 5 + [True] * 3 + [False] * 2
-    drawn = env.scene.robot.permanent_wrench[:, 0]
-    assert (drawn.abs() < 1e-6).all()
+    assert (env.scene.robot.permanent_wrench[:, 0].abs() < 1e-6).all()
 
 
-def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
+def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(start_env):
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.0, 0.0])
-    env = make_env("block", events={"p": node}, sim={"gravity": [0.0, 0.0, 0.0]})
-    env.reset()
+    env = start_env("block", events={"p": node}, sim={"gravity": [0.0, 0.0, 0.0]})
     env.step(torch.zeros(4, 1))
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 1.0) & (force <= 2.0)).all()
@@ -149,45 +131,35 @@ def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
     before = env.scene.robot.data.root_lin_vel_w.clone()
     env.step(torch.zeros(4, 1))
     gained = env.scene.robot.data.root_lin_vel_w - before
-    mass = env.scene.model.body_subtreemass[env.scene.model.body("block").id]
-    expected = force / mass * env.step_dt
+    expected = force / env.scene.model.body_subtreemass[env.scene.model.body("block").id] * env.step_dt
     torch.testing.assert_close(gained.norm(dim=1), expected.norm(dim=1), rtol=0.05, atol=0.0)
 
 
-def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(make_env):
-    always = event(
-        "set_permanent_body_wrench", "reset", force_range=[3.0, 3.0], torque_range=[0.0, 0.0], asset_cfg=bodies("block")
-    )
+def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(start_env):
+    ranges = {"force_range": [3.0, 3.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
+    always = event("set_permanent_body_wrench", "reset", **ranges)
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.02, 0.02])
-    env = make_env("block", events={"w": always, "p": node})
-    env.reset()
-    for _ in range(2):
-        env.step(torch.zeros(4, 1))
+    env = start_env("block", events={"w": always, "p": node})
+    run(env, 2)
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 4.0) & (force <= 5.0)).all()
     env.reset(env_ids=torch.tensor([1]))
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert (force[1] == 3.0).all()
     assert (force[[0, 2, 3]] >= 4.0).all()
-    env.step(torch.zeros(4, 1))
+    run(env)
     force = env.scene.robot.permanent_wrench[:, 0, :, 0]
     assert ((force >= 4.0) & (force <= 5.0)).all()
 
 
-def test_times_of_pushes_differ_between_environments(make_env):
+def test_times_of_pushes_differ_between_environments(start_env):
     node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.1, 0.5], pause_s=[0.1, 0.5])
-    env = make_env("block", events={"p": node}, num_envs=64)
-    env.reset()
-    for _ in range(15):
-        env.step(torch.zeros(64, 1))
-    pushed = env.event_manager.get_term_cfg("p").func._is_pushed
-    assert 5 < int(pushed.sum()) < 59
+    env = start_env("block", events={"p": node}, num_envs=64)
+    run(env, 15)
+    assert 5 < int(env.event_manager.get_term_cfg("p").func._is_pushed.sum()) < 59
 
 
-# ---- states at the start of episodes ----
-
-
-def test_episodes_begin_over_flat_places_of_their_tile(make_env):
+def test_episodes_start_over_flat_patches_of_their_tile(make_env):
     ranges = {"pose_range": {"yaw": [1.0, 1.0]}, "velocity_range": {"x": [0.5, 0.5]}}
     rows = torch.arange(2 * 3 * 5 * 3, dtype=torch.float32).view(2, 3, 5, 3)
     env = make_env()

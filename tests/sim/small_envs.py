@@ -1,7 +1,10 @@
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import pytest
+import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 
@@ -128,7 +131,39 @@ def variant(folder: Path, old: str, new: str, file: str = "rover.xml") -> Path:
     return folder / file
 
 
-def physics_step(env: ManagerBasedRLEnv) -> None:
-    env.scene.write_data_to_sim()
-    env.scene.sim.step()
-    env.scene.update()
+def wheel_env(folder: Path, actuator: dict[str, Any], limited: str = "", **changes: Any) -> ManagerBasedRLEnv:
+    """Build wheels of 0.01 kg·m² on fixed axles without gravity."""
+    (folder / "wheel.xml").write_text(
+        "<mujoco><compiler angle='radian'/><worldbody><body name='mount'><body name='wheel'>"
+        f"<joint name='axle' axis='0 1 0' {limited}/>"
+        "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
+    )
+    config = env_config("arm", actions={}, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]}, **changes)
+    config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
+    config["robot"]["actuators"] = {"a": {"joint_names_expr": ["axle"], **actuator}}
+    return env_of(folder / "wheel.xml", config)
+
+
+def physics_step(env: ManagerBasedRLEnv, count: int = 1) -> None:
+    for _ in range(count):
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+
+
+def run(env: ManagerBasedRLEnv, steps: int = 1, action: float = 0.0) -> Any:
+    for _ in range(steps):
+        result = env.step(torch.full((env.num_envs, env.action_manager.total_action_dim), action, device=env.device))
+    return result
+
+
+@pytest.fixture
+def start_env(make_env: Callable[..., ManagerBasedRLEnv]) -> Callable[..., ManagerBasedRLEnv]:
+    """Build an environment as ``make_env`` does, and reset it."""
+
+    def start(*args: Any, **changes: Any) -> ManagerBasedRLEnv:
+        env = make_env(*args, **changes)
+        env.reset()
+        return env
+
+    return start

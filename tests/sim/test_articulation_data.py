@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from sim.small_envs import run
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.class_members import unsupported_members
 from wheelleg_exp.sim.engine import Engine
@@ -79,12 +80,10 @@ def test_the_roots_members_are_those_of_the_first_body(env):
     assert torch.equal(state.root_com_lin_vel_b, state.root_lin_vel_b)
 
 
-def test_accelerations_are_of_the_last_physics_step(make_env):
-    env = make_env()
-    env.reset()
-    robot, actions = env.scene.robot, torch.zeros(N, 4)
-    for _ in range(50):
-        env.step(actions)
+def test_accelerations_are_of_the_last_physics_step(start_env):
+    env = start_env()
+    robot = env.scene.robot
+    run(env, 50)
     assert robot.data.body_lin_acc_w[:, 0].abs().max() < 0.05
     pose = robot.data.root_link_pose_w.clone()
     pose[:, 2] += 5.0
@@ -92,16 +91,14 @@ def test_accelerations_are_of_the_last_physics_step(make_env):
     robot.write_root_velocity_to_sim(torch.tensor([[1.0, 0, 0, 0, 0, 0]]).repeat(N, 1))
     env.scene.refresh()
     assert robot.data.body_acc_w.abs().max() == 0.0  # A written velocity does not count as acceleration.
-    env.step(actions)
+    run(env)
     mass = robot.data.default_mass.unsqueeze(2)
     whole = (robot.data.body_lin_acc_w * mass).sum(dim=1) / mass.sum(dim=1)
     assert whole[0].tolist() == pytest.approx([0.0, 0.0, -9.81], abs=0.01)
 
 
-def test_first_asked_for_accelerations_are_those_of_one_who_asked_before(make_env):
-    early, late = make_env(), make_env()
-    for env in (early, late):
-        env.reset()
+def test_accelerations_do_not_depend_on_when_they_are_first_read(start_env):
+    early, late = start_env(), start_env()
     for k in range(5):
         action = torch.sin(torch.arange(4.0) + k).expand(N, 4)
         early.scene.robot.data.body_acc_w  # noqa: B018
@@ -114,23 +111,15 @@ def test_first_asked_for_accelerations_are_those_of_one_who_asked_before(make_en
     assert torch.equal(early.scene.sim.state, late.scene.sim.state)
 
 
-def test_an_engine_may_give_copies_of_the_motion_state(make_env, monkeypatch):
-    env, other = make_env(), make_env()
+def test_an_engine_can_return_copies_of_the_motion_state_and_accelerations_are_saved(make_env, start_env, monkeypatch):
+    env, other, restored = start_env(), start_env(), make_env()
     for one in (env, other):
-        one.reset()
         one.step(torch.ones(N, 4))
-    wanted = env.scene.robot.data.body_acc_w
-    monkeypatch.setattr(type(other.scene.sim), "motion", Engine.motion)
-    assert torch.equal(other.scene.robot.data.body_acc_w, wanted)
-    assert wanted.abs().max() > 1.0
-
-
-def test_accelerations_survive_saving(make_env):
-    env, other = make_env(), make_env()
-    env.reset()
-    env.step(torch.ones(N, 4))
     wanted = env.scene.robot.data.body_acc_w.clone()
-    other.load_state_dict(env.state_dict())
+    assert wanted.abs().max() > 1.0
+    restored.load_state_dict(env.state_dict())
+    assert torch.equal(restored.scene.robot.data.body_acc_w, wanted)
+    monkeypatch.setattr(type(other.scene.sim), "motion", Engine.motion)
     assert torch.equal(other.scene.robot.data.body_acc_w, wanted)
 
 
@@ -157,18 +146,14 @@ def test_parameters_of_joints(make_env):
     assert data.joint_limits.shape == data.default_joint_pos_limits.shape == (N, 4, 2)
 
 
-def test_constants(env):
+def test_constants_and_default_states(env, make_env):
     data = env.scene.robot.data
     assert data.GRAVITY_VEC_W.tolist() == N * [[0.0, 0.0, -1.0]]
     assert data.FORWARD_VEC_B.tolist() == N * [[1.0, 0.0, 0.0]]
     assert data.default_root_state[1].tolist() == pytest.approx([0, 0, 0.3, 1, 0, 0, 0] + 6 * [0])
-    assert data.body_names == env.scene.robot.body_names
-    assert data.joint_names == env.scene.robot.joint_names
-
-
-def test_a_changed_default_state_is_saved(make_env):
-    env, other = make_env(), make_env()
-    env.scene.robot.data.default_root_state[2, 2] = 0.7
+    assert (data.body_names, data.joint_names) == (env.scene.robot.body_names, env.scene.robot.joint_names)
+    data.default_root_state[2, 2] = 0.7
+    other = make_env()
     other.load_state_dict(env.state_dict())
     assert float(other.scene.robot.data.default_root_state[2, 2]) == pytest.approx(0.7)
 
@@ -182,7 +167,7 @@ def test_a_changed_default_state_is_saved(make_env):
         ("robot", "root_physx_view", "no PhysX"),
     ],
 )
-def test_what_is_absent_says_so(make_env, owner, name, why):
+def test_an_unsupported_member_names_the_alternative(make_env, owner, name, why):
     robot = make_env().scene.robot
     holder = robot.data if owner == "data" else robot
     assert name in unsupported_members(type(holder))
@@ -191,9 +176,8 @@ def test_what_is_absent_says_so(make_env, owner, name, why):
         getattr(holder, name)
 
 
-def test_written_states_are_read_again(make_env):
-    env = make_env()
-    robot, gen = env.scene.robot, torch.Generator().manual_seed(1)
+def test_written_states_are_read_back(make_env):
+    robot, gen = make_env().scene.robot, torch.Generator().manual_seed(1)
     ids = torch.tensor([3, 1])
     quat = torch.nn.functional.normalize(torch.randn(2, 4, generator=gen), dim=1)
     state = torch.cat((torch.randn(2, 3, generator=gen), quat, torch.randn(2, 6, generator=gen)), dim=1)

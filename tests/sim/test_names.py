@@ -42,7 +42,7 @@ def test_a_number_is_for_all_names_and_a_mapping_leaves_the_default_where_nothin
         (spread, {".*": 2.0, "left_hip": 1.0}, "matched by both"),
     ],
 )
-def test_wrong_expressions_are_refused(call, given, words):
+def test_wrong_expressions_are_rejected(call, given, words):
     with pytest.raises(ConfigError) as caught:
         call(given)
     assert words in str(caught.value)

@@ -1,18 +1,18 @@
+import math
+
 import mujoco
 import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import physics_step
+from sim.small_envs import physics_step, run
 
 ALL = torch.arange(4)
 
 
 @pytest.fixture
-def env(make_env):
-    env = make_env()
-    env.reset()
-    return env
+def env(start_env):
+    return start_env()
 
 
 def _random_pose(env, seed=0):
@@ -67,14 +67,12 @@ def test_the_conversion_uses_each_environments_own_centre_of_mass(env):
 
 
 def test_projected_gravity_and_heading_by_hand(env):
-    robot = env.scene.robot
-    half = torch.tensor(0.3)
-    pitch = torch.tensor([[torch.cos(half), 0, torch.sin(half), 0]]).expand(4, 4)
-    robot.write_root_pose_to_sim(torch.cat((torch.zeros(4, 3), pitch), dim=1), ALL)
-    expected = torch.tensor([[torch.sin(2 * half), 0.0, -torch.cos(2 * half)]]).expand(4, 3)
+    robot, cos, sin = env.scene.robot, math.cos(0.3), math.sin(0.3)
+    pitch, yaw = (torch.tensor([[0.0, 0.0, 0.0, *quat]] * 4) for quat in ([cos, 0, sin, 0], [cos, 0, 0, sin]))
+    robot.write_root_pose_to_sim(pitch, ALL)
+    expected = torch.tensor([[math.sin(0.6), 0.0, -math.cos(0.6)]]).expand(4, 3)
     torch.testing.assert_close(robot.data.projected_gravity_b, expected)
-    yaw = torch.tensor([[torch.cos(half), 0, 0, torch.sin(half)]]).expand(4, 4)
-    robot.write_root_pose_to_sim(torch.cat((torch.zeros(4, 3), yaw), dim=1), ALL)
+    robot.write_root_pose_to_sim(yaw, ALL)
     torch.testing.assert_close(robot.data.heading_w, torch.full((4,), 0.6))
 
 
@@ -90,8 +88,7 @@ def test_a_read_after_a_write_is_the_written_value_without_a_forward(env):
     robot = env.scene.robot
     assert robot.data.joint_pos[0, 0] != 0.4
     robot.write_joint_state_to_sim(torch.tensor([[0.4]]), torch.tensor([[1.5]]), torch.tensor([1]), torch.tensor([2]))
-    assert robot.data.joint_pos[2, 1] == pytest.approx(0.4)
-    assert robot.data.joint_vel[2].tolist() == [0, 1.5, 0, 0]
+    assert (robot.data.joint_pos[2, 1], robot.data.joint_vel[2].tolist()) == (pytest.approx(0.4), [0, 1.5, 0, 0])
     assert robot.data.joint_pos[1, 1] == pytest.approx(0.2)
 
 
@@ -111,13 +108,11 @@ def test_writing_joint_velocities_zeroes_the_acceleration(env):
     assert env.scene.robot.data.joint_acc.abs().max() == 0
 
 
-def test_acceleration_and_torque_are_zero_after_a_reset_until_the_next_step(make_env):
-    env = make_env(events={})
-    env.reset()
+def test_acceleration_and_torque_are_zero_after_a_reset_until_the_next_step(start_env):
+    env = start_env(events={})
     env.scene.robot.set_joint_position_target(torch.full((4, 4), 0.5), slice(None))
     env.scene.robot.set_joint_velocity_target(torch.full((4, 4), 2.0), slice(None))
-    for _ in range(4):
-        physics_step(env)
+    physics_step(env, 4)
     data = env.scene.robot.data
     assert (data.applied_torque.abs() > 0.01).all()
     env.reset(env_ids=torch.tensor([1]))
@@ -164,51 +159,40 @@ def test_a_permanent_wrench_acts_in_link_axes_and_turns_with_the_body(env):
 
 def test_a_permanent_wrench_lasts_until_its_environments_reset(env):
     _permanent(env, ALL, torch.tensor([0.0, 0, 1.0, 0, 0, 0]))
-    for _ in range(6):
-        env.step(torch.zeros(4, 4))
-    base = env.scene.model.body("base").id
-    force = env.scene.sim.view("xfrc_applied")[:, base]
+    run(env, 6)
+    force = env.scene.sim.view("xfrc_applied")[:, env.scene.model.body("base").id]
     assert (force[:, :3].norm(dim=1) > 0.99).all()
     env.reset(env_ids=torch.tensor([0, 2]))
     env.step(torch.zeros(4, 4))
     assert (force.norm(dim=1) > 0.99).tolist() == [False, True, False, True]
 
 
-def test_a_wrench_of_one_environment_leaves_others_and_other_bodies_alone(env):
-    _permanent(env, torch.tensor([1]), torch.tensor([1.0, 0, 0, 0, 0, 0]))
+def test_wrenches_act_on_their_environment_and_all_their_bodies_only(env):
+    robot, bodies = env.scene.robot, [env.scene.model.body(name).id for name in ("base", "left_wheel")]
+    first, second = torch.zeros(1, 1, 6), torch.zeros(1, 1, 6)
+    first[..., 0], second[..., 1] = 1.0, 2.0
+    robot.set_permanent_wrench(torch.tensor([1]), [3], first)
+    robot.set_permanent_wrench(torch.tensor([1]), [0], second)
     physics_step(env)
     applied = env.scene.sim.view("xfrc_applied")
     assert (applied.abs().sum(dim=(1, 2)) > 0).tolist() == [False, True, False, False]
-    assert (applied[1].abs().sum(dim=1) > 0).nonzero().flatten().tolist() == [env.scene.model.body("base").id]
+    assert (applied[1].abs().sum(dim=1) > 0).nonzero().flatten().tolist() == sorted(bodies)
+    assert applied[1, bodies].norm(dim=1).tolist() == pytest.approx([2.0, 1.0])
 
 
-def test_wrenches_on_several_bodies_given_one_after_another_all_act(env):
-    robot = env.scene.robot
-    first, second = torch.zeros(4, 1, 6), torch.zeros(4, 1, 6)
-    first[..., 0], second[..., 1] = 1.0, 2.0
-    robot.set_permanent_wrench(ALL, [3], first)
-    robot.set_permanent_wrench(ALL, [0], second)
-    env.scene.write_data_to_sim()
-    applied = env.scene.sim.view("xfrc_applied")[0]
-    assert applied[env.scene.model.body("left_wheel").id].norm() == pytest.approx(1.0)
-    assert applied[env.scene.model.body("base").id].norm() == pytest.approx(2.0)
-
-
-def test_a_robots_state_goes_round(env, make_env):
+def test_a_robots_state_is_saved_and_restored(env, make_env):
     robot = env.scene.robot
     robot.set_joint_position_target(torch.full((4, 2), 0.7), torch.tensor([0, 1]))
     robot.set_joint_effort_target(torch.full((4, 1), 0.3), torch.tensor([2]))
     _permanent(env, ALL, torch.tensor([1.0, 2, 3, 4, 5, 6]))
-    for _ in range(3):
-        physics_step(env)
+    physics_step(env, 3)
     other = make_env(seed=9)
     other.scene.load_state_dict(env.scene.state_dict())
     mine, theirs = robot.data, other.scene.robot.data
     for name in ("joint_pos", "joint_vel", "joint_acc", "applied_torque", "computed_torque", "joint_effort_target"):
         assert torch.equal(getattr(mine, name), getattr(theirs, name)), name
-    for _ in range(3):
-        physics_step(env)
-        physics_step(other)
+    for one in (env, other):
+        physics_step(one, 3)
     assert torch.equal(env.scene.sim.state, other.scene.sim.state)
     assert torch.equal(mine.applied_torque, theirs.applied_torque)
 
@@ -217,12 +201,13 @@ def test_a_reset_of_the_scene_leaves_state_and_targets_to_events_and_actions(mak
     env = make_env(events={})
     robot, gen = env.scene.robot, torch.Generator().manual_seed(2)
     env.reset()
-    for _ in range(3):
-        env.step(torch.ones(4, 4))
+    run(env, 3, 1.0)
     robot.set_joint_position_target(torch.randn(4, 4, generator=gen))
     robot.set_joint_effort_target(torch.randn(4, 4, generator=gen))
-    kept = [t.clone() for t in (*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel"))]
+    before = [
+        t.clone() for t in (*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel"))
+    ]
     env.scene.reset(torch.tensor([1, 3]))
     now = [*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel")]
-    assert len(kept) == 5
-    assert all(map(torch.equal, kept, now))
+    assert len(before) == 5
+    assert all(map(torch.equal, before, now))

@@ -14,24 +14,16 @@ def quats() -> torch.Tensor:
     return torch.nn.functional.normalize(q, dim=1)
 
 
-@pytest.fixture
-def vectors() -> torch.Tensor:
-    return torch.randn(50, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-
-
-def _matrix(q: torch.Tensor) -> np.ndarray:
-    out = np.zeros(9)
-    mujoco.mju_quat2Mat(out, q.numpy())
-    return out.reshape(3, 3)
-
-
 def test_matrices_are_mujocos(quats):
-    expected = np.stack([_matrix(q) for q in quats])
-    np.testing.assert_allclose(rotation.quat_to_matrix(quats), expected, atol=1e-14)
+    expected = np.zeros((50, 9))
+    for row, quat in zip(expected, quats, strict=True):
+        mujoco.mju_quat2Mat(row, quat.numpy())
+    np.testing.assert_allclose(rotation.quat_to_matrix(quats), expected.reshape(50, 3, 3), atol=1e-14)
     assert rotation.quat_to_matrix(quats.float()).dtype == torch.float32
 
 
-def test_rotating_and_rotating_back(quats, vectors):
+def test_rotating_and_rotating_back(quats):
+    vectors = torch.randn(50, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     expected = np.zeros((50, 3))
     for row, q, v in zip(expected, quats, vectors, strict=True):
         mujoco.mju_rotVecQuat(row, v.numpy(), q.numpy())
@@ -75,15 +67,13 @@ def test_random_orientations_are_uniform_on_the_sphere():
     ],
 )
 def test_wrapping_to_pi_keeps_the_sign_of_odd_multiples(angle, wrapped):
-    got = rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))
-    assert float(got) == pytest.approx(wrapped, abs=1e-12)
+    assert float(rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))) == pytest.approx(wrapped, abs=1e-12)
 
 
 def test_uniform_draws_stay_in_bounds_and_axes_are_independent():
     low, high = torch.tensor([-1.0, 2.0]), torch.tensor([1.0, 2.0])
     drawn = rotation.uniform(low, high, 5000, torch.Generator().manual_seed(0))
     assert drawn.shape == (5000, 2)
-    assert float(drawn[:, 0].min()) >= -1
-    assert float(drawn[:, 0].max()) <= 1
+    assert drawn[:, 0].abs().max() <= 1
     assert float(drawn[:, 0].std()) == pytest.approx(2 / math.sqrt(12), abs=0.02)
     assert (drawn[:, 1] == 2.0).all()

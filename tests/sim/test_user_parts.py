@@ -4,6 +4,7 @@ import mujoco
 import pytest
 import torch
 
+from sim.small_envs import run
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.actuators import IdealPDActuator
 from wheelleg_exp.sim.sensors import LazySensor, PatternBase, SensorBase
@@ -19,16 +20,17 @@ def fails(self, *_):
     raise RuntimeError("no signal")
 
 
+RaisesInMeasure = type("RaisesInMeasure", (SensorBase,), {"measure": fails})
+RaisesInConnect = type("RaisesInConnect", (SensorBase,), {"connect": fails})
+RaisesWhenRead = type("RaisesWhenRead", (LazySensor,), {"sense": fails})
+RaisesInRays = type("RaisesInRays", (PatternBase,), {"rays": fails})
+RaisesInAddTo = type("RaisesInAddTo", (TerrainBase,), {"add_to": fails})
+RaisesInControl = type("RaisesInControl", (IdealPDActuator,), {"control": fails})
+RaisesInReset = type("RaisesInReset", (IdealPDActuator,), {"reset": fails})
+
+
 class NoMeasure(SensorBase):
     pass
-
-
-class RaisesInMeasure(SensorBase):
-    measure = fails
-
-
-class RaisesInConnect(SensorBase):
-    connect = fails
 
 
 class NoSuper(SensorBase):
@@ -39,10 +41,6 @@ class NoSuper(SensorBase):
 class NoSuperInConnect(SensorBase):
     def connect(self, sim, stream):
         pass
-
-
-class RaisesWhenRead(LazySensor):
-    sense = fails
 
 
 class TwoSizes(PatternBase):
@@ -58,10 +56,6 @@ class NoLength(PatternBase):
 class StartsAlone(PatternBase):
     def rays(self, device):
         return torch.zeros(4, 3)
-
-
-class RaisesInRays(PatternBase):
-    rays = fails
 
 
 class NoGround(TerrainBase):
@@ -90,32 +84,14 @@ class OneHeight(Floor):
         return torch.zeros(7)
 
 
-class RaisesInAddTo(TerrainBase):
-    add_to = fails
-
-
 class OneJoint(IdealPDActuator):
     def control(self, targets, data):
         return super().control(targets, data)[:, :1]
 
 
-class RaisesInControl(IdealPDActuator):
-    control = fails
-
-
-class RaisesInReset(IdealPDActuator):
-    reset = fails
-
-
 def line_of(name, method, below=0):
     own = globals()[name]
     return f"test_user_parts.py:{inspect.getsourcelines(vars(own).get(method, own))[1] + below}"
-
-
-def stepped(make_env, **changes):
-    env = make_env(**changes)
-    env.reset()
-    env.step(torch.zeros(4, 4))
 
 
 SENSOR, TERRAIN, DRIVE = "env.scene.sensors.mine", "env.scene.terrain", "env.robot.actuators.hips"
@@ -142,7 +118,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("key", "name", "kind", "said", "line"), ROWS)
-def test_a_wrong_part_is_named_with_its_key_file_and_line(make_env, key, name, kind, said, line):
+def test_a_wrong_part_is_named_with_its_key_file_and_line(start_env, key, name, kind, said, line):
     node = {"_target_": HERE + name}
     caster = {"_target_": "wheelleg_exp.sim.sensors.RayCaster", "body_name": "base", "pattern": node}
     changes = {
@@ -152,7 +128,7 @@ def test_a_wrong_part_is_named_with_its_key_file_and_line(make_env, key, name, k
         DRIVE: {"robot": {"actuators": {"hips": node | GROUP}}},
     }
     with pytest.raises(kind) as raised:
-        stepped(make_env, **changes[key])
+        run(start_env(**changes[key]))
     text = str(raised.value)
     assert text.startswith(f"{key}: '{HERE}{name}")
     assert "\n" not in text
@@ -160,7 +136,7 @@ def test_a_wrong_part_is_named_with_its_key_file_and_line(make_env, key, name, k
     assert line_of(name, *line) in text
 
 
-def test_a_lazy_sensor_is_to_blame_for_what_a_term_reads(make_env):
+def test_an_error_in_a_lazy_sensor_names_the_sensor(make_env):
     env = make_env(scene={"sensors": {"mine": {"_target_": HERE + "RaisesWhenRead"}}})
     with pytest.raises(SimulationFailure, match=f"{SENSOR}: '{HERE}RaisesWhenRead.*RuntimeError: no signal"):
         env.scene["mine"].data  # noqa: B018

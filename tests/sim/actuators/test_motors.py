@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import env_config, env_of, physics_step
+from sim.small_envs import physics_step, wheel_env
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.robot_model import JointTargets
 
@@ -38,42 +38,23 @@ def asked_at_speed(env, speed, torque):
         *((-10, -4, 4), (-20, -2, 4), (-30, 0, 4), (-60, 4, 4)),
     ],
 )
-def test_a_motors_torque_keeps_to_its_torque_speed_line(make_env, speed, low, high):
+def test_a_motors_torque_is_limited_by_its_torque_speed_line(make_env, speed, low, high):
     env, _ = with_hips(make_env, "DCMotor", **GAINS, effort_limit=4.0, velocity_limit=30.0, saturation_effort=6.0)
     for torque in (-100.0, 100.0):
         applied, computed = asked_at_speed(env, speed, torque)
-        assert applied == pytest.approx(low if torque < 0 else high, abs=1e-5)
-        assert computed == torque
+        assert (applied, computed) == (pytest.approx(low if torque < 0 else high, abs=1e-5), torque)
     inside = (low + high) / 2
     assert asked_at_speed(env, speed, inside)[0] == pytest.approx(inside, abs=1e-5)
 
 
-@pytest.fixture
-def wheel(make_env, tmp_path):
-    def make(model, **numbers):
-        (tmp_path / "wheel.xml").write_text(
-            "<mujoco><worldbody><body name='mount'><body name='wheel'><joint name='axle' axis='0 1 0'/>"
-            "<inertial pos='0 0 0' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
-        )
-        config = env_config("arm", actions={}, sim={"dt": 0.001, "gravity": [0.0, 0.0, 0.0]})
-        config["robot"]["init_state"] |= {"joint_pos": {}, "joint_vel": {}}
-        config["robot"]["actuators"] = {"a": {"_target_": HERE + model, "joint_names_expr": ["axle"], **numbers}}
-        return env_of(tmp_path / "wheel.xml", config)
-
-    return make
-
-
-def turned(env, steps):
-    for _ in range(steps):
-        physics_step(env)
-    return env.scene.robot.data.joint_vel[0, 0].item()
-
-
-def test_a_motor_runs_up_to_its_no_load_speed_along_its_line(wheel):
-    env = wheel("DCMotor", **GAINS, effort_limit=100.0, velocity_limit=8.0, saturation_effort=0.4)
+def test_a_motor_runs_up_to_its_no_load_speed_along_its_line(tmp_path):
+    motor = {"_target_": HERE + "DCMotor", **GAINS, "effort_limit": 100.0}
+    env = wheel_env(tmp_path, motor | {"velocity_limit": 8.0, "saturation_effort": 0.4})
     env.scene.robot.set_joint_effort_target(torch.full((4, 1), 50.0), slice(None))
     for steps, time in ((100, 0.1), (200, 0.3)):
-        assert turned(env, steps) == pytest.approx(8.0 * (1 - math.exp(-time / 0.2)), rel=0.01)
+        physics_step(env, steps)
+        speed = env.scene.robot.data.joint_vel[0, 0].item()
+        assert speed == pytest.approx(8.0 * (1 - math.exp(-time / 0.2)), rel=0.01)
 
 
 def spread(values):
@@ -95,7 +76,7 @@ def test_a_delayed_drive_acts_on_the_targets_of_some_physics_steps_ago(make_env,
 
 
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator", "DCMotor"])
-def test_every_model_may_have_a_delay(make_env, model):
+def test_every_model_can_have_a_delay(make_env, model):
     more = {"saturation_effort": 1e6} if model == "DCMotor" else {}
     env, hips = with_hips(make_env, model, delay=[2, 2], effort_limit=1e6, velocity_limit=1e6, **more)
     robot, data, ids = env.scene.robot, env.scene.robot.data, hips.joint_ids
@@ -131,8 +112,7 @@ def test_the_targets_of_an_episode_do_not_reach_the_next(make_env):
     for _ in range(3):
         hips.act(spread((1.0, 0.0, 0.0)), data)
     hips.begin(torch.tensor([1, 3]))
-    torque = hips.act(spread((2.0, 0.0, 0.0)), data) + still
-    assert torque[:, 0].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
+    assert (hips.act(spread((2.0, 0.0, 0.0)), data) + still)[:, 0].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
 
 
 TABLE = [[-0.5, 1.0, 1.0], [0.5, 1.0, 3.0], [1.0, 1.0, 2.0]]

@@ -10,18 +10,22 @@ KD = torch.tensor([1.0, 1.0, 0.5, 0.5])
 LIMIT = torch.tensor([4.0, 4.0, 2.0, 2.0])
 
 
-def _env(make_env, model: str, **changes):
-    actuators = make_env().cfg["robot"]["actuators"]
+def _hips(**changes):
+    actuators = env_config()["robot"]["actuators"]
+    actuators["hips"] |= changes
+    return {"actuators": actuators}
+
+
+def _env(start_env, model: str, **changes):
+    actuators = env_config()["robot"]["actuators"]
     for group in actuators.values():
         group["_target_"] = f"wheelleg_exp.sim.actuators.{model}"
-    env = make_env(robot={"actuators": actuators}, **changes)
-    env.reset()
-    return env
+    return start_env(robot={"actuators": actuators}, **changes)
 
 
 @pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
-def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_step(make_env, model):
-    env = _env(make_env, model)
+def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_step(start_env, model):
+    env = _env(start_env, model)
     robot, data = env.scene.robot, env.scene.robot.data
     gen = torch.Generator().manual_seed(0)
     clipped = False
@@ -38,12 +42,10 @@ def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_s
     assert clipped
 
 
-def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(make_env):
-    env = _env(make_env, "ImplicitActuator")
+def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(start_env):
+    env = _env(start_env, "ImplicitActuator")
     env.scene.sim.view("actuator_force")
-    robot = env.scene.robot
-    seen = []
-    update = env.scene.update
+    robot, seen, update = env.scene.robot, [], env.scene.update
 
     def spy():
         update()
@@ -56,29 +58,22 @@ def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(make_e
     assert torch.equal(robot.data.applied_torque, seen[1])
 
 
-def test_armatures_and_gains_reach_the_model(make_env):
-    model = _env(make_env, "ImplicitActuator").scene.model
+def test_armatures_and_gains_reach_the_model(start_env):
+    model = _env(start_env, "ImplicitActuator").scene.model
     assert model.joint("left_hip").damping[0] == 0
     assert model.dof_armature[model.joint("right_axle").dofadr[0]] == 0.01
     drive = model.actuator("right_hip")
-    assert drive.biasprm[:3].tolist() == [0, -20, -1]
-    assert drive.gainprm[0] == 1
-    assert drive.forcerange.tolist() == [-4, 4]
+    assert (drive.biasprm[:3].tolist(), drive.gainprm[0], drive.forcerange.tolist()) == ([0, -20, -1], 1, [-4, 4])
 
 
-def test_without_an_armature_the_assets_own_is_kept(tmp_path):
-    config = env_config()
-    config["robot"]["actuators"]["hips"]["armature"] = None
-    env = env_of(variant(tmp_path, 'name="left_hip"', 'name="left_hip" armature=".07"'), config)
-    assert env.scene.model.joint("left_hip").armature[0] == 0.07
+def test_without_an_armature_the_assets_is_used(tmp_path):
+    path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" armature=".07"')
+    assert env_of(path, env_config(robot=_hips(armature=None))).scene.model.joint("left_hip").armature[0] == 0.07
 
 
 def test_numbers_by_joint_reach_their_joints(make_env):
-    actuators = make_env().cfg["robot"]["actuators"]
-    actuators["hips"]["stiffness"] = {"left_.*": 5.0, "right_.*": 7.0}
-    env = make_env(robot={"actuators": actuators})
-    assert env.scene.model.actuator("left_hip").biasprm[1] == -5
-    assert env.scene.model.actuator("right_hip").biasprm[1] == -7
+    env = make_env(robot=_hips(stiffness={"left_.*": 5.0, "right_.*": 7.0}))
+    assert [env.scene.model.actuator(f"{side}_hip").biasprm[1] for side in ("left", "right")] == [-5, -7]
 
 
 @pytest.mark.parametrize(
@@ -91,24 +86,19 @@ def test_numbers_by_joint_reach_their_joints(make_env):
     ],
 )
 def test_wrong_numbers_name_their_key(make_env, key, value, message):
-    actuators = make_env().cfg["robot"]["actuators"]
-    actuators["hips"][key] = value
     with pytest.raises(ConfigError, match=message) as caught:
-        make_env(robot={"actuators": actuators})
+        make_env(robot=_hips(**{key: value}))
     assert caught.value.key == f"env.robot.actuators.hips.{key}"
 
 
-def _late(make_env, **changes):
-    actuators = make_env().cfg["robot"]["actuators"]
-    actuators["hips"]["_target_"] = "managers.spies.Late"
-    env = make_env(robot={"actuators": actuators}, **changes)
-    env.reset()
+@pytest.fixture
+def late(start_env, allow_test_terms):
+    env = start_env(robot=_hips(_target_="managers.spies.Late"))
     return env, env.scene.robot.actuators["hips"]
 
 
-@pytest.mark.usefixtures("allow_test_terms")
-def test_an_actuator_with_a_memory_has_a_stream_and_acts_on_what_it_remembers(make_env):
-    env, late = _late(make_env)
+def test_an_actuator_with_a_memory_has_a_stream_and_uses_its_memory(late):
+    env, late = late
     named = env.streams.state_dict()["generators"]
     assert "env.robot.actuators.hips" in named
     assert "env.robot.actuators.axles" not in named
@@ -119,17 +109,15 @@ def test_an_actuator_with_a_memory_has_a_stream_and_acts_on_what_it_remembers(ma
         robot.set_joint_position_target(target, slice(None))
         q, qd = data.joint_pos[:, ids].clone(), data.joint_vel[:, ids].clone()
         physics_step(env)
-        then = (targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset
-        expected = KP[ids] * (then - q) - KD[ids] * qd
+        expected = KP[ids] * ((targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset - q) - KD[ids] * qd
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
         robot.set_joint_position_target(torch.zeros(4, 4), slice(None))
         data.invalidate()
         torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.usefixtures("allow_test_terms")
-def test_an_actuators_memory_is_reset_with_its_environment(make_env):
-    env, late = _late(make_env)
+def test_an_actuators_memory_is_reset_with_its_environment(late):
+    env, late = late
     env.step(torch.ones(4, 4))
     late.past.fill_(1.0)
     env.reset(env_ids=torch.tensor([1, 3]))

@@ -20,8 +20,7 @@ class Recurrent(torch.nn.Module):
 
 def perceptron(inputs: int = 6, outputs: int = 1) -> torch.nn.Sequential:
     torch.manual_seed(0)
-    layers = torch.nn.Linear(inputs, 16), torch.nn.Softsign(), torch.nn.Linear(16, outputs)
-    return torch.nn.Sequential(*layers)
+    return torch.nn.Sequential(torch.nn.Linear(inputs, 16), torch.nn.Softsign(), torch.nn.Linear(16, outputs))
 
 
 def recurrent() -> Recurrent:

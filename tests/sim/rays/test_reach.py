@@ -41,7 +41,7 @@ def test_rays_together_reach_what_lies_between_them():
     assert reached(ROW, [4.0, 0.0, 3.0], [0, 0, -1], [0, 0, 1]).tolist() == [2]
 
 
-def test_whatever_a_ray_meets_it_reaches():
+def test_a_ray_reaches_everything_that_it_meets():
     both, rng = model(MIXED), np.random.default_rng(0)
     data = mujoco.MjData(both)
     mujoco.mj_forward(both, data)

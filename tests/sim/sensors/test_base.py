@@ -1,40 +1,37 @@
 import pytest
 import torch
 
+from sim.small_envs import run
+
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
-MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
 
 
-def _env(make_env, **settings):
-    sensors = {"height": {"_target_": "managers.spies.Altimeter", **settings}}
-    env = make_env(scene={"sensors": sensors})
-    env.reset()
+def _env(start_env, **settings):
+    env = start_env(scene={"sensors": {"height": {"_target_": "managers.spies.Altimeter", **settings}}})
     return env, env.scene["height"]
 
 
-def test_it_is_a_member_of_the_scene_with_a_stream_of_its_own(make_env):
-    env, sensor = _env(make_env)
-    assert list(env.scene) == ["robot", "terrain", "height"]
-    assert sensor.key == "env.scene.sensors.height"
+def test_a_sensor_is_a_member_of_the_scene_with_its_own_stream(start_env):
+    env, sensor = _env(start_env)
+    assert (list(env.scene), sensor.key) == (["robot", "terrain", "height"], "env.scene.sensors.height")
     assert sensor.key in env.streams.state_dict()["generators"]
 
 
-def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(make_env):
-    env, sensor = _env(make_env)
+def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(start_env):
+    env, sensor = _env(start_env)
     env.step(torch.zeros(4, 4))
     assert sensor.measured.tolist() == [2] * 4
-    height = env.scene.robot.data.root_pos_w[:, 2]
-    torch.testing.assert_close(sensor.height, height, atol=0.01, rtol=0)
+    torch.testing.assert_close(sensor.height, env.scene.robot.data.root_pos_w[:, 2], atol=0.01, rtol=0)
     env.reset(env_ids=torch.tensor([2]))
     assert sensor.measured.tolist() == [2, 2, 0, 2]
     assert float(sensor.height[2]) == float(env.scene.robot.data.root_pos_w[2, 2])
 
 
-def test_its_rhythm_runs_in_each_environment_by_itself(make_env):
-    env, sensor = _env(make_env, update_period=0.03)
+def test_the_update_period_is_counted_in_each_environment(start_env):
+    env, sensor = _env(start_env, update_period=0.03)
     counts = []
     for _ in range(4):
-        env.step(torch.zeros(4, 4))
+        run(env)
         counts.append(sensor.measured.tolist())
     assert [row[0] for row in counts] == [1, 2, 2, 3]
     env.reset(env_ids=torch.tensor([1]))
@@ -43,11 +40,10 @@ def test_its_rhythm_runs_in_each_environment_by_itself(make_env):
 
 
 @pytest.mark.parametrize("period", [0.0, 0.03])
-def test_it_goes_on_from_its_saved_state(make_env, period):
-    env, sensor = _env(make_env, update_period=period)
-    for _ in range(4):
-        env.step(torch.zeros(4, 4))
-    other, same = _env(make_env, update_period=period)
+def test_it_continues_from_its_saved_state(start_env, period):
+    env, sensor = _env(start_env, update_period=period)
+    run(env, 4)
+    other, same = _env(start_env, update_period=period)
     other.load_state_dict(env.state_dict())
     for _ in range(5):
         env.step(torch.ones(4, 4))

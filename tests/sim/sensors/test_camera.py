@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from sim.sensors.grounds import STEP
+from sim.small_envs import run
 from wheelleg_exp.rendering import renderer
 from wheelleg_exp.rendering.renderer import NoGraphics
 from wheelleg_exp.sim import rotation
@@ -18,21 +19,18 @@ ALL = torch.arange(2)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, base="block", body="block", **settings):
         node = {"_target_": "wheelleg_exp.sim.sensors.Camera", "body_name": body, "width": 40, "height": 30}
         scene = {"sensors": {"eye": {**node, "offset": BELOW, **settings}}}
         scene |= {} if ground is None else {"terrain": ground}
-        env = make_env(base, num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
-        env.reset()
-        return env
+        return start_env(base, num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
 
     return build
 
 
 def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0, ids=ALL):
-    angles = (torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw))
-    quat = rotation.quat_from_euler_xyz(*angles)
+    quat = rotation.quat_from_euler_xyz(*(torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw)))
     env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos).expand(len(ids), 3), quat), dim=1), ids)
     env.scene.refresh()
     return env.scene["eye"].data
@@ -59,8 +57,7 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
     c, s = math.cos, math.sin
     # This is the last row of the matrix Rz Ry Rx.
     lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.25), c(-0.3) * c(0.25)])
-    start = 1.3 - 0.2 * lowest[2]
-    along = (start / -(ahead @ lowest)).unsqueeze(-1)
+    along = ((1.3 - 0.2 * lowest[2]) / -(ahead @ lowest)).unsqueeze(-1)
     assert data.output["depth"].shape == (2, 30, 40, 1)
     for kind in ("depth", "distance_to_image_plane"):
         torch.testing.assert_close(data.output[kind][1], along, atol=0, rtol=1e-4)
@@ -70,7 +67,7 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
 
 
 @pytest.mark.parametrize("kind", ["distance_to_image_plane", "distance_to_camera"])
-def test_each_pixel_shows_a_point_of_the_surface_that_it_belongs_to(make, kind):
+def test_each_pixel_shows_a_point_of_its_surface(make, kind):
     optics = {"focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 40.0}
     shift = {"horizontal_aperture_offset": 0.15, "vertical_aperture_offset": -0.1}
     env = make(STEP, data_types=[kind, "instance_id_segmentation_fast"], **optics, **shift)
@@ -81,10 +78,9 @@ def test_each_pixel_shows_a_point_of_the_surface_that_it_belongs_to(make, kind):
     low, step = seen[geom == number["ground"]], seen[geom == number["ground/step"]]
     assert min(len(low), len(step)) > 300
     torch.testing.assert_close(low[:, 2], torch.zeros(len(low)), atol=1e-3, rtol=0)
-    outside = torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0)
-    assert outside.min() > -1e-3
-    top = step[(step[:, 2] - 0.25).abs() < 1e-3]
-    side = step[(step[:, 2] - 0.25).abs() >= 1e-3]
+    assert torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0).min() > -1e-3
+    is_top = (step[:, 2] - 0.25).abs() < 1e-3
+    top, side = step[is_top], step[~is_top]
     assert len(top) > 200
     assert len(side) > 10
     assert top[:, 0].min() > 3.999
@@ -116,27 +112,20 @@ def test_one_camera_in_three_conventions(make, convention, rot):
     torch.testing.assert_close(seen[on_step][:, 2], torch.full((int(on_step.sum()),), 0.25), atol=1e-3, rtol=0)
 
 
-def test_what_faces_the_camera_has_the_colour_of_its_material(make):
-    env = make(data_types=["rgb", "rgba"], fovy=0.3)
-    data = place(env, [0.0, 0.0, 1.0])
+def test_a_surface_facing_the_camera_has_the_colour_of_its_material(make):
+    data = place(make(data_types=["rgb", "rgba"], fovy=0.3), [0.0, 0.0, 1.0])
     plane = torch.tensor([0.35, 0.38, 0.42]) * 255.0
-    assert data.output["rgb"].dtype == torch.uint8
-    assert data.output["rgb"].shape == (2, 30, 40, 3)
+    assert (data.output["rgb"].dtype, data.output["rgb"].shape) == (torch.uint8, (2, 30, 40, 3))
     torch.testing.assert_close(data.output["rgb"][0, 15, 20].float(), plane, atol=3.0, rtol=0)
     assert torch.equal(data.output["rgba"][..., :3], data.output["rgb"])
     assert (data.output["rgba"][..., 3] == 255).all()
 
 
 @pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 5.0)])
-def test_beyond_the_range_is_nothing(make, behavior, beyond):
-    env = make(
-        data_types=["distance_to_image_plane", "distance_to_camera", "semantic_segmentation"],
-        offset={"pos": [0.3, 0.0, 0.0], "convention": "world"},
-        fovy=0.9,
-        clipping_range=[0.05, 5.0],
-        depth_clipping_behavior=behavior,
-    )
-    data = place(env, [0.0, 0.0, 1.0])
+def test_distances_beyond_the_range_follow_the_clipping_behavior(make, behavior, beyond):
+    settings = {"fovy": 0.9, "clipping_range": [0.05, 5.0], "depth_clipping_behavior": behavior}
+    settings |= {"data_types": ["distance_to_image_plane", "distance_to_camera", "semantic_segmentation"]}
+    data = place(make(offset={"pos": [0.3, 0.0, 0.0], "convention": "world"}, **settings), [0.0, 0.0, 1.0])
     down = (torch.arange(30) - 14.5) / (15 / math.tan(0.45))
     seen = 1.0 / down < 5.0
     depth = data.output["distance_to_image_plane"][0, :, 20, 0]
@@ -165,19 +154,18 @@ def test_a_picture_shows_its_own_robot_alone_whatever_was_drawn_before(make):
     assert all(torch.equal(again.output[kind], first[kind]) for kind in kinds)
 
 
-def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make):
-    env = make(update_period=0.03, data_types=["rgb", "depth"])
+def test_with_a_period_the_last_image_is_held_and_continues_from_its_state(make):
+    env, other = (make(update_period=0.03, data_types=["rgb", "depth"]) for _ in range(2))
     data = place(env, [0.0, 0.0, 1.0])
-    env.step(torch.zeros(2, 1))  # The reset takes the episode's first picture.
+    run(env)  # The reset takes the episode's first picture.
     held = data.output["depth"].clone()
-    env.step(torch.zeros(2, 1))
+    run(env)
     new = env.scene["eye"].data.output["depth"].clone()
     assert not torch.equal(held, new)
-    other = make(update_period=0.03, data_types=["rgb", "depth"])
     other.load_state_dict(env.state_dict())
     assert torch.equal(other.scene["eye"].data.output["depth"], new)
-    env.step(torch.zeros(2, 1))
-    other.step(torch.zeros(2, 1))
+    for each in (env, other):
+        run(each)
     assert torch.equal(other.scene["eye"].data.output["depth"], env.scene["eye"].data.output["depth"])
 
 
@@ -192,7 +180,7 @@ def test_its_process_ends_with_it(make, monkeypatch):
     assert started[0].poll() == 0
 
 
-def test_where_nothing_can_be_drawn_the_sensor_is_named(make, monkeypatch):
+def test_without_graphics_the_error_names_the_sensor(make, monkeypatch):
     monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # no display here
     env = make()
     with pytest.raises(NoGraphics, match=r"env\.scene\.sensors\.eye: drawing is not possible.*libegl1"):

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from sim.small_envs import CONTACT, env_config, env_of, init_state, physics_step, variant
+from sim.small_envs import CONTACT, env_config, env_of, init_state, physics_step, run, variant
 from wheelleg_exp.errors import WheellegError
 
 WEIGHT = 2.001 * 9.81
@@ -11,20 +11,13 @@ STILL = torch.zeros(4, 1)
 TRACKED = {"track_contact_points": True, "track_friction_forces": True}
 
 
-def _sensing(make_env, base="block", **changes):
-    env = make_env(base, scene={"sensors": {"contact": CONTACT | changes}})
-    env.reset()
-    return env
+def _sensing(start_env, base="block", **changes):
+    return start_env(base, scene={"sensors": {"contact": CONTACT | changes}})
 
 
 @pytest.fixture
-def env(make_env):
-    return _sensing(make_env)
-
-
-def _settle(env, steps=60):
-    for _ in range(steps):
-        env.step(STILL)
+def env(start_env):
+    return _sensing(start_env)
 
 
 def _lift(env):
@@ -32,24 +25,23 @@ def _lift(env):
     env.scene.refresh()
 
 
-def test_the_force_keeps_its_direction_when_the_body_is_upside_down(env):
+def test_the_force_has_world_axes_when_the_body_is_upside_down(env):
     robot = env.scene.robot
-    robot.write_root_pose_to_sim(
-        torch.cat((robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)), dim=1)
-    )
+    upside_down = torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)
+    robot.write_root_pose_to_sim(torch.cat((robot.data.root_pos_w.clone(), upside_down), dim=1))
     env.scene.refresh()
-    _settle(env)
+    run(env, 60)
     assert float(robot.data.projected_gravity_b[0, 2]) == pytest.approx(1.0, abs=1e-3)
     weight = torch.tensor([0.0, 0.0, WEIGHT]).expand(4, 3)
     torch.testing.assert_close(env.scene["contact"].data.net_forces_w[:, 0], weight, atol=0.02, rtol=0)
 
 
 def test_friction_is_left_out(env):
-    _settle(env)
+    run(env, 60)
     wrench = torch.zeros(4, 1, 6)
     wrench[:, 0, 0] = 5.0  # Static friction balances 5 N, because its maximum is 0.65 * 19.6 N.
     env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
-    _settle(env)
+    run(env, 60)
     force = env.scene["contact"].data.net_forces_w[:, 0]
     assert env.scene.robot.data.root_lin_vel_w.abs().max() < 5e-3
     assert force[:, :2].abs().max() < 0.01
@@ -69,18 +61,17 @@ def test_history_is_newest_first_and_rolls_each_physics_step(env):
 
 
 def test_history_and_times_are_clean_after_a_reset(env):
-    _settle(env)
+    run(env, 60)
     env.reset(env_ids=torch.tensor([1, 3]))
-    sensor = env.scene["contact"]
-    assert (sensor.data.net_forces_w_history[[1, 3]] == 0).all()
-    assert (sensor.data.current_contact_time[[1, 3]] == 0).all()
-    assert (sensor.data.current_air_time[[1, 3]] == 0).all()
-    assert (sensor.data.net_forces_w_history[[0, 2]] != 0).any()
-    assert (sensor.max_force_norm()[[1, 3]] == 0).all()
+    sensor, data = env.scene["contact"], env.scene["contact"].data
+    history = data.net_forces_w_history
+    for value in (history, data.current_contact_time, data.current_air_time, sensor.max_force_norm()):
+        assert (value[[1, 3]] == 0).all()
+    assert (history[[0, 2]] != 0).any()
 
 
 def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_steps(env):
-    _settle(env)
+    run(env, 60)
     sensor = env.scene["contact"]
     env.step(STILL)
     _lift(env)
@@ -88,13 +79,12 @@ def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_st
     for _ in range(2):
         env.step(STILL)
         seen.append(float(sensor.max_force_norm()[0, 0]))
-    assert seen[0] == pytest.approx(WEIGHT, abs=0.02)
-    assert seen[1] == 0.0
+    assert seen == [pytest.approx(WEIGHT, abs=0.02), 0.0]
 
 
-def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(make_env):
-    env = _sensing(make_env, history_length=0)
-    _settle(env)
+def test_without_a_history_only_the_force_of_the_last_physics_step_is_used(start_env):
+    env = _sensing(start_env, history_length=0)
+    run(env, 60)
     sensor = env.scene["contact"]
     assert float(sensor.max_force_norm()[0, 0]) == pytest.approx(WEIGHT, abs=0.02)
     assert torch.equal(sensor.data.net_forces_w_history[:, 0], sensor.data.net_forces_w)
@@ -103,9 +93,8 @@ def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(mak
     assert (sensor.max_force_norm() == 0).all()
 
 
-def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
-    env = make_env("block", decimation=1, robot={"init_state": init_state(0.3, {"spin": 0.0})})
-    env.reset()
+def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(start_env):
+    env = start_env("block", decimation=1, robot={"init_state": init_state(0.3, {"spin": 0.0})})
     sensor = env.scene["contact"]
     dt = env.physics_dt
     fall = math.sqrt(2 * 0.2 / 9.81)  # The cube falls 0.2 m in 0.2 s.
@@ -129,31 +118,29 @@ def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
 
 
 def test_a_body_that_leaves_the_ground_is_timed(env):
-    _settle(env, 30)
+    run(env, 30)
     robot, sensor = env.scene.robot, env.scene["contact"]
     spent = float(sensor.data.current_contact_time[0, 0])
     robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 3.0, 0, 0, 0]] * 4))
     env.scene.refresh()
-    for _ in range(2):
-        env.step(STILL)
+    run(env, 2)
     assert float(sensor.data.last_contact_time[0, 0]) >= spent
     assert float(sensor.data.current_contact_time[0, 0]) == 0.0
     assert sensor.compute_first_air(0.2)[:, 0].all()
 
 
 @pytest.mark.parametrize("mode", ["contact", "air"])
-def test_what_has_begun_within_some_time_is_first(env, mode):
+def test_contacts_and_flights_that_started_within_some_time_are_first(env, mode):
     sensor = env.scene["contact"]
     sensor.data.times[f"current_{mode}_time"].copy_(torch.tensor([[0.0, 0.01], [0.02, 0.03], [0.0, 0.0], [9.0, 0.02]]))
     found = getattr(sensor, f"compute_first_{mode}")(0.02)
     assert found.tolist() == [[False, True], [True, False], [False, False], [False, True]]
 
 
-def test_with_a_period_it_holds_what_it_measured(make_env):
+def test_with_a_period_the_last_measurement_is_held(start_env):
     node = CONTACT | {"history_length": 2}
     sensors = {"contact": node, "slow": node | {"update_period": 0.03}}
-    env = make_env("block", decimation=1, scene={"sensors": sensors})
-    env.reset()
+    env = start_env("block", decimation=1, scene={"sensors": sensors})
     fast, slow = env.scene["contact"], env.scene["slow"]
     history, since = [torch.zeros(4, 2, 3)] * 2, 0.0
     for k in range(1, 70):
@@ -162,50 +149,55 @@ def test_with_a_period_it_holds_what_it_measured(make_env):
         env.step(STILL)
         if k % 3 == 1:
             history = [fast.data.net_forces_w.clone(), history[0]]
-            touches = bool(history[0][0, 0].norm() > 1.0)
-            since = since + 0.03 if touches else 0.0
+            since = since + 0.03 if history[0][0, 0].norm() > 1.0 else 0.0
         assert torch.equal(slow.data.net_forces_w_history, torch.stack(history, dim=1))
         torch.testing.assert_close(slow.max_force_norm(), torch.stack(history).norm(dim=-1).amax(dim=0))
         assert float(slow.data.current_contact_time[0, 0]) == pytest.approx(since, abs=1e-6)
     assert float(slow.data.last_air_time[0, 0]) == pytest.approx(2 * 0.8 / 9.81, abs=0.06)
 
 
-def test_times_without_tracking_are_an_error(make_env):
-    env = _sensing(make_env, track_air_time=False)
-    with pytest.raises(WheellegError, match="track_air_time"):
-        env.scene["contact"].compute_first_contact(0.02)
-    with pytest.raises(WheellegError, match="track_air_time"):
-        _ = env.scene["contact"].data.current_air_time
+NOT_TRACKED = {"force_matrix_w": "filter_body_names", "pos_w": "track_pose", "quat_w": "track_pose"}
+NOT_TRACKED |= {"contact_pos_w": "track_contact_points", "friction_forces_w": "track_friction_forces"}
+NOT_TRACKED |= {"current_air_time": "track_air_time"}
 
 
-def test_more_contacts_than_are_summed_are_logged_when_the_episode_ends(make_env):
-    for env, share in ((_sensing(make_env, max_contacts=2), 1.0), (_sensing(make_env), 0.0)):
-        _settle(env, 50)
+@pytest.mark.parametrize(("name", "option"), NOT_TRACKED.items())
+def test_untracked_values_name_the_option_to_set(start_env, name, option):
+    sensor = _sensing(start_env, track_air_time=False).scene["contact"]
+    with pytest.raises(WheellegError, match=option):
+        getattr(sensor.data, name)
+    with pytest.raises(WheellegError, match="track_air_time"):
+        sensor.compute_first_contact(0.02)
+
+
+def test_contacts_beyond_the_limit_are_logged_when_the_episode_ends(start_env):
+    for env, share in ((_sensing(start_env, max_contacts=2), 1.0), (_sensing(start_env), 0.0)):
+        run(env, 50)
         assert float(env.reset()[1]["log"]["Diagnostics/contact_overflow"]) == share
         assert float(env.reset()[1]["log"]["Diagnostics/contact_overflow"]) == 0.0
 
 
-def test_bodies_of_the_sensor_are_found_by_name(make_env):
-    env = _sensing(make_env, "rover", body_names=[".*_wheel", "base"])
+def test_bodies_of_the_sensor_are_found_by_name(start_env):
+    env = _sensing(start_env, "rover", body_names=[".*_wheel", "base"])
     assert env.scene["contact"].body_names == ["base", "left_wheel", "right_wheel"]
     assert env.scene["contact"].find_bodies(["right_.*"], key="k")[0] == [2]
 
 
 def test_a_state_restored_gives_the_same_forces_and_times(env):
-    _settle(env, 20)
+    run(env, 20)
     sensor = env.scene["contact"]
     saved = sensor.state_dict()
     norm, time = sensor.max_force_norm().clone(), sensor.data.current_contact_time.clone()
-    _settle(env, 3)
+    run(env, 3)
     sensor.reset(torch.arange(4))
     sensor.load_state_dict(saved)
     assert torch.equal(sensor.max_force_norm(), norm)
     assert torch.equal(sensor.data.current_contact_time, time)
 
 
-def test_forces_are_told_apart_by_what_they_come_from(make_env):
-    env = _sensing(make_env, filter_body_names=["ground", "flywheel"])
-    _settle(env)
+def test_forces_are_separated_by_the_body_that_they_come_from(start_env):
+    env = _sensing(start_env, filter_body_names=["ground", "flywheel"])
+    run(env, 60)
     data = env.scene["contact"].data
     assert data.force_matrix_w.shape == (4, 2, 2, 3)
     torch.testing.assert_close(data.force_matrix_w[:, 0, 0], data.net_forces_w[:, 0])
@@ -214,20 +206,20 @@ def test_forces_are_told_apart_by_what_they_come_from(make_env):
     assert not data.force_matrix_w[:, 1].any()
     assert data.force_matrix_w_history.shape == (4, 3, 2, 2, 3)
     saved = env.scene["contact"].state_dict()
-    kept = data.force_matrix_w_history.clone()
+    before = data.force_matrix_w_history.clone()
     env.scene["contact"].reset(torch.tensor([1]))
     assert not data.force_matrix_w_history[1].any()
-    assert torch.equal(data.force_matrix_w_history[0], kept[0])
+    assert torch.equal(data.force_matrix_w_history[0], before[0])
     env.scene["contact"].load_state_dict(saved)
-    assert torch.equal(data.force_matrix_w_history, kept)
+    assert torch.equal(data.force_matrix_w_history, before)
 
 
-def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(make_env):
-    env = _sensing(make_env, filter_body_names=["ground", "flywheel"], **TRACKED)
+def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(start_env):
+    env = _sensing(start_env, filter_body_names=["ground", "flywheel"], **TRACKED)
     wrench = torch.zeros(4, 1, 6)
     wrench[:, 0, 0], wrench[:, 0, 1] = torch.tensor([0.0, 5.0, -2.0, 4.0]), torch.tensor([0.0, 0.0, 3.0, 4.0])
     env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
-    _settle(env)
+    run(env, 60)
     sensor, data = env.scene["contact"], env.scene["contact"].data
     assert data.friction_forces_w.shape == data.contact_pos_w.shape == (4, 2, 2, 3)
     torch.testing.assert_close(data.friction_forces_w[:, 0, 0], -wrench[:, 0, :3], atol=0.02, rtol=0)
@@ -238,20 +230,20 @@ def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(make_env):
     assert data.contact_pos_w[:, 1].isnan().all()
     assert not data.friction_forces_w[:, 0, 1].any()
     assert not data.friction_forces_w[:, 1].any()
-    saved, kept = sensor.state_dict(), data.friction_forces_w.clone()
+    saved, before = sensor.state_dict(), data.friction_forces_w.clone()
     sensor.reset(torch.tensor([1]))
     assert not data.friction_forces_w[1].any()
     assert data.contact_pos_w[1].isnan().all()
-    assert torch.equal(data.friction_forces_w[2], kept[2])
+    assert torch.equal(data.friction_forces_w[2], before[2])
     sensor.load_state_dict(saved)
-    assert torch.equal(data.friction_forces_w, kept)
+    assert torch.equal(data.friction_forces_w, before)
     assert not data.contact_pos_w[1, 0, 0].isnan().any()
 
 
 @pytest.mark.parametrize("name", TRACKED)
-def test_contacts_of_nothing_in_particular_are_refused(make_env, name):
+def test_contact_details_without_filter_bodies_are_rejected(start_env, name):
     with pytest.raises(WheellegError, match="filter_body_names"):
-        _sensing(make_env, **{name: True})
+        _sensing(start_env, **{name: True})
 
 
 def test_two_bodies_push_each_other_with_opposite_forces(tmp_path):
@@ -276,11 +268,3 @@ def test_two_bodies_push_each_other_with_opposite_forces(tmp_path):
     assert pushed[left, left] == 0.0
     torch.testing.assert_close(data.pos_w, env.scene.robot.data.body_pos_w)
     torch.testing.assert_close(data.quat_w, env.scene.robot.data.body_quat_w)
-
-
-def test_what_is_not_tracked_says_what_to_write(env):
-    words = {"force_matrix_w": "filter_body_names", "pos_w": "track_pose", "quat_w": "track_pose"}
-    words |= {"contact_pos_w": "track_contact_points", "friction_forces_w": "track_friction_forces"}
-    for name, word in words.items():
-        with pytest.raises(WheellegError, match=word):
-            getattr(env.scene["contact"].data, name)

@@ -5,19 +5,18 @@ import numpy as np
 import pytest
 import torch
 
+from sim.small_envs import run
+
 SENSOR = "wheelleg_exp.sim.sensors."
 ALL = torch.arange(4)
 QUARTER = math.sqrt(0.5)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(robot="block", seed=0, num_envs=4, **settings):
-        body = {"block": "block", "rover": "base"}[robot]
-        node = {"_target_": SENSOR + "Imu", "body_name": body, **settings}
-        env = make_env(robot, seed=seed, num_envs=num_envs, scene={"sensors": {"imu": node}})
-        env.reset()
-        return env
+        node = {"_target_": SENSOR + "Imu", "body_name": {"block": "block", "rover": "base"}[robot], **settings}
+        return start_env(robot, seed=seed, num_envs=num_envs, scene={"sensors": {"imu": node}})
 
     return build
 
@@ -26,15 +25,9 @@ def noise(**settings):
     return {"_target_": SENSOR + "ImuNoise", **settings}
 
 
-def run(env, steps=1):
-    for _ in range(steps):
-        env.step(torch.zeros(env.num_envs, env.action_manager.total_action_dim))
-
-
 def throw(env, height, lin=(0.0, 0.0, 0.0), ang=(0.0, 0.0, 0.0)):
     robot, ids = env.scene.robot, torch.arange(env.num_envs)
-    pose = torch.tensor([0.0, 0.0, height]), torch.tensor([1.0, 0.0, 0.0, 0.0])
-    robot.write_root_pose_to_sim(torch.cat((pose[0].expand(len(ids), 3), pose[1].expand(len(ids), 4)), dim=1), ids)
+    robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0]] * len(ids)), ids)
     robot.write_root_velocity_to_sim(torch.tensor([[*lin, *ang]] * len(ids)), ids)
     env.scene.refresh()
 
@@ -43,7 +36,7 @@ def rows(*values):
     return torch.tensor(values).expand(4, len(values))
 
 
-def test_turned_in_its_body_it_reads_in_its_own_axes(make):
+def test_an_imu_turned_in_its_body_measures_in_its_own_axes(make):
     env = make(offset={"pos": [0.1, 0.0, 0.2], "rot": [QUARTER, QUARTER, 0.0, 0.0]})
     run(env, 60)
     data = env.scene["imu"].data
@@ -79,7 +72,7 @@ def test_on_a_circle_it_reads_the_centripetal_acceleration(make):
 
 
 @pytest.mark.parametrize("body", ["base", "left_wheel"])
-def test_velocities_are_those_that_mujoco_finds(make, body):
+def test_velocities_are_mujocos(make, body):
     env = make("rover", body_name=body)
     env.step(torch.tensor([[1.0, -0.5, 0.7, 0.3]]).expand(4, 4))
     run(env, 7)
@@ -94,7 +87,7 @@ def test_velocities_are_those_that_mujoco_finds(make, body):
     np.testing.assert_allclose(seen.pos_w[2], data.body(body).xpos, atol=1e-5)
 
 
-def test_a_velocity_that_is_written_shows_at_once_and_is_no_acceleration(make):
+def test_a_written_velocity_is_measured_at_once_without_an_acceleration(make):
     env = make()
     throw(env, 5.0)
     run(env)
@@ -118,7 +111,7 @@ def test_after_a_reset_it_measures_the_new_state_at_rest(make):
     assert torch.equal(data.lin_acc_b[[0, 2, 3]], others)
 
 
-def test_the_noise_has_the_deviation_that_is_asked_for(make):
+def test_the_noise_has_the_configured_deviation(make):
     env = make(num_envs=400, accelerometer=noise(std=0.5), gyroscope=noise(std=0.02))
     throw(env, 9.0)
     run(env)
@@ -158,11 +151,10 @@ def test_a_bias_wanders_with_the_square_root_of_time(make, period):
     env = make(num_envs=400, gyroscope=noise(bias_walk=0.1), update_period=period)
     throw(env, 90.0)
     run(env, 18)
-    spread = float(env.scene["imu"].data.ang_vel_b.std())
-    assert spread == pytest.approx(0.1 * math.sqrt(18 * 0.02), rel=0.1)
+    assert float(env.scene["imu"].data.ang_vel_b.std()) == pytest.approx(0.1 * math.sqrt(18 * 0.02), rel=0.1)
 
 
-def test_with_a_period_it_holds_what_it_measured(make):
+def test_with_a_period_the_last_measurement_is_held(make):
     env = make(update_period=0.04)
     throw(env, 5.0)
     speeds = []
@@ -173,22 +165,20 @@ def test_with_a_period_it_holds_what_it_measured(make):
 
 
 @pytest.mark.parametrize("period", [0.0, 0.05])
-def test_it_goes_on_from_its_saved_state(make, period):
+def test_it_continues_from_its_saved_state(make, period):
     settings = {"accelerometer": noise(std=0.1, bias_range=[-1.0, 1.0], bias_walk=0.5), "update_period": period}
     env, other = make("rover", **settings), make("rover", seed=5, **settings)
     run(env, 7)
     other.load_state_dict(env.state_dict())
+    throw(env, 1.0)
+    throw(other, 1.0)
     for k in range(6):
-        if k == 0:
-            throw(env, 1.0)
-            throw(other, 1.0)
         a, b = env.scene["imu"].data, other.scene["imu"].data
         assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
-        if k == 3:
-            env.reset(env_ids=torch.tensor([3]))
-            other.reset(env_ids=torch.tensor([3]))
-        run(env)
-        run(other)
+        for each in (env, other):
+            if k == 3:
+                each.reset(env_ids=torch.tensor([3]))
+            run(each)
 
 
 def test_without_errors_nothing_is_drawn(make):

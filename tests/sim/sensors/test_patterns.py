@@ -8,19 +8,16 @@ from wheelleg_exp.sim.sensors import BpearlPattern, GridPattern, LidarPattern, P
 CPU = torch.device("cpu")
 
 
-def test_a_grid_runs_through_x_or_through_y_first():
+def test_a_grid_runs_through_x_or_through_y_first_and_has_both_ends():
     x_first, directions = GridPattern(0.5, [1.0, 0.5]).rays(CPU)
     assert x_first.tolist() == [[x, y, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
     assert directions.tolist() == [[0.0, 0.0, -1.0]] * 6
     y_first, directions = GridPattern(0.5, [1.0, 0.5], direction=[1.0, 0.0, 0.0], ordering="yx").rays(CPU)
     assert y_first.tolist() == [[x, y, 0.0] for x in (-0.5, 0.0, 0.5) for y in (-0.25, 0.25)]
     assert directions.tolist() == [[1.0, 0.0, 0.0]] * 6
-
-
-def test_a_grid_holds_both_ends_although_the_step_has_no_binary_fraction():
-    starts, _ = GridPattern(0.1, [1.6, 1.0]).rays(CPU)  # Isaac Lab's height scanner for rough terrain has this grid.
-    assert len(starts) == 17 * 11
-    assert starts[:, :2].amax(dim=0).tolist() == pytest.approx([0.8, 0.5])
+    # Isaac Lab's height scanner for rough terrain has this grid. Its step has no binary fraction.
+    starts, _ = GridPattern(0.1, [1.6, 1.0]).rays(CPU)
+    assert (len(starts), starts[:, :2].amax(dim=0).tolist()) == (17 * 11, pytest.approx([0.8, 0.5]))
 
 
 def test_a_lidar_has_its_beams_from_below_and_leaves_out_the_last_angle_of_a_turn():
@@ -30,15 +27,12 @@ def test_a_lidar_has_its_beams_from_below_and_leaves_out_the_last_angle_of_a_tur
     expected = [[level * x, level * y, z] for z in (-up, up) for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     torch.testing.assert_close(directions, torch.tensor(expected))
     assert not starts.any()
-    _, turned = LidarPattern(1, [0.0, 0.0], [-math.pi, math.pi], math.pi / 2).rays(CPU)
-    torch.testing.assert_close(turned, torch.tensor([[-1.0, 0, 0], [0, -1.0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
-    _, half = LidarPattern(1, [0.0, 0.0], [-math.pi / 2, math.pi / 2], math.pi / 2).rays(CPU)
-    torch.testing.assert_close(half, torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-
-
-def test_a_lidar_has_no_neighbours_further_apart_than_its_resolution():
+    turned = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    for half, expected in ((math.pi, turned), (math.pi / 2, turned[1:])):
+        _, directions = LidarPattern(1, [0.0, 0.0], [-half, half], math.pi / 2).rays(CPU)
+        torch.testing.assert_close(directions, torch.tensor(expected))
     _, directions = LidarPattern(1, [0.0, 0.0], [0.0, 1.0], 0.3).rays(CPU)
-    assert len(directions) == 5  # Five rays have four gaps of 0.25.
+    assert len(directions) == 5  # The gaps are at most the resolution. Five rays have four gaps of 0.25.
     assert float(torch.atan2(directions[1, 1], directions[1, 0])) == pytest.approx(0.25)
 
 
@@ -69,7 +63,7 @@ def test_a_pinhole_looks_along_x_row_by_row_from_the_upper_left():
     assert pattern.intrinsics == ((2.0, 0.0, 2.0), (0.0, 2.0, 1.0), (0.0, 0.0, 1.0))
 
 
-def test_a_pinholes_centre_may_lie_beside_the_images():
+def test_a_pinholes_centre_can_differ_from_the_images():
     pattern = PinholePattern(4, 2, 1.0, 2.0, horizontal_aperture_offset=0.25, vertical_aperture_offset=-0.25)
     assert [row[2] for row in pattern.intrinsics] == [2.5, 0.5, 1.0]
     _, directions = pattern.rays(CPU)

@@ -4,34 +4,33 @@ import pytest
 import torch
 
 from sim.sensors.grounds import STEP
+from sim.small_envs import run
+from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.terrain import Plane
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 PREFIX = "wheelleg_exp.sim.sensors."
 GRID = {"_target_": PREFIX + "GridPattern", "resolution": 0.5, "size": [1.0, 0.5]}
+ONE = {**GRID, "size": [0.0, 0.0]}
 STILL = torch.zeros(4, 1)
 ALL = torch.arange(4)
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, seed=0, **settings):
         node = {"_target_": PREFIX + "RayCaster", "body_name": "block", "pattern": GRID, **settings}
         scene = {"sensors": {"scan": node}} | ({} if ground is None else {"terrain": ground})
-        env = make_env("block", seed=seed, scene=scene)
-        env.reset()
-        return env
+        return start_env("block", seed=seed, scene=scene)
 
     return build
 
 
 def place(env, pos, yaw=0.0, pitch=0.0, ids=ALL):
-    c, s, p, q = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
-    quat = torch.tensor([c * p, -s * q, c * q, s * p])
-    env.scene.robot.write_root_pose_to_sim(
-        torch.cat((torch.tensor(pos).expand(len(ids), 3), quat.expand(len(ids), 4)), dim=1), ids
-    )
+    quat = rotation.quat_from_euler_xyz(*(torch.full((len(ids),), angle) for angle in (0.0, pitch, yaw)))
+    env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos).expand(len(ids), 3), quat), dim=1), ids)
     env.scene.refresh()
+    return env.scene["scan"].data
 
 
 def points(*rows):
@@ -40,74 +39,63 @@ def points(*rows):
 
 def test_on_a_plane_the_scan_turns_with_the_yaw_alone(make):
     env = make(ray_alignment="yaw", offset={"pos": [0.0, 0.0, 20.0]})
-    place(env, [1.0, 2.0, 0.7], yaw=math.pi / 2, pitch=0.4)
-    data = env.scene["scan"].data
+    data = place(env, [1.0, 2.0, 0.7], yaw=math.pi / 2, pitch=0.4)
     turned = [[1.0 - y, 2.0 + x, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
     torch.testing.assert_close(data.ray_hits_w, points(*turned), atol=1e-5, rtol=0)
     torch.testing.assert_close(data.pos_w, torch.tensor([1.0, 2.0, 0.7]).expand(4, 3))
     torch.testing.assert_close(data.quat_w, env.scene.robot.data.root_quat_w)
 
 
-def test_world_alignment_turns_nothing(make):
-    env = make(ray_alignment="world")
-    place(env, [1.0, 2.0, 0.7], yaw=1.0, pitch=0.4)
-    fixed = [[1.0 + x, 2.0 + y, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
-    torch.testing.assert_close(env.scene["scan"].data.ray_hits_w, points(*fixed), atol=1e-5, rtol=0)
+QUARTER = [math.cos(math.pi / 4), 0.0, math.sin(math.pi / 4), 0.0]
+FIXED = [[1.0 + x, 2.0 + y, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
+ON_STEP = [[3.75 + x, y, 0.0] for y in (0.65, 1.15) for x in (-0.5, 0.0, 0.5)]
+FAR, LEVEL = [[6.0, 0.0, 0.2]], [[0.5 * math.cos(0.3) - 0.7 * math.tan(0.3), 0.0, 0.0]]
+ON_STEP[2][2] = 0.25  # Only this ray hits the step.
 
 
-def test_base_alignment_tilts_the_rays(make):
-    one = {**GRID, "size": [0.0, 0.0]}
-    env = make(pattern=one)
-    place(env, [0.0, 0.0, 0.7], pitch=0.3)
-    hit = env.scene["scan"].data.ray_hits_w
-    torch.testing.assert_close(hit, points([-0.7 * math.tan(0.3), 0.0, 0.0]), atol=1e-5, rtol=0)
+@pytest.mark.parametrize(
+    ("ground", "settings", "place_at", "hits"),
+    [
+        (None, {"ray_alignment": "world"}, {"pos": [1.0, 2.0, 0.7], "yaw": 1.0, "pitch": 0.4}, FIXED),
+        (None, {"pattern": ONE}, {"pos": [0.0, 0.0, 0.7], "pitch": 0.3}, [[-0.7 * math.tan(0.3), 0.0, 0.0]]),
+        # An offset turns the directions and moves the starts. The hit is on the far side of the box.
+        (STEP, {"pattern": ONE, "offset": {"pos": [0.0, 0.0, -0.1], "rot": QUARTER}}, {"pos": [8.0, 0.0, 0.3]}, FAR),
+        (STEP, {"ray_alignment": "yaw"}, {"pos": [3.75, 0.9, 0.6]}, ON_STEP),
+        # A drift of the rays is level however the body is tilted.
+        (
+            None,
+            {"pattern": ONE, "ray_cast_drift_range": {"x": [0.5, 0.5]}},
+            {"pos": [0.0, 0, 0.7], "pitch": 0.3},
+            LEVEL,
+        ),
+    ],
+    ids=["world alignment", "base alignment", "offset", "step", "drift"],
+)
+def test_rays_hit_the_ground_where_the_geometry_says(make, ground, settings, place_at, hits):
+    found = place(make(ground, **settings), **place_at).ray_hits_w
+    torch.testing.assert_close(found, points(*hits), atol=1e-5, rtol=0)
 
 
-def test_an_offset_turns_the_directions_and_moves_the_starts(make):
-    quarter = [math.cos(math.pi / 4), 0.0, math.sin(math.pi / 4), 0.0]
-    back = make(STEP, pattern={**GRID, "size": [0.0, 0.0]}, offset={"pos": [0.0, 0.0, -0.1], "rot": quarter})
-    place(back, [8.0, 0.0, 0.3])
-    far_side_of_the_box = points([6.0, 0.0, 0.2])
-    torch.testing.assert_close(back.scene["scan"].data.ray_hits_w, far_side_of_the_box, atol=1e-5, rtol=0)
+def test_the_height_of_a_plane_is_bitwise_that_of_cast_rays(make, monkeypatch):
+    env, hits = make(ray_alignment="yaw", offset={"pos": [0.1, 0.2, 1.3]}), []
+    for has_formula in (True, False):
+        monkeypatch.setattr(Plane, "has_formula", has_formula)
+        hits.append(place(env, [13.37, -4.2, 0.731], yaw=0.6, pitch=0.4).ray_hits_w.clone())
+        assert place(env, [0.0, 0.0, -9.0]).ray_hits_w.isinf().all()  # A ray from below misses a plane.
+    assert torch.equal(*hits)
 
 
-def test_a_step_is_where_it_is(make):
-    env = make(STEP, ray_alignment="yaw")
-    place(env, [3.75, 0.9, 0.6])
-    hits = env.scene["scan"].data.ray_hits_w
-    xy = [(3.75 + x, 0.9 + y) for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
-    expected = [[x, y, 0.25 if x > 4 and y < 1 else 0.0] for x, y in xy]
-    assert sum(z for *_, z in expected) == 0.25
-    torch.testing.assert_close(hits, points(*expected), atol=1e-5, rtol=0)
-
-
-def test_the_height_of_a_plane_is_what_rays_find_to_the_bit(make, monkeypatch):
-    env = make(ray_alignment="yaw", offset={"pos": [0.1, 0.2, 1.3]})
-    place(env, [13.37, -4.2, 0.731], yaw=0.6, pitch=0.4)
-    by_formula = env.scene["scan"].data.ray_hits_w.clone()
-    place(env, [0.0, 0.0, -9.0])
-    assert env.scene["scan"].data.ray_hits_w.isinf().all()  # A ray from below misses a plane.
-    monkeypatch.setattr(Plane, "has_formula", False)
-    place(env, [13.37, -4.2, 0.731], yaw=0.6, pitch=0.4)
-    assert torch.equal(env.scene["scan"].data.ray_hits_w, by_formula)
-    place(env, [0.0, 0.0, -9.0])
-    assert env.scene["scan"].data.ray_hits_w.isinf().all()
-
-
-def test_what_is_too_far_or_not_there_is_a_miss(make):
-    level = {**GRID, "size": [0.0, 0.0], "direction": [2.0, 0.0, 0.0]}
-    env = make(pattern=level)
+def test_a_ray_that_meets_nothing_or_is_too_short_is_a_miss(make):
+    env = make(pattern={**ONE, "direction": [2.0, 0.0, 0.0]})
     assert env.scene["scan"].data.ray_hits_w.isinf().all()
     # A ray caster without drift draws no random numbers.
     assert "env.scene.sensors.scan" not in env.streams.state_dict()["generators"]
     for reach, is_hit in ((0.69, False), (0.71, True)):
-        env = make(ray_alignment="yaw", max_distance=reach)
-        place(env, [0.0, 0.0, 0.7])
-        hits = env.scene["scan"].data.ray_hits_w
+        hits = place(make(ray_alignment="yaw", max_distance=reach), [0.0, 0.0, 0.7]).ray_hits_w
         assert hits.isfinite().all() if is_hit else hits.isinf().all()
 
 
-def test_it_measures_when_it_is_read_and_once(make, monkeypatch):
+def test_it_measures_only_once_when_it_is_read(make, monkeypatch):
     env = make(ray_alignment="yaw")
     sensor, measured = env.scene["scan"], []
     sense = sensor.sense
@@ -123,7 +111,7 @@ def test_it_measures_when_it_is_read_and_once(make, monkeypatch):
 
 
 @pytest.mark.parametrize("period", [0.0, 0.04])
-def test_with_a_period_it_holds_what_it_saw(make, period):
+def test_with_a_period_the_last_measurement_is_held(make, period):
     env = make(ray_alignment="yaw", update_period=period)
     heights = [env.scene.robot.data.root_pos_w[0, 2].clone()]
     env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] * 4), ALL)
@@ -137,10 +125,8 @@ def test_with_a_period_it_holds_what_it_saw(make, period):
 
 
 def test_drift_is_drawn_at_resets_within_its_ranges(make):
-    cast = {"x": [0.5, 0.5], "z": [0.05, 0.1]}
-    env = make(ray_alignment="yaw", drift_range=[-0.2, 0.2], ray_cast_drift_range=cast)
-    place(env, [0.0, 0.0, 0.7], yaw=math.pi / 2)
-    data = env.scene["scan"].data
+    env = make(ray_alignment="yaw", drift_range=[-0.2, 0.2], ray_cast_drift_range={"x": [0.5, 0.5], "z": [0.05, 0.1]})
+    data = place(env, [0.0, 0.0, 0.7], yaw=math.pi / 2)
     drift = data.pos_w - torch.tensor([0.0, 0.0, 0.7])
     assert drift.abs().max() <= 0.2
     assert len(drift.unique()) == 12
@@ -148,21 +134,13 @@ def test_drift_is_drawn_at_resets_within_its_ranges(make):
     torch.testing.assert_close(first[:, :2] - drift[:, :2], torch.tensor([[0.25, 0.5]]).expand(4, 2))
     assert ((first[:, 2] >= 0.05) & (first[:, 2] <= 0.1)).all()
     env.step(STILL)
-    kept = env.scene["scan"].drift.clone()
+    before = env.scene["scan"].drift.clone()
     env.reset(env_ids=torch.tensor([0]))
-    assert (env.scene["scan"].drift[0] != kept[0])[[0, 1, 2, 5]].all()
-    assert torch.equal(env.scene["scan"].drift[1:], kept[1:])
+    assert (env.scene["scan"].drift[0] != before[0])[[0, 1, 2, 5]].all()
+    assert torch.equal(env.scene["scan"].drift[1:], before[1:])
 
 
-def test_a_drift_of_the_rays_is_level_however_the_body_is_tilted(make):
-    env = make(pattern={**GRID, "size": [0.0, 0.0]}, ray_cast_drift_range={"x": [0.5, 0.5]})
-    place(env, [0.0, 0.0, 0.7], pitch=0.3)
-    hit = env.scene["scan"].data.ray_hits_w
-    expected = [0.5 * math.cos(0.3) - 0.7 * math.tan(0.3), 0.0, 0.0]
-    torch.testing.assert_close(hit, points(expected), atol=1e-5, rtol=0)
-
-
-def test_what_is_held_is_of_the_new_episode_after_a_reset_and_of_nothing_else_that_is_written(make):
+def test_a_held_measurement_changes_at_a_reset_but_not_at_other_writes(make):
     env = make(update_period=1.0)
     start = env.scene["scan"].data.pos_w.clone()
     place(env, [0.0, 0.0, 0.9])
@@ -185,18 +163,16 @@ def test_reading_does_not_change_the_simulations(make):
 
 
 @pytest.mark.parametrize("period", [0.0, 0.05])
-def test_it_goes_on_from_its_saved_state(make, period):
+def test_it_continues_from_its_saved_state(make, period):
     settings = {"drift_range": [-0.1, 0.1], "ray_cast_drift_range": {"z": [-0.1, 0.1]}, "update_period": period}
     env, other = make(STEP, **settings), make(STEP, seed=5, **settings)
-    for _ in range(7):
-        env.step(STILL)
+    run(env, 7)
     assert not torch.equal(other.scene["scan"].data.pos_w, env.scene["scan"].data.pos_w)
     other.load_state_dict(env.state_dict())
     for k in range(6):
         a, b = env.scene["scan"].data, other.scene["scan"].data
         assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
-        if k == 3:
-            env.reset(env_ids=torch.tensor([3]))
-            other.reset(env_ids=torch.tensor([3]))
-        env.step(STILL)
-        other.step(STILL)
+        for each in (env, other):
+            if k == 3:
+                each.reset(env_ids=torch.tensor([3]))
+            run(each)

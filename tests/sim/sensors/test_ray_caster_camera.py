@@ -17,18 +17,15 @@ KINDS = ["distance_to_image_plane", "distance_to_camera"]
 
 
 @pytest.fixture
-def make(make_env):
+def make(start_env):
     def build(ground=None, drawn=None, **settings):
         pattern = {"_target_": PREFIX + "PinholePattern", **OPTICS}
-        node = {"_target_": PREFIX + "RayCasterCamera", "body_name": "block", "pattern": pattern, "offset": OFFSET}
-        sensors = {"eye": {**node, "data_types": KINDS, **settings}}
+        node = {"body_name": "block", "offset": OFFSET, "data_types": KINDS}
+        sensors = {"eye": {"_target_": PREFIX + "RayCasterCamera", "pattern": pattern, **node, **settings}}
         if drawn:
-            sensors["drawn"] = {"_target_": PREFIX + "Camera", "body_name": "block", "offset": OFFSET} | OPTICS
-            sensors["drawn"]["data_types"] = KINDS
+            sensors["drawn"] = {"_target_": PREFIX + "Camera", **node, **OPTICS}
         scene = {"sensors": sensors} | ({} if ground is None else {"terrain": ground})
-        env = make_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
-        env.reset()
-        return env
+        return start_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
 
     return build
 
@@ -60,7 +57,7 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
 
 @pytest.mark.pictures
 @pytest.mark.usefixtures("graphics")
-def test_it_measures_what_mujoco_draws(make):
+def test_it_measures_the_distances_that_mujoco_draws(make):
     env = make(STEP, drawn=True, max_distance=20.0)
     by_rays = place(env, [[3.9, 0.4, 1.5], [5.8, -0.8, 0.9]], roll=0.15, pitch=-0.1, yaw=0.7)
     drawn = env.scene["drawn"].data
@@ -69,16 +66,14 @@ def test_it_measures_what_mujoco_draws(make):
     assert by_rays.image_shape == drawn.image_shape == (16, 20)
     for kind in KINDS:
         one, other = by_rays.output[kind], drawn.output[kind]
-        close = torch.isclose(one, other, atol=2e-3, rtol=0)
-        assert close.float().mean() > 0.98, kind
+        assert torch.isclose(one, other, atol=2e-3, rtol=0).float().mean() > 0.98, kind
         assert one.max() - one.min() > 0.2
 
 
 @pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 1.2)])
-def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
+def test_distances_beyond_the_farthest_follow_the_clipping_behavior(make, behavior, beyond):
     level = {"pos": [0.3, 0.0, 0.0], "convention": "world"}
-    env = make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior)
-    data = place(env, [[0.0, 0.0, 0.5]] * 2)
+    data = place(make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior), [[0.0, 0.0, 0.5]] * 2)
     down = (torch.arange(16) + 0.5 - 8 + 0.05 * 80 / 7) / (80 / 7)
     along = torch.where(down > 0, 0.5 / down, math.inf)
     seen = along <= 1.2
@@ -88,13 +83,13 @@ def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
     assert (depth[~seen] == beyond).all()
 
 
-def test_the_robot_is_not_seen(make):
+def test_the_robot_is_invisible(make):
     inside = {"pos": [0.0, 0.0, 0.0], "rot": OFFSET["rot"], "convention": "ros"}
     data = place(make(offset=inside), [[0.0, 0.0, 1.0]] * 2)
     torch.testing.assert_close(data.output["distance_to_image_plane"], torch.ones(2, 16, 20, 1))
 
 
-def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make):
+def test_with_a_period_the_last_image_is_held_and_continues_from_its_state(make):
     env, other = make(update_period=0.03), make(update_period=0.03)
     place(env, [[0.0, 0.0, 1.0]] * 2)
     env.scene.robot.write_root_com_velocity_to_sim(torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]] * 2))

@@ -45,7 +45,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("kind", "changes", "key", "words"), ROWS)
-def test_a_wrong_sensor_is_refused_by_key(make_env, kind, changes, key, words):
+def test_a_wrong_sensor_is_rejected_by_key(make_env, kind, changes, key, words):
     node = {"_target_": PREFIX + kind, "body_name": "block", **NODES[kind], **changes}
     with pytest.raises(ConfigError) as caught:
         make_env("block", num_envs=2, scene={"sensors": {"s": node}})

@@ -13,8 +13,7 @@ NAMES = [
 
 
 def _env(name: str):
-    tree = compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config
-    env = build_env(tree)
+    env = build_env(compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config)
     env.reset()
     return env
 

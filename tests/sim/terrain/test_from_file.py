@@ -47,7 +47,7 @@ ROOF = """v 1 1 0\nv 5 1 0\nv 5 3 0\nv 1 3 0\nv 3 1 1\nv 3 3 1
 f 1 5 6\nf 1 6 4\nf 5 2 3\nf 5 3 6\n"""
 
 
-def test_a_mesh_is_seen_from_above_at_its_own_place(ground):
+def test_heights_of_a_mesh_are_those_seen_from_above(ground):
     (ground.folder / "roof.obj").write_text(ROOF)
     made = ground("Mesh", file="roof.obj", horizontal_scale=0.1, scale=0.5, start=[[1.5, 1.0], [1.0, 1.0]])
     x, y = (torch.rand(400) * 2 + 0.5).clamp(0.51, 2.49), torch.rand(400) * 0.98 + 0.51
@@ -59,7 +59,7 @@ def test_a_mesh_is_seen_from_above_at_its_own_place(ground):
     assert made.terrain_origins is None
 
 
-def test_flat_places_are_found_on_a_file_too(ground):
+def test_flat_patches_are_found_on_a_file(ground):
     heights = np.zeros((21, 21))
     heights[12:] = np.arange(9)[:, None]
     np.save(ground.folder / "edge.npy", heights)
@@ -72,6 +72,10 @@ def test_flat_places_are_found_on_a_file_too(ground):
     assert not places[..., 2].any()
 
 
+FIELD = {"size": [1.0, 1.0], "height_range": None}
+NOT_HEIGHTS = r"file: 'a.npy' contains .*rows and columns of finite numbers"
+
+
 @pytest.mark.parametrize(
     ("kind", "file", "content", "words"),
     [
@@ -79,24 +83,16 @@ def test_flat_places_are_found_on_a_file_too(ground):
         ("HeightField", "a.npy", b"no", r"file: 'a.npy' is not an array"),
         ("HeightField", "a.png", b"no", r"file: 'a.png' is not an image"),
         ("Mesh", "a.obj", b"v 0 0 0", r"file: 'a.obj' is not a mesh"),
+        ("HeightField", "../a.npy", None, "a file's path below a folder"),
+        *(("HeightField", "a.npy", np.zeros(shape), NOT_HEIGHTS) for shape in (3, (1, 5))),
+        ("HeightField", "a.npy", np.full((2, 2), np.nan), NOT_HEIGHTS),
+        ("HeightField", "a.npy", np.zeros((2, 2), dtype=complex), NOT_HEIGHTS),
     ],
 )
-def test_what_is_no_ground_is_told(ground, kind, file, content, words):
-    (ground.folder / file).write_bytes(content)
-    rest = {"size": [1.0, 1.0], "height_range": None} if kind == "HeightField" else {"horizontal_scale": 0.1}
+def test_wrong_files_are_rejected(ground, kind, file, content, words):
+    if isinstance(content, bytes):
+        (ground.folder / file).write_bytes(content)
+    elif content is not None:
+        np.save(ground.folder / file, content)
     with pytest.raises(ConfigError, match=words):
-        ground(kind, file=file, **rest)
-
-
-@pytest.mark.parametrize(
-    "values", [np.zeros(3), np.zeros((1, 5)), np.full((2, 2), np.nan), np.zeros((2, 2), dtype=complex)]
-)
-def test_values_that_are_no_heights_are_told(ground, values):
-    np.save(ground.folder / "a.npy", values)
-    with pytest.raises(ConfigError, match=r"file: 'a.npy' contains .*rows and columns of finite numbers"):
-        ground("HeightField", file="a.npy", size=[1.0, 1.0], height_range=None)
-
-
-def test_no_file_outside_the_folder_is_read(ground):
-    with pytest.raises(ConfigError, match="a file's path below a folder"):
-        ground("HeightField", file="../a.npy", size=[1.0, 1.0], height_range=None)
+        ground(kind, file=file, **(FIELD if kind == "HeightField" else {"horizontal_scale": 0.1}))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from sim.small_envs import run
 from sim.terrain.tiles import OPTIONS, TERRAIN, Ramp, placed
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.progress import progress_to
@@ -68,12 +69,9 @@ def test_without_a_curriculum_kind_and_difficulty_are_drawn():
 
 def test_rows_go_along_x_and_columns_along_y_around_the_origin():
     ground = placed()
-    x = torch.tensor([-3.0, -1.0, 1.0, 3.0])
-    y = torch.tensor([-1.0, 0.0, 1.0])
-    assert torch.equal(ground.terrain_origins[..., 0], x[:, None].expand(4, 3))
-    assert torch.equal(ground.terrain_origins[..., 1], y.expand(4, 3))
-    assert ground.size == (2.0, 1.0)
-    assert ground.max_terrain_level == 4
+    x, y = torch.tensor([-3.0, -1.0, 1.0, 3.0]), torch.tensor([-1.0, 0.0, 1.0])
+    assert torch.equal(ground.terrain_origins[..., :2], torch.stack(torch.meshgrid(x, y, indexing="ij"), dim=-1))
+    assert (ground.size, ground.max_terrain_level) == ((2.0, 1.0), 4)
 
 
 def test_an_origin_is_as_high_as_the_highest_point_of_the_window():
@@ -84,7 +82,7 @@ def test_an_origin_is_as_high_as_the_highest_point_of_the_window():
         assert ground.terrain_origins[0, 0, 2] >= 1.0 + reach - 1e-6
 
 
-def test_environments_begin_on_their_tiles():
+def test_environments_start_on_their_tiles():
     ground = placed({"stairs": stairs()}, num_envs=60, max_init_terrain_level=1)
     assert set(ground.terrain_levels.tolist()) == {0, 1}
     assert torch.equal(ground.env_origins, ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
@@ -95,8 +93,7 @@ def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
     ground = placed({"stairs": stairs(), "noise": noise()}, num_rows=10, num_cols=2, horizontal_scale=0.02)
     hard = ground.relief.difficulties
     x, y = torch.meshgrid(torch.linspace(-0.99, 0.99, 200), torch.linspace(-0.49, 0.49, 100), indexing="ij")
-    points = torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]
-    heights = ground.height_at(points).numpy()
+    heights = ground.height_at(torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]).numpy()
     top = heights[:, 0].max(axis=(1, 2))
     assert top == pytest.approx(3 * 0.1 * hard[:, 0], abs=3e-4)  # The stairs have (1 - 0.4) / 0.2 = 3 steps.
     # The mean square of interpolated heights is half of the mean square of the corners' heights.
@@ -112,17 +109,16 @@ def test_the_height_at_a_point_is_where_a_ray_meets_mujocos_ground():
     assert not ground.height_at(torch.tensor([[3.5, 0.0], [0.0, -4.4], [99.0, 99.0]])).any()
 
 
-def test_steps_are_boxes_as_few_as_can_be():
+def test_stairs_consist_of_the_fewest_possible_boxes():
     spec = mujoco.MjSpec()
     placed({"stairs": stairs()}, num_rows=1, num_cols=1, difficulty_range=[1, 1], border_width=0.0).add_to(spec)
     # The stairs are one box for the ground and three for the steps.
     assert [geom.type for geom in spec.geoms] == [mujoco.mjtGeom.mjGEOM_BOX] * 4
 
 
-def test_the_border_goes_all_around_at_height_zero():
+def test_the_border_surrounds_the_tiles_at_height_zero():
     points = torch.tensor([[4.9, 2.4], [-4.9, 0.0], [0.0, -2.4], [4.5, 0.3], [5.1, 0.0], [0.0, 2.6]])
-    found = placed()._probe.height_at(points, outside=-1.0)
-    assert found.tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
+    assert placed()._probe.height_at(points, outside=-1.0).tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
 
 
 def digest() -> str:
@@ -139,15 +135,15 @@ def test_one_seed_gives_one_ground_in_any_process():
 
 
 def test_the_runs_seed_makes_the_ground_unless_it_has_its_own():
-    heights = [placed({"n": noise()}, run_seed=s, **o).relief.tiles[5].heights for s, o in [(1, {}), (2, {}), (1, {})]]
-    assert np.array_equal(heights[0], heights[2])
-    assert not np.array_equal(heights[0], heights[1])
+    first, second, third = (placed({"n": noise()}, run_seed=s).relief.tiles[5].heights for s in (1, 2, 1))
+    assert np.array_equal(first, third)
+    assert not np.array_equal(first, second)
     fixed = [placed({"n": noise()}, run_seed=s, seed=7).relief for s in (1, 2)]
     assert np.array_equal(fixed[0].tiles[5].heights, fixed[1].tiles[5].heights)
     assert np.array_equal(fixed[0].difficulties, fixed[1].difficulties)
 
 
-def test_flat_places_are_flat_and_where_they_may_be():
+def test_flat_patches_are_flat_and_in_their_ranges():
     wanted = FlatPatches(num_patches=20, patch_radius=[0.05, 0.1], max_height_diff=0.0, x_range=[-0.3, 0.9])
     kinds = {"stairs": stairs(flat_patches={"goal": wanted}), "flat": Flat(proportion=1)}
     ground = placed(kinds, num_cols=2, difficulty_range=[1.0, 1.0])
@@ -162,7 +158,7 @@ def test_flat_places_are_flat_and_where_they_may_be():
     assert torch.equal(places[:, 1], ground.terrain_origins[:, 1, None].expand(4, 20, 3))
 
 
-def test_a_tile_that_is_nowhere_flat_is_told():
+def test_a_tile_that_is_nowhere_flat_is_rejected():
     rough = noise(flat_patches={"goal": FlatPatches(num_patches=1, patch_radius=0.2, max_height_diff=0.001)})
     message = r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat patches .*smaller patch_radius"
     with pytest.raises(ConfigError, match=message):
@@ -173,14 +169,13 @@ STAIRS = {"_target_": TERRAIN + "PyramidStairs", "proportion": 1.0, "step_height
 STAIRS |= {"step_width": 0.2, "platform_width": 1.0}
 NODE = {**OPTIONS, "_target_": TERRAIN + "TerrainGenerator", "size": [2.0, 2.0], "num_rows": 3, "num_cols": 2}
 NODE |= {"vertical_scale": 0.001, "difficulty_range": [1.0, 1.0], "sub_terrains": {"stairs": STAIRS, "gone": None}}
+NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_range": [0.0, 0.01]}
 
 
-def test_a_robot_stands_on_its_tile(make_env):
-    high, level = make_env("block", scene={"terrain": NODE}), make_env("block")
+def test_a_robot_stands_on_its_tile(start_env):
+    high, level = start_env("block", scene={"terrain": NODE}), start_env("block")
     for env in (high, level):
-        env.reset()
-        for _ in range(60):
-            env.step(torch.zeros(4, 1))
+        run(env, 60)
     data = high.scene.robot.data
     ground = high.scene.terrain.height_at(data.root_pos_w[:, :2])
     torch.testing.assert_close(ground, torch.full((4,), 0.3), atol=1e-6, rtol=0)
@@ -188,26 +183,23 @@ def test_a_robot_stands_on_its_tile(make_env):
     torch.testing.assert_close(data.root_pos_w[:, 2] - ground, height, atol=2e-3, rtol=0)
 
 
-def test_levels_and_places_are_saved_with_the_environment(make_env):
+def test_levels_and_origins_are_saved_with_the_environment(make_env):
     env, other = (make_env("block", seed=s, scene={"terrain": {**NODE, "seed": 4}}) for s in (1, 2))
-    every = torch.ones(4, dtype=torch.bool)
+    mine, theirs, every = env.scene.terrain, other.scene.terrain, torch.ones(4, dtype=torch.bool)
     for _ in range(2):
-        env.scene.terrain.update_env_origins(torch.arange(4), every, ~every)
+        mine.update_env_origins(torch.arange(4), every, ~every)
     other.load_state_dict(env.state_dict())
     assert torch.equal(env.scene.env_origins, other.scene.env_origins)
-    assert torch.equal(env.scene.terrain.terrain_levels, other.scene.terrain.terrain_levels)
-    for ground in (env.scene.terrain, other.scene.terrain):
+    assert torch.equal(mine.terrain_levels, theirs.terrain_levels)
+    for ground in (mine, theirs):
         ground.update_env_origins(torch.arange(4), every, ~every)
-    assert torch.equal(env.scene.terrain.terrain_levels, other.scene.terrain.terrain_levels)
+    assert torch.equal(mine.terrain_levels, theirs.terrain_levels)
 
 
-def test_the_model_tells_grounds_apart(make_env):
+def test_the_digest_of_the_model_depends_on_the_ground(make_env):
     nodes = [{**NODE, "seed": s, "sub_terrains": {"n": NOISE}} for s in (1, 2, 1)]
     digests = [make_env("block", scene={"terrain": node}).scene.model_digest() for node in nodes]
     assert digests[0] == digests[2] != digests[1]
-
-
-NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_range": [0.0, 0.01]}
 
 
 @pytest.mark.parametrize(
@@ -223,21 +215,21 @@ NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_ran
         ({"horizontal_scale": 1e-7}, r"horizontal_scale.*cells of the ground"),
     ],
 )
-def test_wrong_settings_are_told_by_their_key(make_env, change, message):
+def test_wrong_settings_name_their_key(make_env, change, message):
     with pytest.raises(ConfigError, match=message):
         make_env("block", scene={"terrain": {**NODE, **change}})
 
 
 @pytest.mark.usefixtures("allow_test_terms")
-def test_a_kind_of_tile_of_a_users_own(make_env):
+def test_a_user_defined_sub_terrain_is_used(make_env):
     ramp = {"_target_": "sim.terrain.tiles.Ramp", "proportion": 1.0}
     ground = make_env("block", scene={"terrain": {**NODE, "sub_terrains": {"ramp": ramp}}}).scene.terrain
     assert isinstance(ground, TerrainGenerator)
     assert ground.height_at(torch.tensor([0.5, 1.0])) == pytest.approx(1.5)
 
 
-def test_long_builds_tell_how_far_they_are():
+def test_long_builds_report_their_progress():
     heard = []
-    with progress_to(lambda what, done, total: heard.append((what, done, total))):
+    with progress_to(lambda *progress: heard.append(progress)):
         placed(num_rows=2, num_cols=3).add_to(mujoco.MjSpec())
     assert heard == [(what, done, 6) for what in ("making tiles", "laying tiles") for done in range(1, 7)]

@@ -29,7 +29,7 @@ def profile(heights: np.ndarray) -> list[float]:
     return np.round(heights[:, heights.shape[1] // 2], 9).tolist()
 
 
-def test_level_ground_is_level():
+def test_flat_ground_is_level():
     assert not Flat(proportion=1).heights(1.0, CELLS, rng()).any()
 
 
@@ -48,8 +48,7 @@ def test_a_slope_has_its_angle_on_every_face():
     slope = PyramidSlope(proportion=1, slope_range=[0.0, 0.4], platform_width=0.4)
     heights = slope.heights(0.5, CORNERS, rng())
     rise_x, rise_y = np.gradient(heights, 0.1)
-    assert rise_x[2:8, 10] == pytest.approx(np.tan(0.2))
-    assert rise_y[10, 13:18] == pytest.approx(-np.tan(0.2))
+    assert (rise_x[2:8, 10], rise_y[10, 13:18]) == (pytest.approx(np.tan(0.2)), pytest.approx(-np.tan(0.2)))
     assert heights.max() == pytest.approx(np.tan(0.2) * 0.8, abs=1e-6)
     assert (heights[8:13, 8:13] == heights.max()).all()
     slope.inverted = True
@@ -100,8 +99,7 @@ def inner_heights(part: SubTerrain, scale: float, rim: float, seed: int) -> np.n
     ground = placed({"part": part}, size=[12.0, 12.0], num_rows=1, num_cols=1, difficulty_range=[1.0, 1.0], seed=seed)
     heights = ground.relief.tiles[0].heights.astype(float)
     n = len(heights)
-    x = (np.arange(n) + 0.5) * 12 / n - 6 if part.boxes else np.linspace(-6, 6, n)
-    inside = np.abs(x) <= 6 - rim + 1e-9
+    inside = np.abs((np.arange(n) + 0.5) * 12 / n - 6 if part.boxes else np.linspace(-6, 6, n)) <= 6 - rim + 1e-9
     return heights[np.ix_(inside, inside)]
 
 
@@ -128,8 +126,7 @@ def test_between_drawn_points_noise_is_linear():
 def test_squares_of_a_grid_are_level_and_grow():
     squares = RandomGrid(proportion=1, grid_width=0.4, grid_height_range=[0.1, 0.5], platform_width=0.4)
     found = squares.heights(1.0, CELLS, rng()).reshape(5, 4, 5, 4)
-    assert np.ptp(found, axis=(1, 3)).max() == 0
-    assert found[2, 0, 2, 0] == 0
+    assert (np.ptp(found, axis=(1, 3)).max(), found[2, 0, 2, 0]) == (0, 0)
     assert 0.3 < np.abs(found).max() <= 0.5
     assert np.allclose(squares.heights(0.0, CELLS, rng()), found.reshape(20, 20) / 5)
 
@@ -153,8 +150,7 @@ def test_stones_have_their_width_and_distance():
     # Stones of 0.2 m are 0.1 m apart, along rows and between rows.
     between = [k for start in range(20, 200, 30) for k in range(start, start + 10)]
     assert np.flatnonzero((hard[:80] == -1).all(axis=0)).tolist() == between
-    holes = np.flatnonzero(np.diff((hard[:, 5] == -1).astype(int)))
-    assert set(np.diff(holes).tolist()) == {10, 20}
+    assert set(np.diff(np.flatnonzero(np.diff((hard[:, 5] == -1).astype(int)))).tolist()) == {10, 20}
     assert not hard[81:119, 81:119].any()
 
 
@@ -164,13 +160,12 @@ def test_a_gap_lies_around_the_platform():
     assert profile(gap.heights(0.5, CELLS, rng())) == level * 4 + down * 2 + level * 8 + down * 2 + level * 4
 
 
-def test_rails_stand_where_isaac_labs_do():
+def test_rails_are_placed_like_isaac_labs():
     rails = Rails(proportion=1, rail_thickness_range=[0.1, 0.2], rail_height_range=[0.1, 0.3], platform_width=0.8)
     # The inner edge of the outer rail is at 0.8 + 0.6 * (2 - 0.8) = 1.52 m.
     half = [0, 0.2, 0.2, 0, 0, 0.2, 0, 0, 0, 0]
     found = profile(rails.heights(0.5, CELLS, rng()))
-    assert found[3:17] == pytest.approx((half + half[::-1])[3:17])
-    assert found[1] == 0.2
+    assert (found[3:17], found[1]) == (pytest.approx((half + half[::-1])[3:17]), 0.2)
 
 
 def test_boxes_and_pits_have_one_step_or_two():

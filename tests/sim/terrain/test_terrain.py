@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from sim.small_envs import run
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.terrain import Plane, TerrainBase
 
@@ -9,23 +10,21 @@ STEP = {"_target_": "managers.spies.Step", "height": 0.4, "static_friction": 0.7
 STEP["restitution"] = 0.0
 
 
-def test_environments_begin_where_the_ground_says_and_the_robot_stands_on_it(make_env):
-    env = make_env("block", scene={"terrain": STEP})
-    env.reset()
+def test_environments_start_on_the_ground_with_the_mean_friction_of_robot_and_ground(start_env):
+    env = start_env("block", scene={"terrain": STEP})
+    ground, model = env.scene["terrain"], env.scene.model
+    assert env.scene.env_origins is ground.env_origins
     assert env.scene.env_origins.tolist() == [[5.0, 0.0, pytest.approx(0.4)], [0, 0, 0]] * 2
-    for _ in range(60):
-        env.step(torch.zeros(4, 1))
+    heights = ground.height_at(torch.tensor([[[5.0, 0.0], [5.9, -0.9]], [[3.9, 0.0], [-2.0, 0.0]]]))
+    torch.testing.assert_close(heights, torch.tensor([[0.4, 0.4], [0.0, 0.0]]))
+    run(env, 60)
     height = env.scene.robot.data.root_pos_w[:, 2]
     torch.testing.assert_close(height[::2] - height[1::2], torch.full((2,), 0.4), atol=2e-3, rtol=0)
-
-
-def test_the_robot_gets_the_mean_friction_and_no_part_of_the_ground_does(make_env):
-    model = make_env("block", scene={"terrain": STEP}).scene.model
     assert float(model.geom("cube").friction[0]) == pytest.approx((0.8 + 0.7) / 2)
     assert {int(model.geom(name).priority[0]) for name in ("ground", "ground/step")} == {0}
 
 
-def test_what_is_no_ground_is_refused(make_env):
+def test_a_wrong_ground_is_rejected(make_env):
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain: 'Altimeter' is not a TerrainBase"):
         make_env(scene={"terrain": {"_target_": "managers.spies.Altimeter"}})
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*static_friction"):
@@ -48,24 +47,23 @@ def placed(ground: TerrainBase, num_envs: int, seed: int = 0) -> TerrainBase:
     return ground
 
 
-def test_on_a_plane_all_stay_where_they_are():
+def test_on_a_plane_all_keep_their_origins():
     ground = placed(Plane(0.5, 0.5, 0.0), 4)
     before = ground.env_origins.clone()
     ground.update_env_origins(torch.arange(4), torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))
     assert torch.equal(ground.env_origins, before)
     assert ground.terrain_origins is None
     assert ground.terrain_levels.tolist() == ground.terrain_types.tolist() == [0] * 4
-    assert ground.height_at(torch.rand(2, 5, 2)).tolist() == [[0.0] * 5] * 2
-    assert ground.state_dict() == {}
+    assert (ground.height_at(torch.rand(2, 5, 2)).tolist(), ground.state_dict()) == ([[0.0] * 5] * 2, {})
 
 
 def test_columns_are_shared_out_in_order_and_rows_are_drawn_up_to_the_highest():
     ground = placed(Tiles(highest=2), 600)
     assert ground.terrain_types.tolist() == [0] * 200 + [1] * 200 + [2] * 200
-    assert torch.bincount(ground.terrain_levels, minlength=4).tolist()[3] == 0
-    assert (torch.bincount(ground.terrain_levels)[:3] > 150).all()
-    assert torch.equal(ground.env_origins[:, 0], ground.terrain_levels.float())
-    assert torch.equal(ground.env_origins[:, 1], ground.terrain_types.float())
+    counts = torch.bincount(ground.terrain_levels, minlength=4)
+    assert counts[3] == 0
+    assert (counts[:3] > 150).all()
+    assert torch.equal(ground.env_origins[:, :2], torch.stack((ground.terrain_levels, ground.terrain_types), 1).float())
     assert placed(Tiles(), 600).terrain_levels.max() == placed(Tiles(highest=9), 600).terrain_levels.max() == 3
 
 
@@ -78,23 +76,13 @@ def test_columns_are_isaac_labs(num_envs):
 def test_levels_go_up_and_down_and_from_the_last_anywhere():
     ground = placed(Tiles(), 400)
     ground.terrain_levels[:] = torch.tensor([0, 1, 2, 3]).repeat(100)
-    origins = ground.env_origins
-    none, every = torch.zeros(400, dtype=torch.bool), torch.ones(400, dtype=torch.bool)
-    ground.update_env_origins(torch.arange(400), none, every)
-    assert ground.terrain_levels[:4].tolist() == [0, 0, 1, 2]
-    ground.update_env_origins(torch.arange(400), every, none)
-    assert ground.terrain_levels[:4].tolist() == [1, 1, 2, 3]
+    origins, none, every = ground.env_origins, torch.zeros(400, dtype=torch.bool), torch.ones(400, dtype=torch.bool)
+    for up, down, levels in ((none, every, [0, 0, 1, 2]), (every, none, [1, 1, 2, 3])):
+        ground.update_env_origins(torch.arange(400), up, down)
+        assert ground.terrain_levels[:4].tolist() == levels
     ground.update_env_origins(torch.arange(3, 400, 4), every[:100], none[:100])
     assert sorted(set(ground.terrain_levels[3::4].tolist())) == [0, 1, 2, 3]
     assert ground.terrain_levels[:3].tolist() == [1, 1, 2]
     assert origins is ground.env_origins
     expected = torch.stack((ground.terrain_levels, ground.terrain_types, 10 * ground.terrain_levels), dim=1)
     assert torch.equal(ground.env_origins, expected.float())
-
-
-def test_a_user_defined_ground_is_in_the_scene_and_knows_its_height(make_env):
-    scene = make_env("block", scene={"terrain": STEP}).scene
-    ground = scene["terrain"]
-    assert scene.env_origins is ground.env_origins
-    heights = ground.height_at(torch.tensor([[[5.0, 0.0], [5.9, -0.9]], [[3.9, 0.0], [-2.0, 0.0]]]))
-    torch.testing.assert_close(heights, torch.tensor([[0.4, 0.4], [0.0, 0.0]]))

@@ -27,8 +27,7 @@ OPTIONS: dict[str, Any] = {
 def placed(
     sub_terrains: dict[str, SubTerrain] | None = None, num_envs: int = 12, run_seed: int = 0, **changes: Any
 ) -> TerrainGenerator:
-    kinds = sub_terrains or {"flat": Flat(proportion=1.0)}
-    ground = TerrainGenerator(**{**OPTIONS, **changes}, sub_terrains=kinds)
+    ground = TerrainGenerator(**{**OPTIONS, **changes}, sub_terrains=sub_terrains or {"flat": Flat(proportion=1.0)})
     stream = torch.Generator().manual_seed(run_seed)
     ground.place(num_envs, 1.0, CPU, lambda: stream)
     return ground

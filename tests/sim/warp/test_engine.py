@@ -125,7 +125,7 @@ def test_fields_of_the_model_act_on_their_own_simulation_as_mujocos_do(device):
     require_equal_motion(ours, batch, 5e-6, 3e-4)
 
 
-def test_a_field_that_all_simulations_share_is_refused_by_name(sim):
+def test_a_field_that_all_simulations_share_is_rejected_by_name(sim):
     with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp has one 'jnt_limited'"):
         sim.expand("jnt_limited")
     with pytest.raises(ConfigError, match="has no field 'qfrc_nobody'"):
@@ -149,7 +149,7 @@ def test_a_reset_zeroes_all_of_its_rows_but_finite_positions_and_velocities(sim)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e20])
-def test_a_broken_simulation_is_told_until_its_reset_and_breaks_no_other(sim, bad):
+def test_a_broken_simulation_is_reported_until_its_reset_and_breaks_no_other(sim, bad):
     scatter(sim)
     sim.view("qvel")[1, 0] = bad
     for _ in range(2):
@@ -164,7 +164,7 @@ def test_a_broken_simulation_is_told_until_its_reset_and_breaks_no_other(sim, ba
 
 @pytest.mark.parametrize("name", ["qpos", "qvel"])
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_spoils_the_total_of_its_own_rows(sim, name, bad):
+def test_a_value_that_is_not_finite_affects_the_total_of_its_own_rows(sim, name, bad):
     sim.view(name)[2, -1] = bad
     for rows, spoilt in ((torch.tensor([0, 2]), True), (torch.tensor([3, 1, 0]), False), (slice(None), True)):
         found = sim.total(rows if isinstance(rows, slice) else rows.to(sim.device))
@@ -190,7 +190,7 @@ def test_rays_go_as_far_as_the_geometry_says(sim):
     ("room", "key"),
     [({"nconmax": 1, "njmax": 64}, r"env\.sim\.nconmax"), ({"nconmax": 8, "njmax": 3}, r"env\.sim\.njmax")],
 )
-def test_more_contacts_than_there_is_room_for_are_an_error_that_names_the_setting(device, room, key):
+def test_too_many_contacts_are_an_error_that_names_the_setting(device, room, key):
     engine = warp(device, num_envs=2, **room)
     engine.view("qpos")[:, 2] = 0.09
     engine.view("qpos")[:, 3:7] = torch.tensor([0.7071, 0.0, 0.7071, 0.0])
@@ -238,26 +238,26 @@ def test_numbers_of_the_model_have_the_engines_type(sim):
     assert sim.state.dtype == sim.motion.dtype == torch.float32
 
 
-def test_a_missing_package_is_told_with_what_to_install(monkeypatch):
+def test_a_missing_package_is_reported_with_the_command_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
     with pytest.raises(ConfigError, match=r"needs the package mujoco_warp.*pip install 'wheelleg_exp\[gpu\]'"):
         warp("cpu")
 
 
-def test_a_device_that_is_not_there_is_told_with_those_that_are():
+def test_a_missing_device_is_reported_with_the_existing_devices():
     with pytest.raises(
         ConfigError, match=r"env\.sim\.device: the device 'cuda:99' does not exist.*expected one of cpu"
     ):
         warp("cuda:99")
 
 
-def test_a_model_that_mujoco_warp_does_not_simulate_is_refused_by_what_it_has(device):
+def test_an_unsupported_model_is_rejected_with_the_reason(device):
     xml = XML.replace("<option ", "<option solver='PGS' ")
     with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp cannot simulate this model: mjSOL_PGS"):
         warp(device, xml=xml)
 
 
-def test_nothing_of_it_is_imported_before_it_is_chosen():
+def test_warp_is_imported_only_if_it_is_configured():
     code = "import sys, wheelleg_exp.build, wheelleg_exp.sim.scene; sys.exit('warp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
