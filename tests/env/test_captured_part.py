@@ -74,10 +74,7 @@ def test_a_returned_buffer_is_the_present_one():
         assert run().tolist() == [step, step]
 
 
-class Difference(TermBase):
-    def __init__(self) -> None:
-        self.now, self.last = torch.zeros(2), torch.zeros(2)
-
+class Difference(Rebinder):
     def work(self) -> torch.Tensor:
         return self.now - self.last
 
