@@ -82,12 +82,13 @@ def test_the_page_shows_the_recording_and_asks_nothing_of_other_machines(served:
     assert policy["connect-src"] == "'self' data: blob:"
 
 
-def test_the_recording_is_served_as_it_is(served: WebViewer, played: Recording) -> None:
+def test_the_recording_is_served_unchanged_on_the_loopback_address_only(served: WebViewer, played: Recording) -> None:
     status, headers, body = ask(served.port, "/recording.rrd")
     assert (status, body) == (200, Path(played.path).read_bytes())
     assert int(headers["Content-Length"]) == len(body)
     status, headers, nothing = ask(served.port, "/recording.rrd", method="HEAD")
     assert (status, nothing, int(headers["Content-Length"])) == (200, b"", len(body))
+    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # Child processes are browsers of other tests.
 
 
 def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path) -> None:
@@ -110,10 +111,6 @@ def test_nothing_else_is_served(served: WebViewer, path: str) -> None:
 def test_a_page_of_another_name_reads_nothing(served: WebViewer, host: str) -> None:
     status, _, body = ask(served.port, "/recording.rrd", host=host)
     assert (status, body) == (403, b"")
-
-
-def test_only_the_loopback_address_is_listened_on(served: WebViewer) -> None:
-    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # Child processes are browsers of other tests.
 
 
 def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
