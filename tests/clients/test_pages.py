@@ -1,7 +1,5 @@
 """Run every snippet of the page about other tools, in the order of the page."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path

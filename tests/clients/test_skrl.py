@@ -1,7 +1,5 @@
 """skrl: its wrapper around a single environment and around our batch, and an agent of its own that learns."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

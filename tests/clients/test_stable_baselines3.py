@@ -1,7 +1,5 @@
 """Stable-Baselines3: its checker, its PPO, and that its numbers are ours."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Gymnasium's RecordVideo around both environments, with MoviePy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import av

@@ -1,7 +1,5 @@
 """Test that equal seeds and restored states give bit-identical rollouts."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 

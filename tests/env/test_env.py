@@ -1,7 +1,5 @@
 """Test steps, resets, episodes, and logs of the environment."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from managers import spies

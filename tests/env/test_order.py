@@ -1,7 +1,5 @@
 """Test the order of all manager calls during construction, a step, and a reset."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from managers import spies

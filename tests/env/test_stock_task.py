@@ -1,7 +1,5 @@
 """Test the stock task on a small robot whose joints and bodies have the names of the stock robot."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from sim.small_envs import ASSETS

@@ -1,7 +1,5 @@
 """Every draw of the environment comes from the stream of its term: no global generator moves, no term moves another."""
 
-from __future__ import annotations
-
 import copy
 from functools import reduce
 from operator import getitem

@@ -1,7 +1,5 @@
 """Test the reductions from episodes to metrics against hand-computed cases."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

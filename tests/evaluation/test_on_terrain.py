@@ -1,7 +1,5 @@
 """Test that the terrain protocol has the same kinds of tiles as training, in a larger size."""
 
-from __future__ import annotations
-
 import pytest
 
 from evaluation.conftest import protocol

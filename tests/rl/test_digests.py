@@ -1,7 +1,5 @@
 """Test that digests change with every bit of a training's state, and with the state only."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

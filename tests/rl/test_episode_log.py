@@ -1,7 +1,5 @@
 """Test the returns, lengths, and logs of a rollout against hand-computed cases."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

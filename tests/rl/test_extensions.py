@@ -1,7 +1,5 @@
 """Test that stock configs of rsl_rl's extensions learn, and that a resumed training is bit-identical."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Test the precision, the selection, and the repeatability of matrix products in bfloat16."""
 
-from __future__ import annotations
-
 import copy
 import os
 import subprocess

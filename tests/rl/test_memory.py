@@ -1,7 +1,5 @@
 """Test that configs that exceed the machine's memory are rejected by their key before the allocation."""
 
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp import machine

@@ -1,7 +1,5 @@
 """Test that the mean of a policy's weights is played, and that training does not depend on the mean."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

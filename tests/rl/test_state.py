@@ -1,7 +1,5 @@
 """Test that a trainer restored from a checkpoint equals the original, for all kinds of rsl_rl state."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

@@ -1,7 +1,5 @@
 """Test means over all control steps against closed forms, with episodes of different lengths."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """Test mirror images against the physics and against hand-computed signs."""
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

@@ -1,7 +1,5 @@
 """Test mirror images of sensors, bodies, clocks, and commands against the physics and hand-computed values."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
