@@ -8,14 +8,13 @@ import torch
 
 from env.composed import event, term
 
-E = "wheelleg_exp.mdp.events."
-O = "wheelleg_exp.mdp.observations."
 ROBOT = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot"}
 NOISE = term(
     "noise.NoiseModelWithAdditiveBias",
     noise_cfg=term("noise.GaussianNoise", std=0.05),
     bias_noise_cfg=term("noise.UniformNoise", operation="abs"),
 )
+COM, ARMS = {"x": [-0.01, 0.01], "z": [-0.01, 0.01]}, ROBOT | {"body_names": ["base", ".*_arm"]}
 FRICTION = {"static_friction_range": [0.2, 1.2], "dynamic_friction_range": [0.2, 1.0], "restitution_range": [0.0, 0.1]}
 FORCES = {"force_range": [-1.0, 1.0], "torque_range": [-0.05, 0.05], "min_step_count_between_reset": 10}
 START = {"pose_range": {"x": [-0.1, 0.1], "yaw": [-3.0, 3.0]}, "velocity_range": {"x": [-0.5, 0.5], "yaw": [-1.0, 1.0]}}
@@ -38,14 +37,8 @@ SECTIONS = {
     "events": {
         "material": event("randomize_rigid_body_material", "startup", num_buckets=16, **FRICTION),
         "mass": event("randomize_rigid_body_mass", "startup", mass_distribution_params=[0.8, 1.3], operation="scale"),
-        "com": event(
-            *("randomize_rigid_body_com", "reset"),
-            com_range={"x": [-0.01, 0.01], "z": [-0.01, 0.01]},
-            asset_cfg=ROBOT | {"body_names": ["base"]},
-        ),
-        "wrench": event(
-            "apply_external_force_torque", "reset", asset_cfg=ROBOT | {"body_names": ["base", ".*_arm"]}, **FORCES
-        ),
+        "com": event("randomize_rigid_body_com", "reset", com_range=COM, asset_cfg=ROBOT | {"body_names": ["base"]}),
+        "wrench": event("apply_external_force_torque", "reset", asset_cfg=ARMS, **FORCES),
         "place": event("reset_root_state_uniform", "reset", **START),
         "joints": event("reset_joints_by_offset", "reset", position_range=[-0.1, 0.1], velocity_range=[-1.0, 1.0]),
         "push": event("push_by_adding_velocity", "interval", **PUSH),

@@ -39,12 +39,8 @@ ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "e
 # Camera options need a rendering backend; the values are their config groups.
 PICTURES: dict[str, str] = {"sensors/camera_image": "observation", "sensors/depth_image": "observation"}
 DRAWN = {"camera"}
-SIZE = [
-    "env.num_envs=3",
-    "env.sim.nthread=1",
-    "env.episode_length_s=0.2",
-    "env.scene.sensors.contact_forces.track_air_time=true",
-]
+SIZE = ["env.num_envs=3", "env.sim.nthread=1", "env.episode_length_s=0.2"]
+SIZE += ["env.scene.sensors.contact_forces.track_air_time=true"]
 # Every sensor recomputes these attributes from the physics results.
 DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._largest_norm", "._counts", ".data._history"}
 DERIVED |= {

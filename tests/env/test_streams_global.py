@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from env.composed import event, term
+from env.test_determinism import FRICTION, RANGES, SHARES
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.determinism import no_global_draws
 
 BASE = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["base"]}
 SPAN = {"x": [-0.1, 0.1], "yaw": [-0.3, 0.3]}
 JOINTS = {"position_range": [0.9, 1.1], "velocity_range": [-0.1, 0.1]}
-FRICTION = {"static_friction_range": [0.2, 1.2], "dynamic_friction_range": [0.2, 1.0], "restitution_range": [0.0, 0.1]}
 WRENCH = {"force_range": [-0.1, 0.1], "torque_range": [-0.01, 0.01]}
 TURN = {"pose_range": {"x": [-0.1, 0.1]}, "velocity_range": SPAN}
 OFTEN = {"interval_range_s": [0.02, 0.05], "velocity_range": SPAN}
@@ -31,8 +31,6 @@ EVENTS = {
     "scale": event("reset_joints_by_scale", "reset", **JOINTS),
     "offset": event("reset_joints_by_offset", "reset", **JOINTS),
 }
-RANGES = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0], "heading": [-3.0, 3.0]}
-SHARES = {"rel_standing_envs": 0.3, "heading_command": True, "rel_heading_envs": 0.5}
 COMMANDS = {
     name: term("commands.UniformVelocityCommand", resampling_time_range=[0.02, 0.05], ranges=RANGES, **SHARES)
     for name in ("v", "w")

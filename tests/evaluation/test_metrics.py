@@ -37,12 +37,9 @@ def test_levels_are_passed_from_the_first_on():
     assert highest(of([0, 0], [0, 0]), share=0.5) == 0
 
 
-def test_the_worst_cell_is_told():
+def test_the_worst_cell_counts_and_episodes_have_equal_weights_in_a_quadratic_mean():
     assert metrics.worst_mean(of([0, 0, 1, 1], [1, 1, 0, 1])) == pytest.approx(0.5)
     assert metrics.worst_median(of([0, 0, 0, 1], [1, 2, 9, 3])) == pytest.approx(2.0)
-
-
-def test_episodes_have_equal_weights_in_a_quadratic_mean():
     assert metrics.quadratic(of([3.0, 4.0])) == pytest.approx(math.sqrt(12.5))
 
 

@@ -86,7 +86,7 @@ def test_the_linear_model_is_the_falling_of_an_inverted_pendulum_on_weightless_w
     assert b[2, 0] > 0 > b[3, 0]  # Accelerating wheels push the axle forward and the body back.
 
 
-def test_it_stands_as_still_as_was_measured(rolled):
+def test_it_stands_still_as_measured_and_returns_to_its_place_after_a_kick(rolled):
     begin = after(rolled, 5.0)
     height, pitch = rolled["z"][begin:, 0], rolled["pitch"][begin:, 0]
     assert rms(height - 0.07) < 1.1e-3
@@ -94,9 +94,6 @@ def test_it_stands_as_still_as_was_measured(rolled):
     assert float(pitch.std()) < 1e-4
     settled = rolled["x"][begin:, 0]
     assert float(settled.max() - settled.min()) < 1e-4
-
-
-def test_it_stands_where_it_was_told_to_and_comes_back_there_after_a_kick(rolled):
     moved = rolled["x"][:, [0, 6]] - rolled["x"][0, [0, 6]]
     assert float(moved[-1].abs().max()) < 1.5e-3
     assert float(moved[:, 0].abs().max()) < 0.02

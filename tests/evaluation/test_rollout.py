@@ -72,13 +72,8 @@ def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_
     torque = torch.tensor([[2.0, -1.0]])
     before, after = torch.tensor([[1.0, 3.0]]), torch.tensor([[2.0, 1.0]])
     armature = torch.tensor([[0.01, 0.02]])
-    env = stub_env(
-        applied_torque=torque,
-        joint_vel_before=before,
-        joint_vel=after,
-        joint_armature=armature,
-        joint_effort_limits=torch.tensor([[2.0, 2.0]]),
-    )
+    motion = {"joint_vel_before": before, "joint_vel": after, "joint_armature": armature}
+    env = stub_env(applied_torque=torque, joint_effort_limits=torch.tensor([[2.0, 2.0]]), **motion)
     meter = EffortMeter(env, 0.99, 0.001, 0.1)
     meter.begin(counted=False)
     meter.update()
@@ -141,7 +136,7 @@ def changed(task) -> dict[tuple[str, float], Env]:
     return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found if world.sweep != "delay"}
 
 
-def test_each_world_differs_in_what_it_is_named_after(changed):
+def test_each_world_differs_in_the_property_of_its_name(changed):
     nominal = changed["nominal", 0.0]
     model = nominal.scene.model
 
@@ -157,9 +152,6 @@ def test_each_world_differs_in_what_it_is_named_after(changed):
     gains = changed["gains", 1.2].scene.robot.data
     for name in ("joint_stiffness", "joint_damping"):
         assert torch.allclose(getattr(gains, name), 1.2 * getattr(nominal.scene.robot.data, name))
-
-
-def test_noise_is_on_the_named_observations_alone(changed):
     env = changed["noise", 1.0]
     terms = env.observation_manager.terms("policy")
     noisy = {name for name, node in env.cfg["observations"]["policy"]["terms"].items() if node.get("noise")}

@@ -148,13 +148,12 @@ def test_a_moment_of_a_training_is_found(trained: Recording, choice: dict, step:
     assert found.motion.step[row_at(found, **choice)] == step
 
 
-def test_another_environment_has_its_own_motion(several: Recording) -> None:
+def test_a_caption_names_environment_time_and_command(
+    trained: Recording, several: Recording, played: Recording
+) -> None:
     assert scenery(several, 3).source.branch == "env_3"
     with pytest.raises(WheellegError, match="environment 1 was not recorded"):
         scenery(several, 1)
-
-
-def test_a_caption_says_environment_time_and_command(trained: Recording, several: Recording, played: Recording) -> None:
     found = scenery(trained)
     expected = [f"iteration 5 · t = {121 * DT:.2f} s", "command: forward +0.50 m/s"]
     assert recorded_scene.caption_lines(found.motion, row_at(found, iteration=5, at="0s")) == expected

@@ -118,8 +118,8 @@ def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
     assert [(s.first_step, s.last_step, s.episodes, s.cut) for s in samples] == [(1, 50, 2, 0), (201, 250, 2, 0)]
 
 
-def late(path):
-    writer = Writer(path)
+def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
     steps = np.r_[1:21, 201:241, 301:311]
     iterations = (steps - 1) // 20
     writer.numbers("terminations/fallen", steps == 20, steps, None, iterations)
@@ -129,11 +129,7 @@ def late(path):
     writer.words("log/episodes", [(20, "env 0: ended by fallen", "WARN"), (240, "env 0: ended by time_out", "INFO")])
     scalars = np.array([0.0, 5.0, 8.0])
     writer.numbers("training/Train/mean_reward", scalars, [20, 240, 320], None, [0, 11, 15])
-    return writer.close()
-
-
-def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
-    recording = Recording(late(tmp_path / "r.rrd"))
+    recording = Recording(writer.close())
     summary = summarize(recording)
     assert (summary.sample.iteration, summary.sample.first_step, summary.sample.last_step) == (10, 201, 240)
     assert (summary.figures.survival, summary.figures.mean_reward) == (1.0, pytest.approx(40 * STEP_DT))

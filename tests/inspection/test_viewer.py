@@ -123,16 +123,13 @@ def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
         WebViewer(Path(played.path), 70000)
 
 
-def test_two_viewers_stand_beside_each_other_and_answer_no_more_once_ended(files, played: Recording) -> None:
+def test_two_viewers_run_at_the_same_time_and_leave_no_server_and_no_process(files, played: Recording) -> None:
     with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
         assert one.port != two.port
         assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
         port = one.port
     with pytest.raises(ConnectionError):
         ask(port, "/")
-
-
-def test_fetching_the_viewer_leaves_no_process(files: rerun_viewer.Files) -> None:
     assert files["/re_viewer_bg.wasm"][0] == "application/wasm"
     assert not [p for p in psutil.Process().children(recursive=True) if "rerun" in p.name()]
 

@@ -123,16 +123,13 @@ def test_velocity_arrows_are_turned_by_the_yaw_of_the_base(recording, recorded):
         assert (arrows[:, 2] == 0).all()
 
 
-def test_the_log_says_what_ended_an_episode_and_when(recording, recorded):
+def test_the_log_names_ends_of_episodes_and_interval_events_at_their_steps(recording, recorded):
     ended = recorded[1].ended
     assert ended, "the rollout must hold an end"
     steps, texts = (listed(recording, "log/episodes", name) for name in ("step", "text"))
     assert steps == [step for step, _, _ in ended]
     expected = [f"env 1: ended by {' and '.join(names)} after {seconds:.2f} s" for _, names, seconds in ended]
     assert [text[0] for text in texts] == expected
-
-
-def test_the_log_names_interval_events_at_the_step_that_they_follow(recording, recorded):
     pushed = recorded[1].pushed
     assert pushed
     assert listed(recording, "log/events", "step") == pushed

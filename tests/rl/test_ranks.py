@@ -59,13 +59,11 @@ def said(tmp_path_factory) -> list[list]:
     return [[json.loads(line) for line in out.splitlines()] for _, out, _ in found]
 
 
-def test_they_hear_each_other(said):
+def test_processes_receive_messages_and_the_first_one_merges_scalars(said):
     for (words, *_), rank in zip(said, range(SIZE), strict=True):
         assert words[:4] == [True, False, [{"n": 0}, {"n": 1}], "0"]
         assert words[4] == ([[[0.0], ""], [[1.0, 1.0], "r"]] if rank == 0 else [])
-
-
-def test_scalars_are_means_times_the_longest_and_counts_sums(said):
+    # Scalars are means, times are the longest ones, and counts are sums.
     expected = {"a": 1.5, "Perf/total_fps": 20.0, "Perf/learning_time": 2.0, "b": 5.0}
     assert said[0][0][5] == {**expected, "Diagnostics/non_finite/env.x": 2.0}
 
@@ -86,18 +84,15 @@ def test_another_config_and_a_process_that_dies_are_detected(said):
     assert said[0][1] == "another process of the training has ended"
 
 
-def test_alone_nothing_is_told_and_nothing_changes():
+def test_a_single_process_sends_nothing_and_other_processes_have_their_own_streams():
+    assert Ranks(0, 4).seed(5) == 5
+    assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
     assert (ALONE.any(True), ALONE.any(False), ALONE.tell_all([1]), ALONE.said_by_first(2)) == (True, False, [[1]], 2)
     state = {"x": torch.ones(2)}
     assert ranks.state_of_all_ranks(ALONE, state) == state
     assert (ALONE.for_rsl_rl(), ALONE.seed(5)) == (None, 5)
     with pytest.raises(ConfigError), ALONE.agreed():
         raise ConfigError("is wrong")
-
-
-def test_the_others_have_streams_of_their_own():
-    assert Ranks(0, 4).seed(5) == 5
-    assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
 
 
 def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):

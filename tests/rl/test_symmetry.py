@@ -145,6 +145,8 @@ def test_signs_of_joints_are_those_of_their_axes():
     images = joint_images(names, {"l_(.*)": r"r_\1"})
     assert images == [3, 4, 5, 0, 1, 2, 6, 7]
     assert joint_signs(model, "base", names, images) == [-1, -1, -1, -1, -1, -1, -1, 1]
+    # A pair that is null has no effect.
+    assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
 @pytest.mark.parametrize(
@@ -160,10 +162,6 @@ def test_pairs_that_cannot_be_are_told(pairs, said):
     with pytest.raises(ConfigError, match=r"agent\.symmetry\.joint_pairs") as caught:
         joint_images(["l1", "r1", "head"], pairs)
     assert said in str(caught.value)
-
-
-def test_a_pair_that_is_null_is_none():
-    assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
 def lopsided(change):

@@ -13,18 +13,11 @@ SEEN = ["body_pose", "body_projected_gravity"]
 SEEN += [f"sensors/imu_{name}" for name in ("ang_vel", "lin_acc", "orientation", "projected_gravity")]
 SEEN += [f"sensors/wheel_{name}" for name in ("air_time", "contact_forces", "contacts")]
 IMU = "env.scene.sensors.imu"
-WORDS = [
-    MIRRORED,
-    *CALM,
-    "env.num_envs=32",
-    "+sensor@env.scene.sensors=[height_scanner,imu]",
-    f"{IMU}.accelerometer=null",
-    f"{IMU}.gyroscope=null",
-    f"{IMU}.offset={{pos: [0.01, 0.0, 0.02], rot: [0.96, 0.0, 0.28, 0.0]}}",
-    "env.scene.sensors.contact_forces.track_air_time=true",
-    "command@env.commands=[base_velocity,base_pose,place]",
-    f"{CRITIC}.history_length=2",
-]
+IMU_OFFSET = f"{IMU}.offset={{pos: [0.01, 0.0, 0.02], rot: [0.96, 0.0, 0.28, 0.0]}}"
+WORDS = [MIRRORED, *CALM, "env.num_envs=32", f"{CRITIC}.history_length=2"]
+WORDS += ["+sensor@env.scene.sensors=[height_scanner,imu]", "env.scene.sensors.contact_forces.track_air_time=true"]
+WORDS += ["command@env.commands=[base_velocity,base_pose,place]", IMU_OFFSET]
+WORDS += [f"{IMU}.{sensor}=null" for sensor in ("accelerometer", "gyroscope")]
 
 
 def shown(command):

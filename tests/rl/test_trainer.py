@@ -208,12 +208,9 @@ def test_draws_of_the_policy_and_of_the_environment_leave_each_others_streams_al
 
 
 def test_the_adapter_clips_only_when_asked(trainer, make_trainer):
-    actions = torch.full((16, 6), 3.0)
-    plain, clipped = trainer, make_trainer("+agent.clip_actions=0.5")
-    for trainer in (plain, clipped):
-        trainer.env.step(actions)
-    assert (plain.env.env.action_manager.action == 3.0).all()
-    assert (clipped.env.env.action_manager.action == 0.5).all()
+    for made, expected in ((trainer, 3.0), (make_trainer("+agent.clip_actions=0.5"), 0.5)):
+        made.env.step(torch.full((16, 6), 3.0))
+        assert (made.env.env.action_manager.action == expected).all()
 
 
 def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
