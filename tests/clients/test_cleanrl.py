@@ -1,7 +1,5 @@
 """CleanRL's PPO for continuous actions: its environments, and what its loop reads of a step."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Run every snippet of the page about other tools, in the order of the page."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path
@@ -30,30 +28,11 @@ def test_a_snippet_runs(number, request):
         assert Path("videos/rl-video-episode-0.mp4").stat().st_size > 1000
 
 
-def test_the_table_names_what_is_tested():
+def test_the_page_has_snippets_and_its_table_names_the_tests():
+    assert len(SNIPPETS) > 1
     pins = (Path(__file__).parent / "requirements.txt").read_text(encoding="utf-8")
     for name, version in re.findall(r"^([\w-]+)==(\S+)$", pins, re.MULTILINE):
         assert f"{name} {version}" in PAGE
     named = re.findall(r"`(tests/[\w/]+\.py)`", PAGE)
     assert len(named) >= 6
     assert [name for name in named if not (DOCS.parent / name).is_file()] == []
-
-
-def test_the_page_has_snippets():
-    assert len(SNIPPETS) > 1
-
-
-@pytest.fixture
-def graphics():
-    import gymnasium
-
-    from wheelleg_exp.rendering.renderer import NoGraphics
-
-    env = gymnasium.make("wheelleg_exp:Wheelleg-Velocity-v0", render_mode="rgb_array", width=64, height=64)
-    env.reset(seed=0)
-    try:
-        env.render()
-    except NoGraphics as error:
-        pytest.skip(str(error))
-    finally:
-        env.close()

@@ -1,7 +1,5 @@
 """skrl: its wrapper around a single environment and around our batch, and an agent of its own that learns."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -19,12 +17,8 @@ SHORT = ["env.sim.nthread=1", "env.episode_length_s=0.2"]
 
 @pytest.mark.parametrize("num_envs", [1, 3])
 def test_its_wrapper_takes_both(num_envs):
-    ours = (
-        gymnasium.make(ENV_ID, overrides=SHORT)
-        if num_envs == 1
-        else gymnasium.make_vec(ENV_ID, num_envs=num_envs, overrides=SHORT)
-    )
-    env = wrap_env(ours)
+    batch = {} if num_envs == 1 else {"num_envs": num_envs}
+    env = wrap_env((gymnasium.make_vec if batch else gymnasium.make)(ENV_ID, overrides=SHORT, **batch))
     assert (env.num_envs, env.observation_space["policy"].shape, env.action_space.shape) == (num_envs, (135,), (6,))
     observed, _ = env.reset()
     assert observed.shape == (num_envs, 315)

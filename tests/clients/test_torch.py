@@ -1,7 +1,5 @@
 """Gymnasium's NumpyToTorch around both environments."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Gymnasium's RecordVideo around both environments, with MoviePy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import av
@@ -11,8 +9,6 @@ import pytest
 from gymnasium.wrappers import RecordVideo, vector
 
 pytest.importorskip("moviepy", reason="moviepy is not installed: nox -s clients")
-
-from wheelleg_exp.rendering.renderer import NoGraphics
 
 pytestmark = [pytest.mark.pictures, pytest.mark.filterwarnings("default")]
 SMALL = {"render_mode": "rgb_array", "width": 96, "height": 64, "overrides": ["env.sim.nthread=1"]}
@@ -27,13 +23,8 @@ def film(path):
 
 
 @pytest.fixture
-def env():
+def env(graphics):
     made = gymnasium.make(ID, **SMALL)
-    made.reset(seed=0)
-    try:
-        made.render()
-    except NoGraphics as error:
-        pytest.skip(str(error))
     yield made
     made.close()
 
@@ -52,9 +43,8 @@ def test_a_single_environment_is_filmed(env):
 
 def test_a_batch_is_filmed_side_by_side(env):
     envs = gymnasium.make_vec(ID, num_envs=2, autoreset_mode="next_step", **SMALL)
-    envs = vector.RecordVideo(
-        envs, "videos", video_aspect_ratio=(3, 1), step_trigger=lambda step: step == 0, video_length=10
-    )
+    options = {"video_aspect_ratio": (3, 1), "step_trigger": lambda step: step == 0, "video_length": 10}
+    envs = vector.RecordVideo(envs, "videos", **options)
     envs.reset(seed=0)
     for _ in range(12):
         envs.step(np.zeros((2, 6), np.float32))

@@ -24,6 +24,11 @@ def outputs(run, term: TermBase, name: str, values: list) -> list[float]:
     return found
 
 
+class Made(TermBase):
+    def __init__(self, **attributes: object) -> None:
+        vars(self).update(attributes)
+
+
 class Counter(TermBase):
     def __init__(self) -> None:
         self.count = 0
@@ -60,34 +65,18 @@ def test_a_buffer_may_be_rebound():
     assert len(part.recordings) == 1
 
 
-class Handover(Rebinder):
-    def work(self) -> torch.Tensor:
-        self.last += 1.0
-        return self.now
-
-
 def test_a_returned_buffer_is_the_present_one():
-    term = Handover()
-    _, run = make_part(term.work, term)
+    term = Made(now=torch.zeros(2), last=torch.zeros(2))
+    _, run = make_part(lambda: (term.last.add_(1.0), term.now)[1], term)
     for step in range(1, 9):
         term.now = torch.full((2,), float(step))
         assert run().tolist() == [step, step]
 
 
-class Difference(TermBase):
-    def __init__(self) -> None:
-        self.now, self.last = torch.zeros(2), torch.zeros(2)
-
-    def work(self) -> torch.Tensor:
-        return self.now - self.last
-
-
 @pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
 def test_a_tensor_that_moves_from_one_buffer_to_another_keeps_its_numbers(order):
-    term = Difference()
-    values = vars(term)
-    term.__dict__ = {name: values[name] for name in order}  # The graph copies the buffers in this order.
-    _, run = make_part(term.work, term)
+    term = Made(**{name: torch.zeros(2) for name in order})  # The graph copies the buffers in this order.
+    _, run = make_part(lambda: term.now - term.last, term)
     for step in range(1, 9):
         term.last = term.now
         term.now = torch.full((2,), float(step * step))
@@ -121,19 +110,11 @@ def test_buffers_that_share_a_tensor_may_part(order, doubles):
         assert run().tolist() == [expected] * 2
 
 
-class View(TermBase):
-    def __init__(self) -> None:
-        self.memory = torch.arange(20.0)
-        self.seen = self.memory[:4]
-
-    def work(self) -> torch.Tensor:
-        return self.seen.sum() + 0.0
-
-
-@pytest.mark.filterwarnings("ignore:the part 'work' of the step runs without a CUDA graph")
+@pytest.mark.filterwarnings("ignore:the part '<lambda>' of the step runs without a CUDA graph")
 def test_a_buffer_that_is_seen_through_another_is_not_overwritten():
-    term = View()
-    _, run = make_part(term.work, term)
+    memory = torch.arange(20.0)
+    term = Made(memory=memory, seen=memory[:4])
+    _, run = make_part(lambda: term.seen.sum() + 0.0, term)
     for step in range(80):
         first = 3 * (step % 5)
         term.seen = term.memory[first : first + 4]
@@ -141,17 +122,9 @@ def test_a_buffer_that_is_seen_through_another_is_not_overwritten():
         assert torch.equal(term.memory, torch.arange(20.0))
 
 
-class Reader(TermBase):
-    def __init__(self) -> None:
-        self.now, self.unused = torch.zeros(2), torch.zeros(1)
-
-    def work(self) -> torch.Tensor:
-        return self.now + 1.0
-
-
 def test_a_recording_depends_only_on_buffers_that_the_part_uses():
-    term = Reader()
-    part, run = make_part(term.work, term)
+    term = Made(now=torch.zeros(2), unused=torch.zeros(1))
+    part, run = make_part(lambda: term.now + 1.0, term)
     for step in range(8):
         term.now.fill_(float(step))
         term.unused = torch.zeros(step)
@@ -161,8 +134,8 @@ def test_a_recording_depends_only_on_buffers_that_the_part_uses():
 
 
 def test_a_buffer_may_be_replaced_by_another_tensor_of_any_shape():
-    term = Reader()
-    _, run = make_part(term.work, term)
+    term = Made(now=torch.zeros(2))
+    _, run = make_part(lambda: term.now + 1.0, term)
     for step in range(8):
         term.now = torch.full((2,), float(step))
         assert run().tolist() == [step + 1.0] * 2
@@ -279,10 +252,7 @@ def test_a_term_that_uses_undeclared_state_later_runs_without_a_graph_from_then_
     assert len(term.kept) == 5
 
 
-class TwoParts(TermBase):
-    def __init__(self) -> None:
-        self.now, self.kept = torch.zeros(1), (torch.zeros(1),)
-
+class TwoParts(Made):
     def take(self) -> torch.Tensor:
         self.kept = (self.now.clone(),)
         return self.now + 0.0
@@ -293,7 +263,7 @@ class TwoParts(TermBase):
 
 @pytest.mark.filterwarnings("ignore:the part 'take' of the step runs without a CUDA graph")
 def test_a_tuple_that_another_part_replaces_is_read_as_it_is():
-    term = TwoParts()
+    term = TwoParts(now=torch.zeros(1), kept=(torch.zeros(1),))
     values = Values(term)
     (_, take), (_, read) = (make_part(work, term, values=values) for work in (term.take, term.read))
     for step in range(1, 12):

@@ -1,15 +1,14 @@
 """Test steps, resets, episodes, and logs of the environment."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from managers import spies
 
+from env.composed import term
 from wheelleg_exp.errors import ConfigError
 
 STILL = torch.zeros(4, 4)
-ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
+ALIVE = term("rewards.is_alive", weight=1.0)
 
 
 @pytest.mark.parametrize(
@@ -27,28 +26,16 @@ def test_the_longest_episode_in_control_steps_is_rounded_up(make_env, seconds, d
     assert env.max_episode_length == steps
 
 
-def test_an_episode_ends_at_its_longest_length(make_env):
-    env = make_env(episode_length_s=0.06)
-    env.reset()
+def test_an_episode_ends_at_its_longest_length_and_control_steps_are_counted_over_all_episodes(start_env):
+    env = start_env(episode_length_s=0.06)
     ends = [env.step(STILL)[3].all().item() for _ in range(7)]
     assert ends == [False, False, True, False, False, True, False]
-
-
-def test_control_steps_are_counted_for_all_and_not_reset(make_env):
-    env = make_env(episode_length_s=0.06)
     env.reset()
-    for _ in range(5):
-        env.step(STILL)
-    env.reset()
-    assert env.common_step_counter == 5
-    assert env.episode_length_buf.tolist() == [0] * 4
+    assert (env.common_step_counter, env.episode_length_buf.tolist()) == (7, [0] * 4)
 
 
 def test_a_step_returns_the_first_observation_of_the_next_episode(make_env):
-    terms = {
-        "q": {"_target_": "wheelleg_exp.mdp.observations.joint_pos"},
-        "a": {"_target_": "wheelleg_exp.mdp.observations.last_action"},
-    }
+    terms = {"q": term("observations.joint_pos"), "a": term("observations.last_action")}
     env = make_env(episode_length_s=0.04, observations={"policy": {"terms": terms, "history_length": 2}})
     start, _ = env.reset()
     env.keep_final_obs = True
@@ -61,29 +48,24 @@ def test_a_step_returns_the_first_observation_of_the_next_episode(make_env):
     assert "final_obs" not in extras
 
 
-def test_rewards_and_terminations_see_the_state_before_the_reset(make_env):
+def test_rewards_and_terminations_see_the_state_before_the_reset(start_env):
     spies.VALUES["tilt"] = lambda env: env.scene.robot.data.joint_pos[:, 0]
-    env = make_env(
-        episode_length_s=0.04, rewards={"r": {"_target_": spies.HERE + "value", "key": "tilt", "weight": 1.0}}
-    )
-    env.reset()
+    reward = {"_target_": spies.HERE + "value", "key": "tilt", "weight": 1.0}
+    env = start_env(episode_length_s=0.04, rewards={"r": reward})
     env.step(torch.ones(4, 4))
     reward = env.step(torch.ones(4, 4))[1]
     assert (reward > 0.2 * 0.02 + 1e-4).all()  # The reset sets the joint to its default of 0.2 rad.
 
 
-def test_a_time_out_counts_as_alive(make_env):
-    env = make_env(episode_length_s=0.02, rewards={"alive": ALIVE})
-    env.reset()
+def test_a_time_out_counts_as_alive(start_env):
+    env = start_env(episode_length_s=0.02, rewards={"alive": ALIVE})
     _, reward, terminated, time_outs, _ = env.step(STILL)
-    assert time_outs.all()
-    assert not terminated.any()
+    assert (time_outs.all().item(), terminated.any().item()) == (True, False)
     assert reward.tolist() == pytest.approx([0.02] * 4)
 
 
-def test_the_log_stays_between_resets_and_says_whether_it_is_new(make_env):
-    env = make_env(episode_length_s=0.06, rewards={"alive": ALIVE})
-    env.reset()
+def test_the_log_stays_between_resets_and_says_whether_it_is_new(start_env):
+    env = start_env(episode_length_s=0.06, rewards={"alive": ALIVE})
     fresh, logs = [], []
     for _ in range(7):
         *_, extras = env.step(STILL)
@@ -96,52 +78,29 @@ def test_the_log_stays_between_resets_and_says_whether_it_is_new(make_env):
 
 def test_the_log_has_isaac_labs_keys(make_env):
     spies.VALUES["k"] = 1.0
-    command = {
-        "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
-        "resampling_time_range": [1.0, 1.0],
-        "ranges": {},
-    }
-    env = make_env(
-        rewards={"alive": ALIVE},
-        commands={"v": command},
-        curriculum={"c": {"_target_": spies.HERE + "state_of", "key": "k"}},
-    )
-    _, extras = env.reset()
-    wanted = {
-        "Episode_Reward/alive",
-        "Episode_Termination/time_out",
-        "Metrics/v/error_vel_xy",
-        "Metrics/v/error_vel_yaw",
-        "Curriculum/c",
-    }
+    command = term("commands.UniformVelocityCommand", resampling_time_range=[1.0, 1.0], ranges={})
+    curriculum = {"c": {"_target_": spies.HERE + "state_of", "key": "k"}}
+    _, extras = make_env(rewards={"alive": ALIVE}, commands={"v": command}, curriculum=curriculum).reset()
+    wanted = {"Episode_Reward/alive", "Episode_Termination/time_out", "Curriculum/c"}
+    wanted |= {f"Metrics/v/error_vel_{axis}" for axis in ("xy", "yaw")}
     assert wanted <= set(extras["log"])
     rest = {key.split("/")[0] for key in set(extras["log"]) - wanted}
     assert not rest & {"Episode_Reward", "Episode_Termination", "Metrics", "Curriculum"}
 
 
-def test_some_may_be_reset_in_any_order(make_env):
-    env = make_env()
-    env.reset()
-    env.step(STILL)
-    env.reset(env_ids=torch.tensor([2, 0]))
-    assert env.episode_length_buf.tolist() == [0, 1, 0, 1]
-
-
-def test_a_reset_of_some_leaves_the_motion_of_others(make_env):
-    env = make_env()
-    env.reset()
+def test_a_reset_of_some_in_any_order_leaves_the_motion_of_the_other_environments(start_env):
+    env = start_env()
     for _ in range(5):
         env.step(torch.ones(4, 4))
     before = env.scene.sim.state.clone()
-    env.reset(env_ids=torch.tensor([1]))
-    after = env.scene.sim.state
-    assert torch.equal(after[[0, 2, 3]], before[[0, 2, 3]])
-    assert not torch.equal(after[1], before[1])
+    env.reset(env_ids=torch.tensor([2, 0]))
+    assert env.episode_length_buf.tolist() == [0, 5, 0, 5]
+    assert torch.equal(env.scene.sim.state[[1, 3]], before[[1, 3]])
+    assert (env.scene.sim.state[[0, 2]] != before[[0, 2]]).any(dim=1).all()
 
 
-def test_rewards_returned_do_not_change_later(make_env):
-    env = make_env(rewards={"alive": ALIVE}, episode_length_s=0.04)
-    env.reset()
+def test_rewards_returned_do_not_change_later(start_env):
+    env = start_env(rewards={"alive": ALIVE}, episode_length_s=0.04)
     _, reward, *_ = env.step(STILL)
     kept = reward.clone()
     env.reward_manager.get_term_cfg("alive").fields["weight"] = 7.0
@@ -164,12 +123,10 @@ def test_everything_of_a_reset_environment_is_fresh_in_the_observation(make_env)
     assert (obs["policy"][:, 1] == 0).all()
 
 
-def test_a_broken_simulation_does_not_touch_its_neighbours(make_env, tmp_path, monkeypatch):
+def test_a_broken_simulation_does_not_touch_its_neighbours(start_env, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    nodes = {"terminations": {"bad": {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}}}
-    clean, broken = make_env(**nodes), make_env(**nodes)
+    clean, broken = (start_env(terminations={"bad": term("terminations.non_finite_state")}) for _ in range(2))
     for env in (clean, broken):
-        env.reset()
         env.step(STILL)
     broken.scene.sim.view("qvel")[1, 3] = float("nan")
     for _ in range(5):
@@ -180,9 +137,8 @@ def test_a_broken_simulation_does_not_touch_its_neighbours(make_env, tmp_path, m
     assert broken.scene.sim.state[1].isfinite().all()
 
 
-def test_the_environment_runs_in_inference_mode_and_is_reset_outside(make_env):
-    env = make_env(rewards={"alive": ALIVE}, episode_length_s=0.06)
-    env.reset()
+def test_the_environment_runs_in_inference_mode_and_is_reset_outside(start_env):
+    env = start_env(rewards={"alive": ALIVE}, episode_length_s=0.06)
     with torch.inference_mode():
         for _ in range(5):
             env.step(STILL)
@@ -191,24 +147,19 @@ def test_the_environment_runs_in_inference_mode_and_is_reset_outside(make_env):
     assert (env.episode_length_buf == 1).all()
 
 
-@pytest.mark.parametrize("key", ["num_envs", "decimation"])
-@pytest.mark.parametrize("value", [0, -1, 2.0, True, "4"])
-def test_counts_must_be_whole_and_positive(make_env, key, value):
+COUNTS = [(key, value) for key in ("num_envs", "decimation") for value in (0, -1, 2.0, True, "4")]
+LENGTHS = [("episode_length_s", value) for value in (0.0, -1.0, "long", float("nan"))]
+
+
+@pytest.mark.parametrize(("key", "value"), [*COUNTS, *LENGTHS])
+def test_counts_must_be_whole_and_positive_and_the_episode_length_positive(make_env, key, value):
     with pytest.raises(ConfigError) as caught:
         make_env(**{key: value})
     assert caught.value.key == f"env.{key}"
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, "long", float("nan")])
-def test_the_episode_length_must_be_positive(make_env, value):
-    with pytest.raises(ConfigError) as caught:
-        make_env(episode_length_s=value)
-    assert caught.value.key == "env.episode_length_s"
-
-
-def test_wheels_of_a_fixed_base_turn(make_env):
-    env = make_env("arm")
-    env.reset()
+def test_wheels_of_a_fixed_base_turn(start_env):
+    env = start_env("arm")
     for _ in range(100):
         obs, *_ = env.step(torch.tensor([[0.5, 0.0]] * 4))
     assert obs["policy"][0, 0] == pytest.approx(0.6, abs=0.2)  # Gravity lowers the joint below its target.

@@ -15,9 +15,8 @@ from wheelleg_exp.errors import SimulationFailure
 def _as_on_a_gpu(monkeypatch):
     due = lambda timers, least, dt: bool((timers <= dt).any())  # noqa: E731  # on a GPU the host knows a bound only
     monkeypatch.setattr("wheelleg_exp.managers.command_manager.may_be_due", due)
-    monkeypatch.setattr(
-        "wheelleg_exp.managers.non_finite.is_finite", lambda total: True
-    )  # on a CPU it reads the number
+    # On a CPU, the original function reads the number.
+    monkeypatch.setattr("wheelleg_exp.managers.non_finite.is_finite", lambda total: True)
 
 
 def pair(task: str = "stand", *overrides: str) -> tuple[ManagerBasedRLEnv, ManagerBasedRLEnv]:
@@ -39,23 +38,28 @@ def counts(part: CapturedPart) -> list[int]:
     return sorted({key[0][0][0] for key in part.recordings})
 
 
-def test_a_captured_step_equals_the_step_through_resets_and_a_changed_weight():
-    plain, captured = pair("walk")
+def assert_equal_steps(plain: ManagerBasedRLEnv, captured: ManagerBasedRLEnv, actions: torch.Tensor) -> int:
+    """Check that both environments give the same results; return the number of episodes that ended."""
     ended = 0
-    for index, action in enumerate(random_actions(plain, 60)):
-        if index == 40:
-            for env in (plain, captured):
-                env.reward_manager.get_term_cfg("alive").weight = 3.0
+    for action in actions:
         ours, theirs = captured.step(action), plain.step(action)
-        assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
-        assert torch.equal(ours[1], theirs[1])
-        assert torch.equal(ours[2], theirs[2])
-        for key, value in plain.extras["log"].items():
-            assert float(captured.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
+        assert all(torch.equal(ours[0][group], theirs[0][group]) for group in ("policy", "critic"))
+        assert all(map(torch.equal, ours[1:4], theirs[1:4]))
         assert torch.equal(captured.scene.sim.state, plain.scene.sim.state)
         assert captured.common_step_counter == plain.common_step_counter
         ended += int((theirs[2] | theirs[3]).sum())
-    assert ended > 16
+        for key, value in plain.extras["log"].items():
+            assert float(captured.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
+    return ended
+
+
+def test_a_captured_step_equals_the_step_through_resets_and_a_changed_weight():
+    plain, captured = pair("walk")
+    actions = random_actions(plain, 60)
+    ended = assert_equal_steps(plain, captured, actions[:40])
+    for env in (plain, captured):
+        env.reward_manager.get_term_cfg("alive").weight = 3.0
+    assert ended + assert_equal_steps(plain, captured, actions[40:]) > 16
     parts = captured.graph_capture.parts
     assert len(parts) == 7
     assert all(1 <= len(part.recordings) <= 6 for part in parts.values())
@@ -70,15 +74,9 @@ def test_a_captured_environment_saves_and_loads_its_state():
     captured.reward_manager.get_term_cfg("alive").weight = 3.0
     captured.step(actions[40])
     plain.load_state_dict(captured.state_dict())
-    for action in actions[41:50]:
-        ours, theirs = captured.step(action), plain.step(action)
-        assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
-        assert torch.equal(ours[1], theirs[1])
+    assert_equal_steps(plain, captured, actions[41:50])
     captured.load_state_dict(plain.state_dict())
-    for action in actions[50:]:
-        ours, theirs = captured.step(action), plain.step(action)
-        assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
-        assert torch.equal(captured.scene.sim.state, plain.scene.sim.state)
+    assert_equal_steps(plain, captured, actions[50:])
     assert captured.state_dict().keys() == plain.state_dict().keys()
 
 
@@ -109,9 +107,7 @@ def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
 def test_a_setting_that_changes_within_a_step_counts_in_that_step(who):
     plain, captured = pair("walk")
     done = [_clip_observations_late(env, who) for env in (plain, captured)]
-    for _ in range(40):
-        ours, theirs = captured.step(torch.zeros(16, 6)), plain.step(torch.zeros(16, 6))
-        assert torch.equal(ours[0]["policy"], theirs[0]["policy"])
+    assert_equal_steps(plain, captured, torch.zeros(40, 16, 6))
     assert done[0] == done[1] != []
 
 
@@ -152,8 +148,7 @@ def test_an_episode_whose_reward_is_not_finite_ends_in_that_step(observed, what)
     plain, captured = found[:7], found[7:]
     for theirs, ours in zip(plain, captured, strict=True):
         assert all(map(torch.equal, theirs[:3], ours[:3]))
-        assert theirs[3] == ours[3]
-        assert theirs[5] == ours[5]
+        assert (theirs[3], theirs[5]) == (ours[3], ours[5])
     assert plain[5][3]
     assert not plain[6][3]
     if "another" in what:  # Episodes last 6 steps of 1/60 s, and the failed one 5.
@@ -226,16 +221,10 @@ def test_a_reset_that_counts_runs_without_a_graph():
 
         manager.reset = reset
 
-    def run() -> None:
-        for action in random_actions(plain, 40):
-            captured.step(action), plain.step(action)
-            assert captured.action_manager.count == plain.action_manager.count
-            assert torch.equal(captured.scene.sim.state, plain.scene.sim.state)
-
-    with pytest.warns(
-        UserWarning, match="'reset_rows' of the step runs without a CUDA graph: 'count' of ActionManager"
-    ):
-        run()
+    message = "'reset_rows' of the step runs without a CUDA graph: 'count' of ActionManager"
+    with pytest.warns(UserWarning, match=message):
+        assert_equal_steps(plain, captured, random_actions(plain, 40))
+    assert captured.action_manager.count == plain.action_manager.count
     assert resets(captured).fails
 
 
@@ -261,10 +250,7 @@ def test_a_setting_that_a_curriculum_changes_in_each_step_counts_in_each_step(ki
         f"modify_fn: wheelleg_exp.mdp.schedules.linear, modify_params: {schedule}}}"
     )
     plain, captured = pair("walk", *more, change)
-    for action in random_actions(plain, 60):
-        theirs, ours = plain.step(action), captured.step(action)
-        assert torch.equal(ours[0]["policy"], theirs[0]["policy"])
-        assert all(torch.equal(our, their) for our, their in zip(ours[1:4], theirs[1:4], strict=True))
+    assert_equal_steps(plain, captured, random_actions(plain, 60))
     for _ in range(10):
         captured.step(torch.zeros(16, plain.action_manager.total_action_dim))
     parts = captured.graph_capture.parts
@@ -299,7 +285,11 @@ def streams(monkeypatch):
     return used
 
 
-def test_a_failed_capture_raises_the_error_of_the_work_and_restores_the_stream(streams):
+def test_a_capture_restores_the_stream_and_a_failed_one_raises_the_error_of_the_work(streams):
+    done = []
+    CudaGraph([]).record(lambda: done.append(streams[-1]))
+    assert (done, streams[-1]) == (["the capture's"], "the step's")
+
     def work() -> None:
         try:
             raise RuntimeError("operation not permitted when stream is capturing")
@@ -309,11 +299,4 @@ def test_a_failed_capture_raises_the_error_of_the_work_and_restores_the_stream(s
     with pytest.raises(SimulationFailure, match=r"env\.rewards\.asks: 'mine\.asks' raises") as caught:
         CudaGraph([]).record(work)
     assert "not permitted" in str(caught.value.__cause__)
-    assert streams[-1] == "the step's"
-
-
-def test_a_capture_restores_the_stream(streams):
-    done = []
-    CudaGraph([]).record(lambda: done.append(streams[-1]))
-    assert done == ["the capture's"]
     assert streams[-1] == "the step's"

@@ -9,10 +9,11 @@ import pytest
 import torch
 from managers import spies
 
+from env.composed import term
 from wheelleg_exp.errors import SimulationFailure
 
 STILL = torch.zeros(4, 4)
-ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
+ALIVE = term("rewards.is_alive", weight=1.0)
 
 
 @pytest.fixture(autouse=True)
@@ -27,25 +28,20 @@ def _keys(extras: dict[str, Any]) -> dict[int, list[str]]:
 # --- failures of one environment ---
 
 
-def test_a_state_that_goes_to_nan_ends_its_environment_though_no_termination_looks(make_env):
-    env = make_env(rewards={"alive": ALIVE}, terminations={})
-    env.reset()
+def test_a_state_that_goes_to_nan_ends_its_environment_even_without_a_termination(start_env):
+    env = start_env(rewards={"alive": ALIVE}, terminations={})
     env.scene.sim.view("qvel")[2, 8] = math.nan
     observations, reward, terminated, _, extras = env.step(STILL)
     assert terminated.tolist() == [False, False, True, False]
     assert _keys(extras) == {2: ["env.sim"]}
-    assert observations["policy"].isfinite().all()
-    assert reward.isfinite().all()
+    assert all(numbers.isfinite().all() for numbers in (observations["policy"], reward))
     *_, terminated, _, extras = env.step(STILL)
-    assert not terminated.any()
-    assert "non_finite" not in extras
+    assert (terminated.any().item(), "non_finite" in extras) == (False, False)
 
 
-def test_what_terms_make_of_such_a_state_is_not_told_as_theirs(make_env):
+def test_terms_that_read_such_a_state_are_not_named(start_env):
     spies.VALUES["speed"] = lambda env: env.scene.robot.data.joint_vel[:, 0]
-    reward = {"_target_": spies.HERE + "value", "key": "speed", "weight": 1.0}
-    env = make_env(rewards={"speed": reward})
-    env.reset()
+    env = start_env(rewards={"speed": {"_target_": spies.HERE + "value", "key": "speed", "weight": 1.0}})
     step, count = env.scene.sim.step, iter(range(100))
 
     def breaking_step():
@@ -59,23 +55,19 @@ def test_what_terms_make_of_such_a_state_is_not_told_as_theirs(make_env):
     assert extras["non_finite"]["evidence"]["qvel"].isnan().all()
 
 
-def test_an_action_that_is_not_finite_is_told_as_the_actions_fault(make_env):
-    env = make_env()
-    env.reset()
-    action = STILL.clone()
+def test_an_action_that_is_not_finite_is_named_as_the_cause(start_env):
+    env, action = start_env(), STILL.clone()
     action[3, 2] = math.nan
     observations, reward, terminated, _, extras = env.step(action)
     assert _keys(extras) == {3: ["env.actions"]}
     assert terminated.tolist() == [False, False, False, True]
-    assert observations["policy"].isfinite().all()
-    assert reward.isfinite().all()
+    assert all(numbers.isfinite().all() for numbers in (observations["policy"], reward))
 
 
-def test_rewards_that_are_finite_each_and_too_large_together_are_told(make_env):
+def test_rewards_that_are_finite_alone_but_too_large_together_are_named(start_env):
     spies.VALUES["big"] = 3e38
     big = {"_target_": spies.HERE + "value", "key": "big", "weight": 1.0}
-    env = make_env(rewards={"a": big, "b": big})
-    env.reset()
+    env = start_env(rewards={"a": big, "b": big})
     *_, extras = env.step(STILL)
     assert _keys(extras) == {i: ["env.rewards"] for i in range(4)}
 
@@ -92,14 +84,10 @@ def test_large_numbers_whose_sum_overflows_are_no_failure(make_env):
 # --- failures of the whole run ---
 
 
-def test_an_observation_that_is_not_finite_names_its_term(make_env):
+def test_an_observation_that_is_not_finite_names_its_term(start_env):
     spies.VALUES["x"] = 0.0
-    terms = {
-        "q": {"_target_": "wheelleg_exp.mdp.observations.joint_pos"},
-        "x": {"_target_": spies.HERE + "column", "key": "x"},
-    }
-    env = make_env(observations={"policy": {"terms": terms, "history_length": 3}})
-    env.reset()
+    terms = {"q": term("observations.joint_pos"), "x": {"_target_": spies.HERE + "column", "key": "x"}}
+    env = start_env(observations={"policy": {"terms": terms, "history_length": 3}})
     env.step(STILL)
     spies.VALUES["x"] = torch.tensor([0.0, math.inf, 0.0, 0.0])
     with pytest.raises(SimulationFailure) as caught:
@@ -135,15 +123,13 @@ def _fill(name):
     return lambda env, ids: env.scene.sim.expand(name).index_fill_(0, ids, math.nan)
 
 
+FIELDS = ("body_mass", "geom_friction", "body_ipos", "actuator_biasprm", "dof_armature")
+
 WRITES = {
     "positions": lambda env, ids: env.scene.sim.view("qpos").index_fill_(0, ids, math.nan),
     "velocities": lambda env, ids: env.scene.sim.view("qvel").index_fill_(0, ids, math.inf),
     "wrenches": lambda env, ids: env.scene.robot.set_permanent_wrench(ids, [0], torch.full((len(ids), 1, 6), math.nan)),
-    "the model's body_mass": _fill("body_mass"),
-    "the model's geom_friction": _fill("geom_friction"),
-    "the model's body_ipos": _fill("body_ipos"),
-    "the model's actuator_biasprm": _fill("actuator_biasprm"),
-    "the model's dof_armature": _fill("dof_armature"),
+    **{f"the model's {name}": _fill(name) for name in FIELDS},
 }
 
 
@@ -166,9 +152,8 @@ def _live(make_env, node):
     env.apply_event("mine")
 
 
-def test_a_field_that_a_term_object_has_kept_is_looked_at(make_env):
-    env = make_env(events={"bad": {"_target_": spies.HERE + "KeepsMasses", "mode": "reset"}})
-    env.reset()
+def test_a_field_that_a_term_object_has_stored_is_checked(start_env):
+    env = start_env(events={"bad": {"_target_": spies.HERE + "KeepsMasses", "mode": "reset"}})
     spies.VALUES["mass"] = math.inf
     with pytest.raises(SimulationFailure, match="body_mass") as caught:
         env.reset(env_ids=torch.tensor([1]))

@@ -1,7 +1,5 @@
 """Test the order of all manager calls during construction, a step, and a reset."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from managers import spies
@@ -56,6 +54,7 @@ def _log_steps(env):
         step()
 
     env.scene.sim.step = logged
+    env.observers.append(lambda: spies.LOG.append("observer"))
 
 
 def _calls(function):
@@ -64,92 +63,52 @@ def _calls(function):
     return spies.LOG.copy()
 
 
-RESETS = [
-    "scene reset {ids}",
-    "event at_reset {ids}",
-    "observation reset {ids}",
-    "action reset {ids}",
-    "reward reset {ids}",
-    "curriculum reset {ids}",
-    "command draw {ids}",
-    "event interval reset {ids}",
-    "event at_reset reset {ids}",
-    "event startup reset {ids}",
-    "termination reset {ids}",
-    "recorder reset {ids}",
-]
+RESETS = (
+    "scene reset", "event at_reset", "observation reset", "action reset", "reward reset", "curriculum reset",
+    "command draw", "event interval reset", "event at_reset reset", "event startup reset", "termination reset",
+    "recorder reset",
+)  # fmt: skip
 
 
 def _resets(ids):
-    return [line.format(ids=ids) for line in RESETS]
+    return [f"{call} {ids}" for call in RESETS]
+
+
+def _reset_calls(ids, lengths):
+    before = [f"recorder pre_reset {ids}", f"curriculum {ids} at length {lengths}"]
+    return [*before, *_resets(ids), "refresh", f"recorder post_reset {ids}", "observation"]
 
 
 def test_construction(env):
     said = [line for line in spies.LOG if line != "refresh"]
     assert said == [
-        "event prestartup None, compiled: False",
-        "play",
-        "event interval made",
-        "event at_reset made",
-        "event startup made",
-        "command made",
-        "recorder made",
-        "action made",
-        "observation made",
-        "observation",
-        "observation reset [0, 1, 2]",
-        "termination made",
-        "reward made",
-        "curriculum made",
-        "event startup None",
-    ]
+        "event prestartup None, compiled: False", "play", "event interval made", "event at_reset made",
+        "event startup made", "command made", "recorder made", "action made", "observation made", "observation",
+        "observation reset [0, 1, 2]", "termination made", "reward made", "curriculum made", "event startup None",
+    ]  # fmt: skip
+
+
+# Recorders read observations without noise and history, before ``recorder post_step``.
+END_OF_STEP = ["termination", "reward", "observer", "observation", "recorder post_step"]
+LAST_CALLS = ["command compute", "event interval [0, 1, 2]", "refresh", "observation"]
 
 
 def test_a_step_without_an_end(env):
     env.reset()
     _log_steps(env)
-    env.observers.append(lambda: spies.LOG.append("observer"))
     physics = ["action apply", "write", "physics", "recorder post_physics", "update"]
-    assert _calls(lambda: env.step(torch.zeros(3, 1))) == [
-        "action process",
-        "recorder pre_step",
-        *physics,
-        *physics,
-        "termination",
-        "reward",
-        "observer",
-        "observation",  # Recorders read observations without noise and history.
-        "recorder post_step",
-        "command compute",
-        "event interval [0, 1, 2]",
-        "refresh",
-        "observation",
-    ]
+    start = ["action process", "recorder pre_step", *physics, *physics]
+    assert _calls(lambda: env.step(torch.zeros(3, 1))) == [*start, *END_OF_STEP, *LAST_CALLS]
 
 
 def test_a_step_in_which_an_episode_ends(env):
     env.reset()
     _log_steps(env)
-    env.observers.append(lambda: spies.LOG.append("observer"))
     env.step(torch.zeros(3, 1))
     spies.VALUES["done"] = torch.tensor([0.0, 1.0, 0.0])
     said = _calls(lambda: env.step(torch.zeros(3, 1)))
-    start = said.index("termination")
-    assert said[start:] == [
-        "termination",
-        "reward",
-        "observer",
-        "observation",
-        "recorder post_step",
-        "recorder pre_reset [1]",
-        "curriculum [1] at length [2]",
-        *_resets([1]),
-        "recorder post_reset [1]",
-        "command compute",
-        "event interval [0, 1, 2]",
-        "refresh",
-        "observation",
-    ]
+    reset = ["recorder pre_reset [1]", "curriculum [1] at length [2]", *_resets([1]), "recorder post_reset [1]"]
+    assert said[said.index("termination") :] == [*END_OF_STEP, *reset, *LAST_CALLS]
     assert env.episode_length_buf.tolist() == [2, 0, 2]
 
 
@@ -170,25 +129,7 @@ def test_without_automatic_resets_nothing_is_reset(env):
     assert env.episode_length_buf.tolist() == [1, 1, 1]
 
 
-def test_a_reset(env):
-    assert _calls(env.reset) == [
-        "recorder pre_reset [0, 1, 2]",
-        "curriculum [0, 1, 2] at length [0, 0, 0]",
-        *_resets([0, 1, 2]),
-        "refresh",
-        "recorder post_reset [0, 1, 2]",
-        "observation",
-    ]
-
-
-def test_a_reset_of_some(env):
-    env.reset()
+def test_a_reset_of_all_or_of_some(env):
+    assert _calls(env.reset) == _reset_calls([0, 1, 2], [0, 0, 0])
     env.step(torch.zeros(3, 1))
-    assert _calls(lambda: env.reset(env_ids=torch.tensor([0, 2]))) == [
-        "recorder pre_reset [0, 2]",
-        "curriculum [0, 2] at length [1, 1]",
-        *_resets([0, 2]),
-        "refresh",
-        "recorder post_reset [0, 2]",
-        "observation",
-    ]
+    assert _calls(lambda: env.reset(env_ids=torch.tensor([0, 2]))) == _reset_calls([0, 2], [1, 1])

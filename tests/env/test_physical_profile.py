@@ -1,7 +1,5 @@
 """The robot that could be built: actions of any size leave its numbers those of a small machine."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

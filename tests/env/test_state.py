@@ -6,6 +6,7 @@ import copy
 import inspect
 import io
 import re
+from functools import partial
 
 import pytest
 import torch
@@ -39,24 +40,15 @@ DERIVED = frozenset(
     {
         "._views['sensordata']",  # MuJoCo results, which sensors read after each physics step
         "._views['actuator_force']",
-        ".sensors['contact']._readings",
-        ".sensors['contact']._pressures",
-        ".sensors['contact']._normals",
+        *(f".sensors['contact'].{name}" for name in ("_readings", "_pressures", "_normals", "_norms", "_counts")),
+        *(f".sensors['contact'].{name}" for name in ("_largest_norm", "data._history")),
         "._ended",  # masks of the last step that are being copied to the host
-        "._has_worked",  # used in error messages only
-        ".form",
-        ".robot.data._cache",  # quantities that are derived from the state on demand
-        ".sensors['contact']._norms",
-        ".sensors['contact']._largest_norm",
-        ".sensors['contact']._counts",
-        ".sensors['contact'].data._history",
-        ".robot.data._shows_outputs",
-        ".robot.data.motion_at_start",  # only used within a control step
-        ".command_manager.step_errors",
-        ".reward_manager._factors",  # recomputed if a curriculum has changed a weight
-        ".reward_manager._weights",
-        ".robot._has_new_targets",  # set at the start of a control step
-        ".action_manager._is_new",
+        *("._has_worked", ".form"),  # used in error messages only
+        *(".robot.data._cache", ".robot.data._shows_outputs"),  # quantities that are derived from the state on demand
+        *(".robot.data.motion_at_start", ".command_manager.step_errors"),  # only used within a control step
+        # recomputed if a curriculum has changed a weight
+        *(".reward_manager._factors", ".reward_manager._weights"),
+        *(".robot._has_new_targets", ".action_manager._is_new"),  # set at the start of a control step
     }
 )
 
@@ -166,24 +158,28 @@ def act(env, steps, start=0):
     return given
 
 
-def restored(env, make, lived=0):
-    """Return a new environment with another seed, stepped ``lived`` times and then loaded with the state of ``env``."""
+def lived(env, steps=0):
+    """Return the environment after a reset and some steps."""
+    env.reset()
+    act(env, steps)
+    return env
+
+
+def restored(env, make, lived_for=0):
+    """Return a new environment, stepped ``lived_for`` times with another seed, and then loaded with the state."""
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
-    other = make(seed=91)
-    other.reset()
-    act(other, lived, start=1000)
+    other = lived(make(seed=91))
+    act(other, lived_for, start=1000)
     file.seek(0)
     other.load_state_dict(torch.load(file, weights_only=True))
     return other
 
 
-@pytest.mark.parametrize(("steps", "lived"), [(0, 0), (1, 9), (37, 0), (37, 60)])
-def test_a_restored_environment_is_the_same_wherever_one_looks(make, steps, lived):
-    env = make()
-    env.reset()
-    act(env, steps)
-    other = restored(env, make, lived)
+@pytest.mark.parametrize(("steps", "lived_for"), [(0, 0), (1, 9), (37, 0), (37, 60)])
+def test_a_restored_environment_has_the_same_values_everywhere(make, steps, lived_for):
+    env = lived(make(), steps)
+    other = restored(env, make, lived_for)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
     assert equal(act(env, 40, steps), act(other, 40, steps))
     assert differing(Crawl(env), Crawl(other)) == []
@@ -207,8 +203,7 @@ def _classes(module, *bases):
 
 
 def test_the_walk_meets_every_class_that_may_have_state(make):
-    env = make()
-    env.reset()
+    env = lived(make())
     found = Crawl(env).classes.union(*(Crawl(make(robot=driven(model))).classes for model in MODELS))
     library = {ContactSensor, Imu, RayCaster, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
     library |= _classes(modifiers, modifiers.Modifier)
@@ -220,10 +215,8 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     assert left == set(), "neither here nor among the stock nodes, all of which tests/env/test_stock_nodes.py restores"
 
 
-BASES = {
-    *("ActuatorBase", "BinaryJointAction", "Modifier", "JointAction", "JointTerm", "TermBase", "ActionTerm"),
-    "CommandTerm",
-}
+BASES = {"ActuatorBase", "BinaryJointAction", "Modifier", "JointAction", "JointTerm", "TermBase", "ActionTerm"}
+BASES |= {"CommandTerm"}
 
 
 def _targets(path):
@@ -246,9 +239,7 @@ def _targets(path):
     ],
 )
 def test_the_walk_notices_any_of_them(make, spoil):
-    env = make()
-    env.reset()
-    act(env, 20)
+    env = lived(make(), 20)
     other = restored(env, make)
     spoil(other)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) != []
@@ -256,41 +247,25 @@ def test_the_walk_notices_any_of_them(make, spoil):
 
 # --- user-defined terms: supported state ---
 
-OWN = {
-    "list": spies.HERE + "RemembersInAList",
-    "numbers": spies.HERE + "RemembersNumbers",
-    "helper": spies.HERE + "RemembersInAHelper",
-    "generator": spies.HERE + "RemembersGenerators",
-}
+OWN = ["RemembersInAList", "RemembersNumbers", "RemembersInAHelper", "RemembersGenerators"]
 
 
 @pytest.mark.parametrize("kind", OWN)
 def test_a_terms_own_state_is_saved_without_its_help(make, kind):
-    own = {"rewards": everything()["rewards"] | {"own": {"_target_": OWN[kind], "weight": 1.0}}}
-
-    def build(seed=0):
-        return make(seed=seed, **own)
-
-    env = build()
-    env.reset()
-    act(env, 15)
-    other = restored(env, build, lived=8)
+    own = {"_target_": spies.HERE + kind, "weight": 1.0}
+    build = partial(make, rewards=everything()["rewards"] | {"own": own})
+    env = lived(build(), 15)
+    other = restored(env, build, lived_for=8)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
     assert equal(act(env, 10, 15), act(other, 10, 15))
 
 
 @pytest.mark.parametrize("model", [spies.HERE + "Delayed", *MODELS])
 def test_an_actuators_memory_is_saved(make, model):
-    robot = driven(model)
-
-    def build(seed=0):
-        return make(seed=seed, robot=robot)
-
-    env = build()
-    env.reset()
-    act(env, 15)
+    build = partial(make, robot=driven(model))
+    env = lived(build(), 15)
     assert not equal([g[0] for g in act(build(), 5)], [g[0] for g in act(make(), 5)])
-    other = restored(env, build, lived=8)
+    other = restored(env, build, lived_for=8)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
     assert equal(act(env, 10, 15), act(other, 10, 15))
 
@@ -324,8 +299,7 @@ REFUSED_WHEN_IT_COMES = {
 @pytest.mark.parametrize("kind", REFUSED_WHEN_IT_COMES)
 def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind):
     key, words = REFUSED_WHEN_IT_COMES[kind]
-    env = make(rewards=everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}})
-    env.reset()
+    env = lived(make(rewards=everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}))
     env.state_dict()
     act(env, 1)
     with pytest.raises(ConfigError, match=words) as caught:
@@ -344,8 +318,7 @@ MODEL_WRITES = {
 
 @pytest.mark.parametrize("engine", ["mujoco", "warp"])
 def test_a_write_to_the_compiled_model_is_refused_by_name_and_expanded_fields_are_saved(make_env, engine):
-    env = make_env(sim={"engine": engine})
-    env.reset()
+    env = lived(make_env(sim={"engine": engine}))
     for name, write in MODEL_WRITES.items():
         before = copy.deepcopy(env.scene.sim.model)
         write(env.scene.sim.model)
@@ -373,28 +346,21 @@ def test_an_event_at_startup_that_writes_to_the_compiled_model_is_refused(make_e
         make_env(events={"heavier": event})
 
 
-def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):
-    own = everything()["rewards"] | {"own": {"_target_": spies.HERE + "remembers_on_the_environment", "weight": 1.0}}
-
-    def build(seed=0):
-        return make(seed=seed, rewards=own)
-
-    env = build()
-    env.reset()
-    act(env, 15)
+def test_attributes_that_a_term_adds_to_the_environment_are_saved_like_its_own(make):
+    own = {"_target_": spies.HERE + "remembers_on_the_environment", "weight": 1.0}
+    build = partial(make, rewards=everything()["rewards"] | {"own": own})
+    env = lived(build(), 15)
     env.max_episode_length = 40  # A curriculum may set this attribute.
-    other = restored(env, build, lived=8)
+    other = restored(env, build, lived_for=8)
     assert equal(act(env, 30, 15), act(other, 30, 15))
     assert other.own_calls == env.own_calls
-    fresh = build()
-    fresh.reset()
+    fresh = lived(build())
     other.load_state_dict(fresh.state_dict())
     assert (hasattr(other, "own_calls"), other.max_episode_length) == (False, fresh.max_episode_length)
 
 
 def test_settings_that_a_curriculum_changed_are_state(make):
-    env = make()
-    env.reset()
+    env = lived(make())
     env.reward_manager.get_term_cfg("track").params["std"] = 0.75
     env.event_manager.get_term_cfg("joints").params["position_range"][1] = 0.2
     env.termination_manager.get_term_cfg("tilt").params["limit_angle"] = 0.9
@@ -405,37 +371,25 @@ def test_settings_that_a_curriculum_changed_are_state(make):
     assert other.event_manager.get_term_cfg("joints").params["position_range"] == [-0.1, 0.2]
 
 
-def test_a_setting_that_the_config_changes_wins_over_one_that_a_curriculum_has_changed(make):
-    env = make()
-    env.reset()
+def test_a_setting_that_the_config_changes_wins_over_the_saved_one_and_one_that_a_curriculum_has_changed(make):
+    env = lived(make(), 5)
     env.reward_manager.get_term_cfg("track").fields["weight"] = 7.0
-    changed = everything()["rewards"]
-    changed["track"]["weight"] = 3.0
-    other = make(rewards=changed)
-    other.load_state_dict(env.state_dict())
-    assert other.reward_manager.get_term_cfg("track").fields["weight"] == 3.0
-
-
-def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
-    env = make()
-    env.reset()
-    act(env, 5)
     sections = everything()
+    sections["rewards"]["track"]["weight"] = 3.0
     sections["events"]["push"]["velocity_range"] = {"x": [9.0, 9.0]}
     sections["commands"]["v"]["ranges"]["lin_vel_x"] = [5.0, 5.0]
     sections["actions"]["position"]["scale"] = 0.7
     other = make(**sections)
     other.load_state_dict(env.state_dict())
+    assert other.reward_manager.get_term_cfg("track").fields["weight"] == 3.0
     assert other.event_manager.get_term_cfg("push").func._high[0] == 9.0
     assert other.command_manager.get_term("v").bounds()[0][0] == 5.0
     assert other.action_manager.get_term("position")._scale[0] == pytest.approx(0.7)
 
 
 def test_model_fields_that_were_edited_after_the_constants_were_derived_go_round(make):
-    env = make()
-    env.reset()
-    act(env, 3)
+    env = lived(make(), 3)
     env.scene.sim.expand("body_ipos")[:, 1] += 0.02
     env.scene.sim.expand("dof_armature")[:, 6:] += 0.01
-    other = restored(env, make, lived=4)
+    other = restored(env, make, lived_for=4)
     assert equal(act(env, 20, 3), act(other, 20, 3))

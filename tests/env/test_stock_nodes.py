@@ -39,12 +39,8 @@ ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "e
 # Camera options need a rendering backend; the values are their config groups.
 PICTURES: dict[str, str] = {"sensors/camera_image": "observation", "sensors/depth_image": "observation"}
 DRAWN = {"camera"}
-SIZE = [
-    "env.num_envs=3",
-    "env.sim.nthread=1",
-    "env.episode_length_s=0.2",
-    "env.scene.sensors.contact_forces.track_air_time=true",
-]
+SIZE = ["env.num_envs=3", "env.sim.nthread=1", "env.episode_length_s=0.2"]
+SIZE += ["env.scene.sensors.contact_forces.track_air_time=true"]
 # Every sensor recomputes these attributes from the physics results.
 DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._largest_norm", "._counts", ".data._history"}
 DERIVED |= {
@@ -92,11 +88,9 @@ def needs(group: str, options: list[str]) -> dict[str, set[str]]:
 
 def options_by_key(group: str) -> dict[str, str]:
     """Return the option of a config group that defines each term, by the term's key."""
-    found = {}
-    for option in files(group):
-        for key in yaml.safe_load((configs_dir() / group / f"{option}.yaml").read_text()) or {}:
-            found.setdefault(key, option)
-    return found
+    options = reversed(files(group))  # The first option that defines a key wins.
+    read = {option: yaml.safe_load((configs_dir() / group / f"{option}.yaml").read_text()) for option in options}
+    return {key: option for option, node in read.items() for key in node or {}}
 
 
 def mounting(group: str, options: list[str]) -> list[str]:
@@ -108,13 +102,9 @@ def mounting(group: str, options: list[str]) -> list[str]:
         wanted[other] = sorted({*wanted[other], *(known[key] for key in keys if key in known)})
     if "base_velocity" not in wanted["command"]:
         wanted["command"] = ["base_velocity", *wanted["command"]]
-    plain = {"sensor": "+", "recorder": "+"}
-    overrides = []
-    for name, chosen in wanted.items():
-        if chosen:
-            prefix = plain.get(name, "")
-            overrides.append(f"{prefix}{name}@{MOUNTS[name]}=[{','.join(chosen)}]")
-    return overrides
+    added = ("sensor", "recorder")  # The stock task has no list of these options.
+    chosen = {name: ",".join(options) for name, options in wanted.items() if options}
+    return [f"{'+' if name in added else ''}{name}@{MOUNTS[name]}=[{names}]" for name, names in chosen.items()]
 
 
 def built(overrides: list[str]):
@@ -139,17 +129,13 @@ def hold(overrides: list[str]) -> None:
 
 def given(env) -> None:
     """Check the shapes, dtypes, and values of observations, rewards, and terminations."""
-    manager = env.observation_manager
-    for group in manager.active_terms:
-        for name, value in manager.split(group, manager.obs_buf[group]).items():
-            assert (value.shape[0], value.dtype, value.device) == (3, torch.float32, env.device), name
-            assert value.isfinite().all(), name
-    for name, row in zip(env.reward_manager.active_terms, env.reward_manager.step_reward, strict=True):
-        assert row.isfinite().all(), name
-    kept = {name: env.command_manager.get_term(name).command for name in env.command_manager.active_terms}
-    kept |= {name: env.action_manager.get_term(name).processed_actions for name in env.action_manager.active_terms}
-    kept["rewards"] = env.reward_manager.step_reward.T
-    for name, value in kept.items():
+    manager, commands, actions = env.observation_manager, env.command_manager, env.action_manager
+    groups = {group: manager.split(group, manager.obs_buf[group]) for group in manager.active_terms}
+    numbers = {f"{group}.{name}": value for group, parts in groups.items() for name, value in parts.items()}
+    numbers |= {name: commands.get_term(name).command for name in commands.active_terms}
+    numbers |= {name: actions.get_term(name).processed_actions for name in actions.active_terms}
+    numbers["rewards"] = env.reward_manager.step_reward.T
+    for name, value in numbers.items():
         assert (value.shape[0], value.dtype, value.device) == (3, torch.float32, env.device), name
         assert value.isfinite().all(), name
     for term in env.termination_manager.bound_terms:
@@ -198,9 +184,8 @@ def test_what_shows_pictures(option, request):
 @pytest.mark.parametrize("option", ON_TILES)
 def test_what_needs_a_ground_of_tiles(option):
     ground = "env.scene.terrain.sub_terrains"
-    patches = (
-        "{_target_: wheelleg_exp.sim.terrain.FlatPatches, num_patches: 4, patch_radius: 0.02, max_height_diff: 0.05}"
-    )
+    patches = "num_patches: 4, patch_radius: 0.02, max_height_diff: 0.05"
+    patches = "{_target_: wheelleg_exp.sim.terrain.FlatPatches, " + patches + "}"
     kinds = yaml.safe_load((configs_dir() / "scene/rough.yaml").read_text())["terrain"]["sub_terrains"]
     others = [f"~{ground}.{kind}" for kind in kinds if kind != "rough"]
     tiles = ["scene=rough", "env.scene.terrain.num_rows=2", "env.scene.terrain.num_cols=2", *others]
@@ -210,8 +195,4 @@ def test_what_needs_a_ground_of_tiles(option):
 
 @pytest.mark.parametrize(("group", "option"), [(g, o) for g in APART for o in files(g)])
 def test_each_option_that_excludes_others(group, option):
-    mount = "@env.actions" if group == "action" else ""
-    chosen = option
-    if group == "action":
-        chosen = f"[{option}]"
-    hold([f"{group}{mount}={chosen}"])
+    hold([f"action@env.actions=[{option}]" if group == "action" else f"{group}={option}"])

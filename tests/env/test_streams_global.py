@@ -1,40 +1,36 @@
 """Every draw of the environment comes from the stream of its term: no global generator moves, no term moves another."""
 
-from __future__ import annotations
-
 import copy
+from functools import reduce
+from operator import getitem
 
 import pytest
 import torch
 
 from env.composed import event, term
+from env.test_determinism import FRICTION, RANGES, SHARES
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.determinism import no_global_draws
 
 BASE = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["base"]}
 SPAN = {"x": [-0.1, 0.1], "yaw": [-0.3, 0.3]}
 JOINTS = {"position_range": [0.9, 1.1], "velocity_range": [-0.1, 0.1]}
-FRICTION = {"static_friction_range": [0.2, 1.2], "dynamic_friction_range": [0.2, 1.0], "restitution_range": [0.0, 0.1]}
+WRENCH = {"force_range": [-0.1, 0.1], "torque_range": [-0.01, 0.01]}
+TURN = {"pose_range": {"x": [-0.1, 0.1]}, "velocity_range": SPAN}
 OFTEN = {"interval_range_s": [0.02, 0.05], "velocity_range": SPAN}
 # The config has one event of each class that draws random numbers.
 EVENTS = {
     "material": event("randomize_rigid_body_material", "startup", num_buckets=16, **FRICTION),
     "mass": event("randomize_rigid_body_mass", "startup", mass_distribution_params=[0.8, 1.3], operation="scale"),
     "com": event("randomize_rigid_body_com_cumulative", "reset", com_range={"x": [-0.1, 0.1]}, asset_cfg=BASE),
-    "wrench": event(
-        *("set_permanent_body_wrench", "reset"), force_range=[-0.1, 0.1], torque_range=[-0.01, 0.01], asset_cfg=BASE
-    ),
+    "wrench": event("set_permanent_body_wrench", "reset", asset_cfg=BASE, **WRENCH),
     "push": event("push_by_adding_velocity", "interval", **OFTEN),
     "shove": event("set_root_velocity", "interval", is_global_time=True, **OFTEN),
     "place": event("reset_root_state_uniform", "reset", pose_range=SPAN, velocity_range=SPAN),
-    "turn": event(
-        "reset_root_state_with_random_orientation", "reset", pose_range={"x": [-0.1, 0.1]}, velocity_range=SPAN
-    ),
+    "turn": event("reset_root_state_with_random_orientation", "reset", **TURN),
     "scale": event("reset_joints_by_scale", "reset", **JOINTS),
     "offset": event("reset_joints_by_offset", "reset", **JOINTS),
 }
-RANGES = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0], "heading": [-3.0, 3.0]}
-SHARES = {"rel_standing_envs": 0.3, "heading_command": True, "rel_heading_envs": 0.5}
 COMMANDS = {
     name: term("commands.UniformVelocityCommand", resampling_time_range=[0.02, 0.05], ranges=RANGES, **SHARES)
     for name in ("v", "w")
@@ -80,42 +76,32 @@ def reference(make):
     return streams(make(sections()))
 
 
-def reversed_order(parts):
-    for section in (parts["events"], parts["commands"], parts["observations"]["policy"]["terms"]):
-        entries = list(section.items())
-        section.clear()
-        section.update(reversed(entries))
-    return parts
-
-
 def test_no_global_generator_moves_while_an_environment_is_built_reset_and_stepped(make):
     with no_global_draws():
         env = lived(make(sections()))
-    moved = [p for p, s in env.streams.state_dict()["generators"].items() if not torch.equal(s, fresh(env, p))]
+    new = type(env.streams)(5)
+    states = env.streams.state_dict()["generators"].items()
+    moved = [path for path, state in states if not torch.equal(state, new.get(path).get_state())]
     missing = [path for path in DRAWING if not any(name.startswith(f"env.{path}") for name in moved)]
     assert not missing, "a term that has not drawn proves nothing"
-
-
-def fresh(env, path):
-    streams = type(env.streams)(5)
-    return streams.get(path).get_state()
 
 
 @pytest.mark.parametrize("removed", DRAWING)
 def test_without_one_term_every_other_draws_the_same(make, reference, removed):
     parts = sections()
     *above, name = removed.split(".")
-    section = parts
-    for key in above:
-        section = section[key]
-    del section[name]
+    del reduce(getitem, above, parts)[name]
     left = streams(make(parts))
     assert left == {path: state for path, state in reference.items() if not path.startswith(f"env.{removed}")}
     assert len(left) < len(reference)
 
 
 def test_the_order_of_terms_changes_no_draw(make, reference):
-    assert streams(make(reversed_order(sections()))) == reference
+    parts = sections()
+    for section in (parts["events"], parts["commands"], parts["observations"]["policy"]["terms"]):
+        for name in reversed(list(section)):
+            section[name] = section.pop(name)
+    assert streams(make(parts)) == reference
 
 
 @pytest.mark.parametrize(
@@ -132,8 +118,11 @@ def test_a_draw_from_a_global_generator_is_named(draw, name):
         draw()
 
 
-def test_a_global_generator_that_is_not_watched_may_move_and_a_stream_as_well():
+def test_a_global_generator_that_is_not_watched_and_a_stream_may_draw():
+    before, stream = torch.get_rng_state(), torch.Generator().manual_seed(0)
     with no_global_draws("numpy", "python"):
         torch.rand(1)
+    assert not torch.equal(torch.get_rng_state(), before)
     with no_global_draws():
-        torch.rand(1, generator=torch.Generator().manual_seed(0))
+        first = torch.rand(1, generator=stream)
+    assert not torch.equal(torch.rand(1, generator=stream), first)

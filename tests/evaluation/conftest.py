@@ -25,6 +25,11 @@ def protocol(name: str, *words: str) -> dict[str, Any]:
     return compose([f"protocol={name}", "protocol.resamples=20", *words], primary="evaluate").config["protocol"]
 
 
+def words(test: str, **settings: Any) -> tuple[str, ...]:
+    """Return overrides of the settings of one test of a protocol."""
+    return tuple(f"protocol.{test}.{name}={value}" for name, value in settings.items())
+
+
 def zeros(env):
     return lambda observations: torch.zeros(env.num_envs, env.action_manager.total_action_dim)
 

@@ -1,7 +1,5 @@
 """Test that the terrain protocol has the same kinds of tiles as training, in a larger size."""
 
-from __future__ import annotations
-
 import pytest
 
 from evaluation.conftest import protocol
@@ -14,19 +12,10 @@ from wheelleg_exp.sim.terrain.relief import Layout, make_relief
 def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
     made = tiles(Terrain(**protocol("terrain")["terrain"]), seed=3)
     pit = {key: value for key, value in made["sub_terrains"]["slope_inverted"].items() if key != "_target_"}
-    layout = Layout(
-        size=tuple(made["size"]),
-        num_rows=2,
-        num_cols=1,
-        horizontal_scale=made["horizontal_scale"],
-        vertical_scale=made["vertical_scale"],
-        curriculum=True,
-        difficulty_range=tuple(made["difficulty_range"]),
-        origin_window=made["origin_window"],
-        sub_terrains={"pit": PyramidSlope(**pit)},
-        seed=3,
-    )
-    relief = make_relief(layout)
+    settings = {key: made[key] for key in ("horizontal_scale", "vertical_scale", "origin_window")}
+    settings |= {key: tuple(made[key]) for key in ("size", "difficulty_range")}
+    kinds = {"pit": PyramidSlope(**pit)}
+    relief = make_relief(Layout(num_rows=2, num_cols=1, curriculum=True, sub_terrains=kinds, seed=3, **settings))
     floors = [float(tile.heights.min()) for tile in relief.tiles]
     assert min(floors) < -0.2  # deep pits
     assert relief.origins[:, 0, 2] == pytest.approx(floors, abs=2e-3)

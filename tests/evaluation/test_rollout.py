@@ -63,13 +63,8 @@ def test_digests_of_tables_tell_every_difference():
     table = Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2)
     text = '["stand", 5.0, [0.0], [[[0.0, 0.0, 0.0]]], ["a"], 2, "", 1]'  # The digest must not change between versions.
     assert table.digest(1) == hashlib.sha256(text.encode()).hexdigest()
-    others = [
-        Scenarios("walk", 5.0, (0.0,), (zero,), ("a",), 2),
-        Scenarios("stand", 6.0, (0.0,), (zero,), ("a",), 2),
-        Scenarios("stand", 5.0, (0.0,), (one,), ("a",), 2),
-        Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 3),
-        Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2, "harder"),
-    ]
+    changes = ({"test": "walk"}, {"horizon_s": 6.0}, {"cells": (one,)}, {"episodes": 3}, {"settings": "harder"})
+    others = [replace(table, **change) for change in changes]
     assert len({table.digest(1), table.digest(2), *(other.digest(1) for other in others)}) == 7
 
 
@@ -77,13 +72,8 @@ def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_
     torque = torch.tensor([[2.0, -1.0]])
     before, after = torch.tensor([[1.0, 3.0]]), torch.tensor([[2.0, 1.0]])
     armature = torch.tensor([[0.01, 0.02]])
-    env = stub_env(
-        applied_torque=torque,
-        joint_vel_before=before,
-        joint_vel=after,
-        joint_armature=armature,
-        joint_effort_limits=torch.tensor([[2.0, 2.0]]),
-    )
+    motion = {"joint_vel_before": before, "joint_vel": after, "joint_armature": armature}
+    env = stub_env(applied_torque=torque, joint_effort_limits=torch.tensor([[2.0, 2.0]]), **motion)
     meter = EffortMeter(env, 0.99, 0.001, 0.1)
     meter.begin(counted=False)
     meter.update()
@@ -113,20 +103,25 @@ def metered(*torques: float, counted: Sequence[bool] = (True,) * 9) -> list[tupl
     return found
 
 
-def test_torques_count_in_every_physics_step_and_not_in_the_last_of_a_control_step_alone():
+def test_torques_count_in_every_physics_step():
     assert metered(7.0, 1.0, 1.0, -7.0) == [(pytest.approx(5.0), 0.0), (pytest.approx(5.0), 1.0)]
-    assert [changes for _, changes in metered(4.0, -4.0, 4.0, -4.0, -4.0, -4.0)] == [1.0, 2.0, 0.0]
 
 
-def test_torques_within_the_dead_band_keep_the_last_sign():
-    assert [changes for _, changes in metered(5.0, -0.009, 0.009, -0.009)] == [0.0, 0.0]
-    assert [changes for _, changes in metered(5.0, 0.0, 0.0, -5.0, math.nan, 5.0)] == [0.0, 1.0, 1.0]
+TURNS = (5.0, 5.0, -5.0, -5.0, 5.0, 5.0)
 
 
-def test_a_sign_from_before_what_counts_is_forgotten():
-    torques = (5.0, 5.0, -5.0, -5.0, 5.0, 5.0)
-    assert [changes for _, changes in metered(*torques)] == [0.0, 1.0, 1.0]
-    assert [changes for _, changes in metered(*torques, counted=(False, True, True))] == [0.0, 0.0, 1.0]
+@pytest.mark.parametrize(
+    ("torques", "counted", "expected"),
+    [
+        ((4.0, -4.0, 4.0, -4.0, -4.0, -4.0), (True,) * 9, [1.0, 2.0, 0.0]),
+        ((5.0, -0.009, 0.009, -0.009), (True,) * 9, [0.0, 0.0]),  # Torques in the dead band keep the last sign.
+        ((5.0, 0.0, 0.0, -5.0, math.nan, 5.0), (True,) * 9, [0.0, 1.0, 1.0]),
+        (TURNS, (True,) * 9, [0.0, 1.0, 1.0]),
+        (TURNS, (False, True, True), [0.0, 0.0, 1.0]),  # A sign from before the counted steps is forgotten.
+    ],
+)
+def test_sign_changes_are_counted_in_every_physics_step(torques, counted, expected):
+    assert [changes for _, changes in metered(*torques, counted=counted)] == expected
 
 
 SWEEPS = ("friction=[0.3]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[1.0]")
@@ -141,7 +136,7 @@ def changed(task) -> dict[tuple[str, float], Env]:
     return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found if world.sweep != "delay"}
 
 
-def test_each_world_differs_in_what_it_is_named_after(changed):
+def test_each_world_differs_in_the_property_of_its_name(changed):
     nominal = changed["nominal", 0.0]
     model = nominal.scene.model
 
@@ -155,11 +150,8 @@ def test_each_world_differs_in_what_it_is_named_after(changed):
     shapes = nominal.scene.robot.shape_ids(slice(None))
     assert of("friction", 0.3, "geom_friction")[:, shapes, 0].unique().tolist() == pytest.approx([0.3])
     gains = changed["gains", 1.2].scene.robot.data
-    assert torch.allclose(gains.joint_stiffness, 1.2 * nominal.scene.robot.data.joint_stiffness)
-    assert torch.allclose(gains.joint_damping, 1.2 * nominal.scene.robot.data.joint_damping)
-
-
-def test_noise_is_on_the_named_observations_alone(changed):
+    for name in ("joint_stiffness", "joint_damping"):
+        assert torch.allclose(getattr(gains, name), 1.2 * getattr(nominal.scene.robot.data, name))
     env = changed["noise", 1.0]
     terms = env.observation_manager.terms("policy")
     noisy = {name for name, node in env.cfg["observations"]["policy"]["terms"].items() if node.get("noise")}

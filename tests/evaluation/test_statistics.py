@@ -1,17 +1,12 @@
 """Intervals and tests against hand-computed cases, the normal distribution, and published examples."""
 
+from math import erfc
+
 import numpy as np
 import pytest
 
-from wheelleg_exp.evaluation.method_comparison import (
-    clustered,
-    holm,
-    interquartile_mean,
-    mann_whitney,
-    mcnemar,
-    noise_floor,
-    wilcoxon,
-)
+from wheelleg_exp.evaluation import method_comparison
+from wheelleg_exp.evaluation.method_comparison import clustered, holm, interquartile_mean, mcnemar, wilcoxon
 
 
 def generator() -> np.random.Generator:
@@ -29,23 +24,21 @@ def test_mcnemar_counts_only_the_pairs_that_differ():
     second = np.array([1] * 10 + [1] * 8 + [0] * 1 + [0] * 5)
     found = mcnemar(first, second)
     assert found.p == pytest.approx(2 * (1 + 9) / 2**9)
-    assert (found.pairs, found.untied) == (24, 9)
-    assert found.difference == pytest.approx(7 / 24)
-
-
-def test_mcnemar_of_equal_outcomes_finds_nothing():
+    assert (found.pairs, found.untied, found.difference) == (24, 9, pytest.approx(7 / 24))
     assert mcnemar(np.ones(64), np.ones(64)).p == 1.0
 
 
-def test_wilcoxon_agrees_with_ranks_by_hand():
+def test_wilcoxon_agrees_with_ranks_by_hand_and_leaves_equal_pairs_out():
     found = wilcoxon(np.zeros(5), np.array([1.0, 2.0, -3.0, 4.0, 5.0]))
     assert found.p == pytest.approx(2 * 5 / 32)
-    assert found.difference == 2.0
-    assert found.effect == pytest.approx((12 - 3) / 15)
+    assert (found.difference, found.effect) == (2.0, pytest.approx((12 - 3) / 15))
+    first, second = np.arange(10.0), np.maximum(np.arange(10.0), 2 * np.arange(10.0) - 4)
+    assert wilcoxon(first, second).p == wilcoxon(first[5:], second[5:]).p
+    assert wilcoxon(first, first).p == 1.0
 
 
 def test_the_effect_of_ranks_is_how_often_the_second_is_larger_less_how_often_the_first_is():
-    found = mann_whitney(np.array([1.0, 3.0, 4.0]), np.array([2.0, 5.0, 6.0]))
+    found = method_comparison.mann_whitney(np.array([1.0, 3.0, 4.0]), np.array([2.0, 5.0, 6.0]))
     assert found.effect == pytest.approx((7 - 2) / 9)
 
 
@@ -56,15 +49,7 @@ def test_wilcoxon_agrees_with_its_normal_approximation():
     ranks = np.abs(shift).argsort().argsort() + 1
     total, n = ranks[shift > 0].sum(), len(shift)
     z = (total - n * (n + 1) / 4) / np.sqrt(n * (n + 1) * (2 * n + 1) / 24)
-    from math import erfc
-
     assert wilcoxon(first, second).p == pytest.approx(erfc(abs(z) / np.sqrt(2)), rel=1e-6)
-
-
-def test_wilcoxon_leaves_equal_pairs_out():
-    first, second = np.arange(10.0), np.maximum(np.arange(10.0), 2 * np.arange(10.0) - 4)
-    assert wilcoxon(first, second).p == wilcoxon(first[5:], second[5:]).p
-    assert wilcoxon(first, first).p == 1.0
 
 
 def test_holm_multiplies_the_least_by_all_and_keeps_the_order():
@@ -73,19 +58,14 @@ def test_holm_multiplies_the_least_by_all_and_keeps_the_order():
 
 
 def test_the_noise_floor_of_a_normal_value_is_that_of_a_difference_of_two():
-    assert noise_floor(generator().normal(3.0, 0.1, 200_000), generator()) == pytest.approx(
-        1.96 * 0.1 * np.sqrt(2), rel=0.02
-    )
+    floor = method_comparison.noise_floor(generator().normal(3.0, 0.1, 200_000), generator())
+    assert floor == pytest.approx(1.96 * 0.1 * np.sqrt(2), rel=0.02)
 
 
-def test_one_seed_has_the_interval_of_its_episodes():
-    drawn = generator().normal(1.0, 0.1, 50_000)
-    found = clustered([1.0], [drawn], generator())
+def test_one_seed_has_the_interval_of_its_episodes_and_seeds_that_differ_widen_it():
+    found = clustered([1.0], [generator().normal(1.0, 0.1, 50_000)], generator())
     assert found.value == 1.0
     assert (found.low, found.high) == pytest.approx((1 - 0.196, 1 + 0.196), abs=0.01)
-
-
-def test_seeds_that_differ_widen_the_interval_however_many_episodes_there_are():
     found = clustered([0.0, 1.0, 2.0], [np.full(5000, value) for value in (0.0, 1.0, 2.0)], generator())
     assert (found.value, found.low, found.high) == (1.0, 0.0, 2.0)
 

@@ -11,12 +11,10 @@ import torch
 
 from evaluation.conftest import balancer, protocol, zeros
 from evaluation.synthetic import DT, fall, still, times
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import evaluate, terrain_tests
-from wheelleg_exp.evaluation.protocol_options import Protocol, Strip
+from wheelleg_exp.evaluation.protocol_options import Strip
 from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.sim.terrain import TerrainGenerator, UniformNoise
-from wheelleg_exp.terms.config_sections import read_section
 
 ALONE = "protocol.terrain=null"
 FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
@@ -75,9 +73,8 @@ def test_what_is_measured_where():
     time = times(made)
     wave = math.sqrt(2.0) * torch.sin(2 * math.pi * 4 * time)  # The RMS is 1, and each phase has whole periods.
     parts = torch.where(time < 3.0, 0.01, torch.where(time <= 5.0, 0.2, 0.03))
-    made.pitch[:, 0] = -0.1 + wave * torch.where(
-        time < 2.0, 0.5, parts
-    )  # The robot leans; the motion at the start does not count.
+    wave *= torch.where(time < 2.0, 0.5, parts)  # The motion at the start does not count.
+    made.pitch[:, 0] = -0.1 + wave  # The robot leans.
     made.vel[:, 0, 0] += parts
     found = terrain_tests.crossing(made, asked, settle_s=1.0)
     for name, size in (("before", 0.01), ("on", 0.2), ("behind", 0.03)):
@@ -106,8 +103,7 @@ def test_who_falls_stops_or_comes_late_has_not_recovered():
     made.pos[:, 2, 0] *= 0.25 / 0.3  # The robot leaves the strip at 6 s, early enough.
     made.pos[:, 3, 0] *= 0.2 / 0.3  # The robot leaves the strip at 7.5 s, too late.
     found = terrain_tests.crossing(made, asked, settle_s=1.0)
-    assert found["recovered"].tolist() == [0.0, 0.0, 1.0, 0.0]
-    assert found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert found["recovered"].tolist() == found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert found["distance_ratio"].tolist() == pytest.approx([4 / 9, 0.5 / 2.7, 0.25 / 0.3, 0.2 / 0.3], abs=0.01)
     assert math.isnan(float(found["error_vx_on"][1]))
     assert math.isnan(float(found["error_vx_behind"][0]))
@@ -132,10 +128,3 @@ def test_who_falls_or_never_moves_comes_over_no_strip(task, make):
     found = evaluate(*task, make, protocol("terrain", *SMALL, *short))
     assert (found.value("strip/success"), found.value("strip/recovered")) == (0.0, 0.0)
     assert math.isnan(found.value("strip/error_vx_behind/2mm"))
-
-
-def test_an_episode_that_ends_before_the_strip_does_is_refused():
-    node = protocol("terrain", "protocol.strip.horizon_s=4.0")
-    with pytest.raises(ConfigError, match="does not reach beyond the strip") as caught:
-        read_section(Protocol, node, "protocol")
-    assert caught.value.key == "protocol.strip.horizon_s"

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from inspection.synthetic import Writer, drive, pitch, play, training
@@ -45,18 +43,14 @@ def test_what_parts_first_stands_first(tmp_path):
     early, late = np.full(200, 0.1), pitch()
     early[10], late[100] = 0.2, 1.0
     found = compare(written(tmp_path / "a.rrd"), written(tmp_path / "b.rrd", pitch=late, height=early))
-    assert [(number.name, number.parting.step) for number in found.numbers] == [
-        ("base.height", 11),
-        ("base.pitch", 101),
-    ]
+    parted = [(number.name, number.parting.step) for number in found.numbers]
+    assert parted == [("base.height", 11), ("base.pitch", 101)]
 
 
-def test_a_recording_that_stopped_earlier_differs_in_its_rows_alone(tmp_path):
+def test_a_recording_that_stopped_earlier_differs_only_in_its_rows(tmp_path):
     found = compare(written(tmp_path / "a.rrd"), written(tmp_path / "b.rrd", pitch=pitch()[:150]))
     (number,) = found.numbers
-    assert number.parting.step is None
-    assert number.rows == (200, 150)
-    assert number.largest is None
+    assert (number.parting.step, number.rows, number.largest) == (None, (200, 150), None)
     found = compare(written(tmp_path / "a.rrd", more=[1.0]), written(tmp_path / "b.rrd", other=[1.0]))
     assert (found.only_first, found.only_second) == (["base/more"], ["base/other"])
     assert not found.is_equal

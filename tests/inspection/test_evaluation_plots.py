@@ -72,16 +72,9 @@ def test_tiles_stand_kind_by_kind_and_level_by_level():
     assert [tick.get_text() for tick in found.get_yticklabels()] == ["flat", "pyramid stairs"]
 
 
-def test_a_sweep_is_a_curve_beside_the_unchanged_world():
-    rows = [
-        {"test": "robust", "sweep": sweep, "value": value, "survived": survived}
-        for sweep, value, survived in (
-            ("nominal", 0.0, 1.0),
-            ("mass", 0.7, 0.0),
-            ("mass", 0.7, 1.0),
-            ("mass", 1.3, 1.0),
-        )
-    ]
+def test_a_sweep_is_a_curve_next_to_the_unchanged_world():
+    worlds = (("nominal", 0.0, 1.0), ("mass", 0.7, 0.0), ("mass", 0.7, 1.0), ("mass", 1.3, 1.0))
+    rows = [{"test": "robust", "sweep": sweep, "value": value, "survived": share} for sweep, value, share in worlds]
     nominal, mass = axes(rows, "robust", "Survived, by mass").get_lines()
     assert set(nominal.get_ydata()) == {1.0}
     np.testing.assert_allclose(np.transpose(mass.get_data()), [(0.7, 0.5), (1.3, 1.0)])

@@ -24,20 +24,15 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array([float(row[i]) for row in rows]) for i, name in enumerate(header)}
 
 
-def test_a_folder_has_one_parquet_file_a_group(played: Recording, tmp_path: Path) -> None:
-    told = export(played, "parquet", tmp_path / "out")
-    assert {path.stem for path in (tmp_path / "out").glob("*.parquet")} == GROUPS == {entry.group for entry in told}
-    table = pq.read_table(tmp_path / "out" / "base.parquet")
-    expected = numbers(steps_of(training=False))
+def test_a_folder_has_one_parquet_file_a_group_with_units_and_origin(played: Recording, tmp_path: Path) -> None:
+    told, out = export(played, "parquet", tmp_path / "out"), tmp_path / "out"
+    assert {path.stem for path in out.glob("*.parquet")} == GROUPS == {entry.group for entry in told}
+    table = pq.read_table(out / "base.parquet")
     assert table.column("step").to_pylist() == list(range(1, STEPS + 1))
     np.testing.assert_allclose(table.column("sim_time"), np.arange(1, STEPS + 1) * DT, atol=1e-9)
-    np.testing.assert_array_equal(table.column("pitch"), expected["base/pitch"])
+    np.testing.assert_array_equal(table.column("pitch"), numbers(steps_of(training=False))["base/pitch"])
     assert all(entry.rows == STEPS for entry in told)
-
-
-def test_parquet_says_the_units_and_where_it_is_from(played: Recording, tmp_path: Path) -> None:
-    export(played, "parquet", tmp_path / "out")
-    found = units(pq.read_table(tmp_path / "out" / "base.parquet"))
+    found = units(table)
     assert {name: found[name] for name in ("sim_time", "height", "pitch", "v_x", "w_z")} == {
         "sim_time": "s", "height": "m", "pitch": "rad", "v_x": "m/s", "w_z": "rad/s",
     }  # fmt: skip

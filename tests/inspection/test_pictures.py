@@ -44,12 +44,12 @@ def pixel(point: np.ndarray, camera: Camera, lookat: np.ndarray) -> tuple[int, i
 
 
 def is_orange(rgb: np.ndarray) -> np.ndarray:
-    r, g, b = (rgb[..., i].astype(int) for i in range(3))
+    r, g, b = np.moveaxis(rgb.astype(int), -1, 0)
     return (r > 1.3 * g) & (g > 1.5 * b) & (r > 60)
 
 
 def is_magenta(rgb: np.ndarray) -> np.ndarray:
-    r, g, b = (rgb[..., i].astype(int) for i in range(3))
+    r, g, b = np.moveaxis(rgb.astype(int), -1, 0)
     return (r > 2 * g) & (b > 2 * g) & (r > 60)
 
 
@@ -78,8 +78,8 @@ def test_the_robot_is_drawn_where_a_camera_sees_it(shown: Scenery, graphics: str
     ]  # fmt: skip
     assert 0.03 < is_orange(image).mean() < 0.5
     columns, rows = np.nonzero(is_orange(image).T)
-    assert abs(columns.min() - min(c for c, _ in corners)) <= 3
-    assert abs(columns.max() - max(c for c, _ in corners)) <= 3
+    for bound in (min, max):
+        assert abs(bound(columns) - bound(c for c, _ in corners)) <= 3
     assert abs(rows.max() - max(r for _, r in corners)) <= 3
 
 
@@ -148,13 +148,12 @@ def test_a_moment_of_a_training_is_found(trained: Recording, choice: dict, step:
     assert found.motion.step[row_at(found, **choice)] == step
 
 
-def test_another_environment_has_its_own_motion(several: Recording) -> None:
+def test_a_caption_names_environment_time_and_command(
+    trained: Recording, several: Recording, played: Recording
+) -> None:
     assert scenery(several, 3).source.branch == "env_3"
     with pytest.raises(WheellegError, match="environment 1 was not recorded"):
         scenery(several, 1)
-
-
-def test_a_caption_says_environment_time_and_command(trained: Recording, several: Recording, played: Recording) -> None:
     found = scenery(trained)
     expected = [f"iteration 5 · t = {121 * DT:.2f} s", "command: forward +0.50 m/s"]
     assert recorded_scene.caption_lines(found.motion, row_at(found, iteration=5, at="0s")) == expected

@@ -90,10 +90,9 @@ def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) ->
 
 def test_what_a_training_says_of_its_terms_is_not_called_per_second(trained: Recording) -> None:
     found = recording_plots.make(trained, "reward_shares").get_axes()
-    assert len(found) == 2
-    for axes in found:
-        assert axes.get_title("left").endswith("sum of an episode / longest episode's seconds")
-        assert "1/s" not in axes.get_xlabel()
+    titles, labels = zip(*((axes.get_title("left"), axes.get_xlabel()) for axes in found), strict=True)
+    assert [title.endswith("sum of an episode / longest episode's seconds") for title in titles] == [True, True]
+    assert not any("1/s" in label for label in labels)
 
 
 def test_of_several_environments_the_page_names_the_one_that_it_shows(several: Recording, played: Recording) -> None:
@@ -124,9 +123,8 @@ def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_pa
     writer.numbers("contacts/feet", [[1.0, 0.0], [3.0, 0.0]], names=["l", "r"])
     writer.numbers("contacts/feet/peak", [[9.0, 0.0], [3.0, 8.0]], names=["l", "r"])
     figure = recording_plots.make(Recording(writer.close()), "contact_forces")
-    end, largest = panel(figure, "l: contact force (N)").get_lines()
-    assert (end.get_label(), end.get_ydata().tolist()) == ("end of the step", [1.0, 3.0])
-    assert (largest.get_label(), largest.get_ydata().tolist()) == ("largest in the history", [9.0, 3.0])
+    curves = [(one.get_label(), one.get_ydata().tolist()) for one in panel(figure, "l: contact force (N)").get_lines()]
+    assert curves == [("end of the step", [1.0, 3.0]), ("largest in the history", [9.0, 3.0])]
     assert panel(figure, "r: contact force (N)").get_ylim()[1] > 9.0
 
 
@@ -152,14 +150,12 @@ def test_the_error_of_a_step_is_drawn_and_not_the_one_that_grows_with_the_episod
     keys = (f"Metrics_per_step/{drive}", f"Episode_Metrics/{drive}_per_step", f"Metrics/{drive}")
     scalars = {key: (x, values) for key, values in zip(keys, (step, ended, grown), strict=True)}
     (axes,) = tile(plots_training.learning(scalars)).get_axes()
-    assert axes.get_title("left") == "Planar velocity error (drive)"
-    assert axes.get_ylabel() == "m/s"
+    assert (axes.get_title("left"), axes.get_ylabel()) == ("Planar velocity error (drive)", "m/s")
     np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), step)
     (old,) = tile(plots_training.learning({key: scalars[key] for key in keys[1:]})).get_axes()
     assert old.get_title("left") == "Mean planar velocity error (drive)"
     (older,) = tile(plots_training.learning({keys[2]: scalars[keys[2]]})).get_axes()
-    assert older.get_title("left") == "Error_vel_xy, added up over an episode (drive)"
-    assert older.get_ylabel() == ""
+    assert (older.get_title("left"), older.get_ylabel()) == ("Error_vel_xy, added up over an episode (drive)", "")
 
 
 def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
@@ -171,14 +167,11 @@ def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
     assert all((one.get_ydata() == every).all() for one in axes.get_lines())
 
 
-def test_what_is_of_the_last_sample_says_so(trained: Recording, played: Recording) -> None:
+def test_a_training_names_its_samples_and_shows_them_from_pale_to_dark(trained: Recording, played: Recording) -> None:
     assert recording_plots.PLOTS["joints"].heading(Source(trained)) == "Joints, last sample, from iteration 10 on"
     assert recording_plots.PLOTS["joints"].heading(Source(played)) == "Joints"
     samples = Source(trained).samples()
     assert [(s.first, s.last, s.iteration) for s in samples] == [(1, 60, 0), (121, 180, 5), (241, 300, 10)]
-
-
-def test_a_training_shows_its_samples_from_pale_to_dark(trained: Recording) -> None:
     axes = panel(recording_plots.make(trained, "tracking"), "Height of the base (m)")
     lines = [one for one in axes.get_lines() if one.get_label().startswith("iteration")]
     assert [one.get_label() for one in lines] == ["iteration 0", "iteration 5", "iteration 10"]

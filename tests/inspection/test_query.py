@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from inspection.synthetic import AMPLITUDE, Writer, pitch, play, training
@@ -108,8 +106,7 @@ def test_statistics_of_a_ramp(recording, tmp_path):
     (stats,) = term_statistics(recording, ["contacts.feet.left"], Selection()).values()
     assert (stats.count, stats.mean, stats.minimum, stats.maximum) == (200, 100.5, 1.0, 200.0)
     assert stats.std == pytest.approx(np.sqrt((200**2 - 1) / 12))
-    assert stats.quantiles[0.5] == 100.5
-    assert stats.quantiles[0.25] == pytest.approx(1 + 0.25 * 199)
+    assert (stats.quantiles[0.5], stats.quantiles[0.25]) == (100.5, pytest.approx(1 + 0.25 * 199))
     assert (stats.minimum_at.step, stats.maximum_at.step) == (1, 200)
     assert stats.maximum_at.time_s == pytest.approx(4.0)
     recording = Recording(training(tmp_path / "r.rrd"))
@@ -122,10 +119,9 @@ def test_rows_are_chosen_by_iteration_time_and_step(tmp_path):
     name = "training.Train.mean_reward"
     chosen = term_statistics(recording, [name], Selection(iterations=parse_iterations("5-7")))[name]
     assert (chosen.count, chosen.minimum, chosen.maximum_at.iteration) == (3, 8.0, 6)
-    until = term_statistics(recording, [name], Selection(end=parse_length("60steps", "--to")))[name]
-    assert until.count == 3
-    since = term_statistics(recording, [name], Selection(begin=parse_length("3.6s", "--from")))[name]
-    assert since.count == 2
+    bounds = {"end": parse_length("60steps", "--to")}, {"begin": parse_length("3.6s", "--from")}
+    found = [term_statistics(recording, [name], Selection(**bound))[name].count for bound in bounds]
+    assert found == [3, 2]
 
 
 def test_lengths_have_units():

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -18,14 +16,12 @@ def summary(tmp_path_factory):
     return summarize(Recording(play(tmp_path_factory.mktemp("play") / "r.rrd")))
 
 
-def test_what_it_holds_and_from_when_to_when(summary):
-    assert summary.purpose == "play"
-    assert summary.step_dt == pytest.approx(STEP_DT, rel=1e-12)
+def test_a_summary_names_purpose_times_parts_and_events(summary):
+    assert (summary.purpose, summary.step_dt) == ("play", pytest.approx(STEP_DT, rel=1e-12))
     assert (summary.timelines["step"].first, summary.timelines["step"].last) == (1, 200)
     assert summary.timelines["sim_time"].last == pytest.approx(4.0)
     assert {part.name: (part.entities, part.rows) for part in summary.parts}["base"] == (4, 800)
-    assert summary.health.is_whole
-    assert summary.events == {"push": 2}
+    assert (summary.health.is_whole, summary.events) == (True, {"push": 2})
 
 
 def test_episodes_end_where_a_termination_fired(summary):
@@ -35,10 +31,8 @@ def test_episodes_end_where_a_termination_fired(summary):
     assert [e.total_reward for e in summary.episodes] == pytest.approx([2.0, 4.0, 2.0])
     figures = summary.figures
     assert (figures.count, figures.failed, figures.timed_out, figures.unfinished) == (3, 1, 1, 1)
-    assert figures.survival == 0.5
-    assert figures.ended_by == {"fallen": 1, "time_out": 1}
-    assert figures.mean_duration_s == pytest.approx(1.5)
-    assert figures.mean_reward == pytest.approx(3.0)
+    assert (figures.survival, figures.ended_by) == (0.5, {"fallen": 1, "time_out": 1})
+    assert (figures.mean_duration_s, figures.mean_reward) == pytest.approx((1.5, 3.0))
 
 
 def test_a_constant_and_an_alternating_velocity_error(summary):
@@ -71,13 +65,10 @@ def test_the_largest_force_and_how_long_there_was_one(summary, tmp_path):
     assert [(force.body, force.largest_n, force.at.step) for force in forces] == [("l", 9.0, 1), ("r", 8.0, 2)]
 
 
-def test_how_long_an_effort_was_at_its_limit(summary):
+def test_efforts_at_their_limit_and_shares_of_rewards_are_summarized(summary):
     (hip,) = summary.efforts
     assert (hip.joint, hip.limit, hip.largest, hip.saturated_share) == ("hip", 2.0, 2.0, 0.25)
     assert hip.rms == pytest.approx(np.sqrt((3 * 1 + 4) / 4))
-
-
-def test_shares_of_the_rewards_are_by_size(summary):
     shares = {reward.term: reward for reward in summary.rewards}
     assert list(shares) == ["effort", "alive"]
     assert (shares["alive"].share, shares["effort"].share) == (0.75, 0.25)
@@ -85,21 +76,15 @@ def test_shares_of_the_rewards_are_by_size(summary):
     assert (shares["effort"].mean, shares["effort"].weight) == (-1.0, -0.1)
 
 
-def test_of_a_training_every_scalar_tells_where_it_was_best(tmp_path):
-    summary = summarize(Recording(training(tmp_path / "r.rrd")))
-    (trend,) = summary.training
-    assert (trend.name, trend.count, trend.first, trend.last) == ("Train/mean_reward", 10, -27.0, 0.0)
-    assert (trend.highest, trend.highest_at, trend.lowest_at) == (9.0, 6, 0)
-
-
-def test_environments_are_taken_together_or_one_by_one(tmp_path):
+def test_a_training_names_the_best_iteration_of_a_scalar_and_environments_together_or_one_by_one(tmp_path):
     recording = Recording(training(tmp_path / "r.rrd"))
     both, one = summarize(recording), summarize(recording, Selection(env_id=5))
+    (trend,) = both.training
+    assert (trend.name, trend.count, trend.first, trend.last) == ("Train/mean_reward", 10, -27.0, 0.0)
+    assert (trend.highest, trend.highest_at, trend.lowest_at) == (9.0, 6, 0)
     assert (both.figures.count, one.figures.count) == (6, 3)
-    assert both.base["height"].mean == pytest.approx(0.6)
-    assert one.base["height"].mean == pytest.approx(1.1)
-    assert both.base["height"].maximum_at.env_id == 5
-    assert one.env_ids == [5]
+    assert (both.base["height"].mean, one.base["height"].mean) == pytest.approx((0.6, 1.1))
+    assert (both.base["height"].maximum_at.env_id, one.env_ids) == (5, [5])
 
 
 def test_figures_of_a_part_of_the_time(tmp_path):
@@ -133,8 +118,8 @@ def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
     assert [(s.first_step, s.last_step, s.episodes, s.cut) for s in samples] == [(1, 50, 2, 0), (201, 250, 2, 0)]
 
 
-def late(path):
-    writer = Writer(path)
+def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
     steps = np.r_[1:21, 201:241, 301:311]
     iterations = (steps - 1) // 20
     writer.numbers("terminations/fallen", steps == 20, steps, None, iterations)
@@ -144,11 +129,7 @@ def late(path):
     writer.words("log/episodes", [(20, "env 0: ended by fallen", "WARN"), (240, "env 0: ended by time_out", "INFO")])
     scalars = np.array([0.0, 5.0, 8.0])
     writer.numbers("training/Train/mean_reward", scalars, [20, 240, 320], None, [0, 11, 15])
-    return writer.close()
-
-
-def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
-    recording = Recording(late(tmp_path / "r.rrd"))
+    recording = Recording(writer.close())
     summary = summarize(recording)
     assert (summary.sample.iteration, summary.sample.first_step, summary.sample.last_step) == (10, 201, 240)
     assert (summary.figures.survival, summary.figures.mean_reward) == (1.0, pytest.approx(40 * STEP_DT))
@@ -186,10 +167,7 @@ def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
     assert (figures.count, figures.whole, figures.begun_before, figures.unfinished) == (3, 1, 1, 1)
     assert sample.mean_reward == figures.mean_reward == pytest.approx((19 - 100) * STEP_DT)
     assert sample.mean_duration_s == figures.mean_duration_s == figures.longest_s == pytest.approx(20 * STEP_DT)
-
-
-def test_without_an_ended_episode_a_sample_has_no_figures(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
+    writer = Writer(tmp_path / "unfinished.rrd")
     writer.numbers("terminations/fallen", [0, 0], None, None, [0, 0])
     writer.numbers("rewards/total", [1.0, 1.0], None, None, [0, 0])
     (sample,) = summarize(Recording(writer.close())).samples
@@ -210,28 +188,24 @@ def test_episodes_are_told_apart_by_their_own_marks_where_there_are(tmp_path):
     assert (second.outcome, second.ended_by, second.is_from_start) == ("failed", ("a", "b"), True)
 
 
-def test_numbers_that_are_none_are_counted_and_left_out(tmp_path):
+def test_nan_and_inf_are_counted_and_left_out_and_a_joint_may_have_any_name(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("base/pitch", [1.0, np.nan, 3.0, np.inf])
     writer.numbers("rewards/a", [np.nan, np.nan, 2.0, 4.0])
+    writer.numbers(r"joints/left\ hip\.x/effort", [1.0, 2.0])
+    writer.static(r"joints/left\ hip\.x", effort_limit=[2.0])
     summary = summarize(Recording(writer.close()))
     pitch = summary.base["pitch"]
     assert (pitch.count, pitch.nan, pitch.infinite, pitch.mean, pitch.maximum) == (4, 1, 1, 2.0, 3.0)
     assert summary.rewards[0].mean == 3.0
+    (use,) = summary.efforts
+    assert (use.joint, use.saturated_share) == ("left hip.x", 0.5)
 
 
-def test_it_can_be_written_as_json(summary):
+def test_a_summary_can_be_written_as_json(summary):
     document = json.loads(dump_json(summary.as_dict()))
     assert document["figures"]["survival"] == 0.5
     assert document["base"]["pitch"]["quantiles"]["0.5"] == pytest.approx(0.0, abs=1e-15)
-
-
-def test_a_joint_and_a_term_may_have_any_name(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    writer.numbers(r"joints/left\ hip\.x/effort", [1.0, 2.0])
-    writer.static(r"joints/left\ hip\.x", effort_limit=[2.0])
-    (use,) = summarize(Recording(writer.close())).efforts
-    assert (use.joint, use.saturated_share) == ("left hip.x", 0.5)
 
 
 def test_an_environment_of_which_less_is_there_does_not_hide_the_others(tmp_path):
@@ -239,7 +213,5 @@ def test_an_environment_of_which_less_is_there_does_not_hide_the_others(tmp_path
     drive(writer, "env_0")
     writer.numbers("env_3/base/height", [5.0])
     summary = summarize(Recording(writer.kill()))
-    assert not summary.health.is_whole
-    assert summary.figures.count == 3
-    assert summary.base["height"].maximum == 5.0
+    assert (summary.health.is_whole, summary.figures.count, summary.base["height"].maximum) == (False, 3, 5.0)
     assert summary.tracking[0].mean == pytest.approx(0.25)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -40,11 +38,15 @@ def test_the_newest_play_or_any_other(run):
     assert recordings_of(run)[0] == run.recording
 
 
-def test_a_file_belongs_to_no_run(tmp_path):
+def test_a_file_belongs_to_no_run_and_a_folder_stands_for_its_only_recording(tmp_path):
     target = find_target(play(tmp_path / "any.rrd"), "runs")
     assert (target.path, target.run, target.others()) == (tmp_path / "any.rrd", None, [])
     with pytest.raises(WheellegError, match=r"--play: .* is not a run"):
         find_target(tmp_path / "any.rrd", "runs", play=True)
+    assert find_target(tmp_path, "runs").path == tmp_path / "any.rrd"
+    play(tmp_path / "two.rrd")
+    with pytest.raises(RunDirectoryError, match=r"contains 2 recordings; expected one of any\.rrd, two\.rrd"):
+        find_target(tmp_path, "runs")
 
 
 def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
@@ -71,11 +73,3 @@ def test_wrong_words_are_told_with_the_nearest(run, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunDirectoryError, match="'empty' is not a run, and contains no recordings"):
         find_target("empty", "runs")
-
-
-def test_a_folder_with_one_recording_stands_for_it(tmp_path):
-    play(tmp_path / "one.rrd")
-    assert find_target(tmp_path, "runs").path == tmp_path / "one.rrd"
-    play(tmp_path / "two.rrd")
-    with pytest.raises(RunDirectoryError, match=r"contains 2 recordings; expected one of one\.rrd, two\.rrd"):
-        find_target(tmp_path, "runs")

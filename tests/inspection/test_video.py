@@ -31,11 +31,9 @@ def test_a_video_lasts_as_long_as_what_it_shows(played: Recording, tmp_path: Pat
     assert done.frames == expected
     assert told == [(i, expected) for i in range(1, expected + 1)]
     with av.open(str(path)) as container:
-        stream = container.streams.video[0]
+        stream, codec = container.streams.video[0], container.streams.video[0].codec_context
         assert float(stream.duration * stream.time_base) == pytest.approx(STEPS * DT)
-        assert (stream.codec_context.width, stream.codec_context.height) == (96, 64)
-        assert stream.codec_context.pix_fmt == "yuv420p"
-        assert stream.codec_context.name == "h264"
+        assert (codec.width, codec.height, codec.pix_fmt, codec.name) == (96, 64, "yuv420p", "h264")
     frames = decoded(path)
     assert len(frames) == expected
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0

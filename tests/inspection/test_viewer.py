@@ -82,12 +82,13 @@ def test_the_page_shows_the_recording_and_asks_nothing_of_other_machines(served:
     assert policy["connect-src"] == "'self' data: blob:"
 
 
-def test_the_recording_is_served_as_it_is(served: WebViewer, played: Recording) -> None:
+def test_the_recording_is_served_unchanged_on_the_loopback_address_only(served: WebViewer, played: Recording) -> None:
     status, headers, body = ask(served.port, "/recording.rrd")
     assert (status, body) == (200, Path(played.path).read_bytes())
     assert int(headers["Content-Length"]) == len(body)
     status, headers, nothing = ask(served.port, "/recording.rrd", method="HEAD")
     assert (status, nothing, int(headers["Content-Length"])) == (200, b"", len(body))
+    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # Child processes are browsers of other tests.
 
 
 def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path) -> None:
@@ -112,10 +113,6 @@ def test_a_page_of_another_name_reads_nothing(served: WebViewer, host: str) -> N
     assert (status, body) == (403, b"")
 
 
-def test_only_the_loopback_address_is_listened_on(served: WebViewer) -> None:
-    assert listening(os.getpid(), family=False) == {"127.0.0.1"}  # Child processes are browsers of other tests.
-
-
 def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
@@ -126,16 +123,13 @@ def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
         WebViewer(Path(played.path), 70000)
 
 
-def test_two_viewers_stand_beside_each_other_and_answer_no_more_once_ended(files, played: Recording) -> None:
+def test_two_viewers_run_at_the_same_time_and_leave_no_server_and_no_process(files, played: Recording) -> None:
     with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
         assert one.port != two.port
         assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
         port = one.port
     with pytest.raises(ConnectionError):
         ask(port, "/")
-
-
-def test_fetching_the_viewer_leaves_no_process(files: rerun_viewer.Files) -> None:
     assert files["/re_viewer_bg.wasm"][0] == "application/wasm"
     assert not [p for p in psutil.Process().children(recursive=True) if "rerun" in p.name()]
 

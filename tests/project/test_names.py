@@ -6,8 +6,11 @@ from wheelleg_exp.project.create import NameTaken, require_name
 
 
 @pytest.mark.parametrize("name", ["myrobot", "my_robot", "Diablo2", "r2d2"])
-def test_good_names(name):
+def test_good_names_are_accepted_and_suggested_for_similar_bad_ones(name):
     require_name(name)
+    with pytest.raises(NameTaken) as caught:
+        require_name(f"{name}-")
+    assert caught.value.nearest == name
 
 
 @pytest.mark.parametrize(

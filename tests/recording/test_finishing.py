@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from patience import PATIENCE_S
@@ -30,9 +31,8 @@ def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, 
     program = path.with_name("rerun")
     program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(
-        rerun_program, "rerun_program", lambda: str(program if script else program.with_name("missing"))
-    )
+    missing = program.with_name("missing")
+    monkeypatch.setattr(rerun_program, "rerun_program", lambda: str(program if script else missing))
     monkeypatch.setattr(rerun_program, "_TIMEOUT_S", 0.3 if "sleep" in script else PATIENCE_S)
     assert rerun_program.optimize_recording(path) == why
     assert path.read_bytes() == b"as it is"
@@ -40,10 +40,7 @@ def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, 
 
 
 def test_a_disk_without_room_for_the_copy_is_named(path, monkeypatch):
-    class Usage:
-        free = 3
-
     monkeypatch.setattr(rerun_program, "rerun_program", lambda: "false")
-    monkeypatch.setattr(rerun_program.shutil, "disk_usage", lambda folder: Usage)
+    monkeypatch.setattr(rerun_program.shutil, "disk_usage", lambda folder: SimpleNamespace(free=3))
     assert rerun_program.optimize_recording(path) == "the disk has no room for a second copy"
     assert path.read_bytes() == b"as it is"

@@ -21,10 +21,6 @@ def numbers(archetype, component: str) -> np.ndarray:
     return np.array(getattr(archetype, component).as_arrow_array().to_pylist(), dtype=float)
 
 
-def test_quaternions_are_reordered_from_wxyz_to_xyzw():
-    np.testing.assert_array_equal(xyzw(np.array([[1.0, 2.0, 3.0, 4.0]])), [[2.0, 3.0, 4.0, 1.0]])
-
-
 SHAPES = {
     f"type='box' size='.1 .2 .3' pos='1 2 3' quat='{HALF} 0 0 {HALF}'": {
         "half_sizes": [0.1, 0.2, 0.3], "centers": [1, 2, 3], "quaternions": [0, 0, HALF, HALF]},
@@ -40,6 +36,8 @@ def test_a_shape_has_the_size_place_and_orientation_of_its_geom(geom):
     (found,) = shape(model(f"<geom {geom}/>"), 0)
     for component, expected in SHAPES[geom].items():
         np.testing.assert_allclose(np.ravel(numbers(found, component)), expected, rtol=1e-6)
+    # Quaternions are reordered from wxyz to xyzw.
+    np.testing.assert_array_equal(xyzw(np.array([[1.0, 2.0, 3.0, 4.0]])), [[2.0, 3.0, 4.0, 1.0]])
 
 
 def test_capsule_begins_at_the_centre_of_a_cap():

@@ -79,23 +79,18 @@ def alone(env, tmp_path_factory) -> str:
     return rolled(env, tmp_path_factory.mktemp("alone") / "r.rrd", None)
 
 
-@pytest.mark.parametrize("manner", ["hang", "die"])
-def test_a_viewer_that_hangs_or_dies_does_not_matter(env, alone, tmp_path, manner):
-    path = tmp_path / "r.rrd"
-    digest = rolled(env, path, viewer(tmp_path, manner), wait_for=tmp_path / "pid")
-    assert digest == alone
+@pytest.mark.parametrize("manner", ["hang", "die", "missing"])
+def test_a_viewer_that_hangs_dies_or_is_missing_does_not_change_a_recording(env, alone, tmp_path, manner):
+    path, missing = tmp_path / "r.rrd", manner == "missing"
+    command = [str(tmp_path / "none")] if missing else viewer(tmp_path, manner)
+    assert rolled(env, path, command, wait_for=None if missing else tmp_path / "pid") == alone
     assert len(Recording(path).table("base/height")) == STEPS
     end_viewer(tmp_path)
 
 
-def test_a_viewer_that_is_not_there_does_not_matter(env, alone, tmp_path):
-    assert rolled(env, tmp_path / "r.rrd", [str(tmp_path / "none")]) == alone
-
-
 def test_a_viewer_is_opened_for_this_machine_alone_and_sends_nothing():
-    command = viewer_command(5)
+    command, surroundings = viewer_command(5), viewer_environment()
     assert command[command.index("--bind") + 1] == "127.0.0.1"
-    surroundings = viewer_environment()
     assert surroundings["CI"] == "true"  # CI=true disables rerun's analytics.
     assert surroundings["HTTPS_PROXY"] == surroundings["https_proxy"] == "http://127.0.0.1:9"
 

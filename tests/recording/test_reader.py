@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import rerun as rr
@@ -26,9 +24,7 @@ def test_rows_come_sorted_by_step_whatever_the_order_of_writing(tmp_path):
     assert recording.table("a/b").column("step").to_pylist() == list(range(9))
     np.testing.assert_array_equal(recording.values("/a/b"), np.repeat(np.arange(9) * 0.5, 2).reshape(9, 2))
     assert recording.names("a/b") == ["one", "two"]
-    assert recording.entities() == ["a/b"]
-    assert recording.timelines() == ["step"]
-    assert recording.recording_id == "a"
+    assert (recording.entities(), recording.timelines(), recording.recording_id) == (["a/b"], ["step"], "a")
     with pytest.raises(RunDirectoryError, match="did you mean 'a/b'"):
         recording.table("a/bb")
 
@@ -97,8 +93,7 @@ def test_words_are_events_by_step(tmp_path):
 def test_purpose_and_step_are_known_without_properties_and_said_by_them(tmp_path):
     assert Recording(play(tmp_path / "p.rrd")).purpose == "play"
     recording = Recording(training(tmp_path / "t.rrd"))
-    assert recording.purpose == "training"
-    assert recording.step_dt == pytest.approx(STEP_DT, rel=1e-12)
+    assert (recording.purpose, recording.step_dt) == ("training", pytest.approx(STEP_DT, rel=1e-12))
     writer = Writer(tmp_path / "r.rrd")
     writer.static("__properties/wheelleg", purpose="evaluation", step_dt=0.5, env_ids=[4], task="stand")
     writer.numbers("base/height", [1.0])

@@ -122,8 +122,7 @@ def test_a_file_that_was_cut_off_is_read_up_to_its_last_whole_message(tmp_path, 
     cut = int(len(whole) * share)
     recording = Recording(written(tmp_path, whole[:cut]))
     health = recording.health
-    assert not health.is_whole
-    assert health.damaged == 0
+    assert (health.is_whole, health.damaged) == (False, 0)
     assert health.readable <= cut
     assert "cut off at byte" in health.lines()[1] or health.readable == cut
     complete = Recording(written(tmp_path, whole))
@@ -181,11 +180,9 @@ def test_a_repair_overwrites_nothing(tmp_path, whole):
 
 
 def test_an_index_ends_the_messages(tmp_path, whole):
-    path = written(tmp_path, whole)
-    *_, last = RrdFile(path).messages()
-    assert last.kind == INDEX
-    assert RrdFile(path).is_closed(last)
-    assert not RrdFile(path).is_followed_by_damage(last)
+    file = RrdFile(written(tmp_path, whole))
+    *_, last = file.messages()
+    assert (last.kind, file.is_closed(last), file.is_followed_by_damage(last)) == (INDEX, True, False)
     assert RrdFile(written(tmp_path, whole + bytes(90))).is_followed_by_damage(last)
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -37,7 +35,6 @@ def test_height_forces_efforts_and_tracking_errors_are_the_environments(told):
     largest = dict(zip(env.scene.robot.joint_names, np.abs(account["effort"]).max(axis=0), strict=True))
     assert {use.joint: use.largest for use in summary.efforts} == pytest.approx(largest, rel=1e-6)
     assert all(use.limit and use.largest <= use.limit * (1 + 1e-6) for use in summary.efforts)
-    summary, account, _ = told
     error = account["lin_vel"][:, 0] - account["command"][:, 0]
     forward = next(tracked for tracked in summary.tracking if tracked.name == "v_x")
     assert forward.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-5)

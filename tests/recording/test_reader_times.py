@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -31,15 +29,12 @@ def path(tmp_path):
     return writer.close()
 
 
-def test_events_have_their_times_to_the_nanosecond(path):
-    events = Recording(path).events()
+def test_events_and_properties_have_their_times_to_the_nanosecond(path):
+    recording = Recording(path)
+    events = recording.events()
     assert [event.time_s for event in events] == [value * 1e-9 for value in NS]
     expected = [(1, "push", "INFO"), (2, "fell", "WARN"), (3, "end", "INFO")]
     assert [(event.step, event.text, event.level) for event in events] == expected
-
-
-def test_properties_that_are_times_are_read(path):
-    recording = Recording(path)
     assert recording.properties["wheelleg"] == {"made": 7, "took": 9}
     assert summarize(recording).properties["wheelleg"]["made"] == 7
     assert {"base/height", "documents/a", "log/episodes"} <= entity_digests(path, without=()).keys()

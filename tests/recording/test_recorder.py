@@ -59,19 +59,15 @@ def test_every_control_step_is_there_once_on_every_timeline(recording, recorded)
         (["observations/critic"], "critic"),
         (["actions/raw"], "action"),
         (["state/qpos"], "qpos"),
+        (["joints/{}/position"], "joint_pos"),
+        (["joints/{}/velocity_target"], "joint_vel_target"),
+        (["joints/{}/effort"], "effort"),
     ],
 )
-def test_numbers_are_the_environments_own(recording, recorded, entities, name):
-    np.testing.assert_array_equal(column(recording, *entities), recorded[1][name])
-
-
-@pytest.mark.parametrize(
-    ("kind", "name"), [("position", "joint_pos"), ("velocity_target", "joint_vel_target"), ("effort", "effort")]
-)
-def test_joints_are_found_by_name(recording, recorded, kind, name):
+def test_numbers_are_the_environments_own_and_joints_are_found_by_name(recording, recorded, entities, name):
     joints = recorded[2].scene.robot.joint_names
-    found = column(recording, *(f"joints/{joint}/{kind}" for joint in joints))
-    np.testing.assert_array_equal(found, recorded[1][name])
+    found = [entity.format(joint) for entity in entities for joint in (joints if "{}" in entity else joints[:1])]
+    np.testing.assert_array_equal(column(recording, *found), recorded[1][name])
 
 
 def test_roll_and_pitch_agree_with_the_direction_of_gravity(recording, recorded):
@@ -127,16 +123,13 @@ def test_velocity_arrows_are_turned_by_the_yaw_of_the_base(recording, recorded):
         assert (arrows[:, 2] == 0).all()
 
 
-def test_the_log_says_what_ended_an_episode_and_when(recording, recorded):
+def test_the_log_names_ends_of_episodes_and_interval_events_at_their_steps(recording, recorded):
     ended = recorded[1].ended
     assert ended, "the rollout must hold an end"
     steps, texts = (listed(recording, "log/episodes", name) for name in ("step", "text"))
     assert steps == [step for step, _, _ in ended]
     expected = [f"env 1: ended by {' and '.join(names)} after {seconds:.2f} s" for _, names, seconds in ended]
     assert [text[0] for text in texts] == expected
-
-
-def test_the_log_names_interval_events_at_the_step_that_they_follow(recording, recorded):
     pushed = recorded[1].pushed
     assert pushed
     assert listed(recording, "log/events", "step") == pushed
@@ -200,8 +193,8 @@ def test_a_segment_ends_by_itself_and_carries_its_iteration(make_env, tmp_path):
     assert table.column("step").to_pylist() == [2, 3, 7]
     assert table.column("iteration").to_pylist() == [4, 4, 9]
     scalars = recording.table("training/Train/mean\\ reward")
-    assert scalars.column("iteration").to_pylist() == [4, 9]
-    assert scalars.column("scalars").to_pylist() == [[1.5], [2.5]]
+    found = [scalars.column(name).to_pylist() for name in ("iteration", "scalars")]
+    assert found == [[4, 9], [[1.5], [2.5]]]
 
 
 def test_texts_are_kept_and_the_last_of_a_name_counts(recorded, tmp_path):
@@ -294,9 +287,8 @@ def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
             assert env.common_step_counter == 50
             print(error)
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=PATIENCE_S
-    )
+    words = [sys.executable, "-c", textwrap.dedent(code)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"cannot write the recording '{path}': ")
     assert "expected room on a working disk" in done.stdout
@@ -319,8 +311,6 @@ def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_pat
     assert optimize_recording(path) is None
     after = Recording(path).health
     assert entity_digests(path) == before
-    assert after.is_whole
-    assert not pieces.is_closed
-    assert after.messages < pieces.messages / 3
-    assert after.size < pieces.size
+    assert (after.is_whole, pieces.is_closed) == (True, False)
+    assert (after.messages < pieces.messages / 3, after.size < pieces.size) == (True, True)
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

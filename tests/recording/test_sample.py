@@ -1,20 +1,14 @@
 from __future__ import annotations
 
-from itertools import count
-
 import pytest
 
 from wheelleg_exp.recording.recording_options import Sample
 
 
 def taken(lengths: list[int], enough: int, most: int, dues: tuple[int, ...] = (0,)) -> list[tuple[int, int]]:
-    sample, found, now = Sample(), [], count(1)
-    steps = {}
-    for number, length in enumerate(lengths):
-        for step in range(1, length + 1):
-            steps[next(now)] = (number, step, step == length)
-    before = None
-    for k, (number, step, ends) in steps.items():
+    sample, found, before = Sample(), [], None
+    rows = [(number, step, step == length) for number, length in enumerate(lengths) for step in range(1, length + 1)]
+    for k, (number, step, ends) in enumerate(rows, start=1):
         if k - 1 in dues:
             goes_on = before is not None and bool(found) and found[-1] == before and step > 1
             sample.begin(enough, most, taken=0, is_in_episode=goes_on)

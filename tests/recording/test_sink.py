@@ -107,8 +107,7 @@ def test_the_layout_is_the_one_that_rerun_writes(both):
         return sorted((root, [(f.name, str(f.type)) for f in schema if ":" in f.name]) for root, schema in columns)
 
     assert rows(both[0]) == rows(both[1])
-    activations = [sum(m.kind == BLUEPRINT_ACTIVATION for m in RrdFile(path).messages()) for path in both]
-    assert activations == [1, 1]
+    assert [sum(m.kind == BLUEPRINT_ACTIVATION for m in RrdFile(path).messages()) for path in both] == [1, 1]
 
 
 def test_columns_of_different_lengths_are_refused(tmp_path):

@@ -118,10 +118,10 @@ def train(env, directory, until, *, start=0, checkpoint_at=None, **changes) -> d
     return kept
 
 
-def go_on(env, directory, kept, start, until, **changes) -> None:
+def go_on(env, directory, kept, start, until, **changes) -> dict | None:
     env.load_state_dict(copy.deepcopy(kept["state"]))
     env.event_manager.fired.clear()
-    train(env, directory, until, start=start, **changes)
+    return train(env, directory, until, start=start, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -146,17 +146,13 @@ def rows(path: Path, entity: str = "base/height") -> list[tuple[int, int]]:
     return list(zip(table.column("step").to_pylist(), table.column("iteration").to_pylist(), strict=True))
 
 
-def test_samples_are_whole_episodes_and_carry_their_iterations(env, straight):
-    episodes = lived(env, 1, 7)
-    expected = [pair for one in sampled(episodes, 7) for pair in zip(one.steps, one.iterations, strict=True)]
-    assert rows(straight) == expected
-    late = [one for one in sampled(episodes, 7) if one.iterations[0] >= 3]
+def test_samples_are_whole_episodes_with_their_iterations_returns_and_ends(env, straight):
+    samples = sampled(lived(env, 1, 7), 7)
+    assert rows(straight) == [pair for one in samples for pair in zip(one.steps, one.iterations, strict=True)]
+    late = [one for one in samples if one.iterations[0] >= 3]
     assert late
     assert late[0].steps[0] > 3 * ROLLOUT + 1, "the environment must be in mid-episode when the second sample is due"
-
-
-def test_every_sampled_episode_has_its_return_and_its_end(env, straight):
-    expected = [one for one in sampled(lived(env, 1, 7), 7) if one.ended_by]
+    expected = [one for one in samples if one.ended_by]
     found = [one for one in summarize(Recording(straight), Selection(begin=Length(0, True))).episodes if one.ended_by]
     assert all(one.is_from_start for one in found)
     assert [one.ended_by for one in found] == [one.ended_by for one in expected]
@@ -167,13 +163,13 @@ def test_environments_are_sampled_each_from_its_own_beginning(env, directory):
     train(env, directory, 7, env_ids=[0, 1])
     recording = Recording(directory.recording)
     for env_id in (0, 1):
+        episodes = sampled(lived(env, env_id, 7), 7)
         steps = recording.table(f"env_{env_id}/base/height").column("step").to_pylist()
-        assert steps == [step for one in sampled(lived(env, env_id, 7), 7) for step in one.steps]
-        ends = [row for row in recording.events("episodes", env_id)]
-        assert len(ends) == sum(bool(one.ended_by) for one in sampled(lived(env, env_id, 7), 7))
+        assert steps == [step for one in episodes for step in one.steps]
+        assert len(recording.events("episodes", env_id)) == sum(bool(one.ended_by) for one in episodes)
 
 
-def test_every_iteration_has_its_scalars(straight):
+def test_every_iteration_has_its_scalars_and_the_recording_describes_itself(straight, env):
     recording = Recording(straight)
     for key, first in (("Train/mean\\ reward", 0), ("Loss/value", 0), ("Episode_Reward/alive", 2)):
         table = recording.table(f"training/{key}")
@@ -181,35 +177,23 @@ def test_every_iteration_has_its_scalars(straight):
         assert table.column("step").to_pylist() == [(i + 1) * ROLLOUT for i in range(first, 7)]
         expected = [scalars(i)[key.replace("\\", "")] for i in range(first, 7)]
         assert recording.values(f"training/{key}")[:, 0].tolist() == expected
-
-
-def test_it_says_what_it_is_of(straight, env):
-    about = Recording(straight).properties["wheelleg"]
+    about = recording.properties["wheelleg"]
     assert (about["purpose"], about["task"], about["format_version"]) == ("training", "stand", 2)
-    assert (about["step_dt"], about["num_envs"]) == (env.step_dt, 2)
-    assert about["run_id"] == straight.parent.name
-    recording = Recording(straight)
+    assert (about["step_dt"], about["num_envs"], about["run_id"]) == (env.step_dt, 2, straight.parent.name)
     assert recording.document("config") == "c"
     assert "wheelleg train" in recording.document("command")
     assert '"task": "stand"' in recording.document("manifest")
 
 
-@pytest.mark.parametrize("checkpoint", [1, 2, 3, 4, 6])
-def test_a_split_training_has_the_recording_of_a_straight_one(env, straight, directory, checkpoint):
-    kept = train(env, directory, min(checkpoint + 1, 6), checkpoint_at=checkpoint)
-    go_on(env, directory, kept, checkpoint, 7)
+@pytest.mark.parametrize("checkpoints", [[1], [2], [3], [4], [6], [2, 4]])
+def test_a_split_training_has_the_recording_of_a_straight_one(env, straight, directory, checkpoints):
+    kept = train(env, directory, min(checkpoints[0] + 1, 6), checkpoint_at=checkpoints[0])
+    for start, stop in pairwise(checkpoints):
+        kept = go_on(env, directory, kept, start, stop + 1, checkpoint_at=stop)
+    go_on(env, directory, kept, checkpoints[-1], 7)
     assert entity_digests(directory.recording) == entity_digests(straight)
     assert not list(directory.path.glob("*.damaged*"))
     assert not list(directory.path.glob(".*.tmp"))
-
-
-def test_going_on_twice_is_going_on_once(env, straight, directory):
-    kept = train(env, directory, 3, checkpoint_at=2)
-    env.load_state_dict(copy.deepcopy(kept["state"]))
-    env.event_manager.fired.clear()
-    again = train(env, directory, 5, start=2, checkpoint_at=4)
-    go_on(env, directory, again, 4, 7)
-    assert entity_digests(directory.recording) == entity_digests(straight)
 
 
 def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, straight, stopped, tmp_path):

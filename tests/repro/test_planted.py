@@ -32,12 +32,8 @@ def test_a_proof_fails_when_its_cause_is_planted(planted: Planter, proof, term):
 
 
 @usual
-def test_another_term_shows_a_draw_from_a_stream_that_is_not_its_own(lab: Lab):
+def test_another_term_shows_a_draw_from_a_foreign_stream_and_a_draw_from_the_global_generator_is_rejected(lab: Lab):
     assert any("actor_state_dict" in what for what in checks.added_term(lab, "planted.terms.borrowed_draw"))
-
-
-@usual
-def test_a_draw_from_the_shared_generator_is_refused(lab: Lab):
     with pytest.raises(Refused, match="generator"):
         checks.added_term(lab, "planted.terms.global_draw")
 

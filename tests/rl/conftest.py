@@ -16,6 +16,7 @@ from wheelleg_exp.asset import convert_cached
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
+from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -53,3 +54,15 @@ def make_trainer(mjcf: Path, tiny_config: Callable[..., dict[str, Any]]) -> Make
         return Trainer(RslRlVecEnv(env, config["agent"].get("clip_actions")), config["agent"], seed)
 
     return make
+
+
+def without_times(done: Any) -> dict[str, float]:
+    """Return the scalars of an iteration except measured times."""
+    return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
+
+
+def saved(state: dict[str, Any], folder: Path) -> Path:
+    """Write a checkpoint to a folder, and return its path."""
+    path = folder / "model_0.pt"
+    path.write_bytes(checkpoint.serialize(state))
+    return path

@@ -1,11 +1,10 @@
 """Test the returns, lengths, and logs of a rollout against hand-computed cases."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
-from wheelleg_exp.rl.rollout_log import EpisodeLog
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount
 
 
 def step(log, rewards, dones, values=None):
@@ -19,12 +18,6 @@ def step(log, rewards, dones, values=None):
 @pytest.fixture(autouse=True)
 def _no_last_log():
     step.last = {}
-
-
-def test_nothing_is_said_before_an_episode_ends():
-    log = EpisodeLog(2)
-    step(log, [1.0, 2.0], [0, 0])
-    assert log.collect() == {}
 
 
 def test_return_and_length_are_those_of_the_finished_episodes():
@@ -47,49 +40,36 @@ def test_the_means_cover_the_last_hundred_episodes():
     assert log.collect()["Train/mean_reward"] == pytest.approx((sum(range(31, 130)) + 1030) / 100)
 
 
-def test_the_means_stay_while_no_episode_ends():
+def test_there_are_no_means_before_an_episode_ends_and_they_stay_while_none_ends():
     log = EpisodeLog(1)
-    step(log, [5.0], [1], {})
+    step(log, [1.0], [0])
+    assert log.collect() == {}
+    step(log, [4.0], [1], {})
     first = log.collect()
     step(log, [7.0], [0])
-    assert log.collect() == first == {"Train/mean_reward": 5.0, "Train/mean_episode_length": 1.0}
+    assert log.collect() == first == {"Train/mean_reward": 5.0, "Train/mean_episode_length": 2.0}
 
 
-def test_a_log_that_stays_between_resets_counts_once():
-    log = EpisodeLog(1)
-    step(log, [0.0], [1], {"Episode_Reward/alive": 1.0})
-    step(log, [0.0], [0])
-    step(log, [0.0], [0])
-    step(log, [0.0], [1], {"Episode_Reward/alive": 4.0})
-    assert log.collect()["Episode_Reward/alive"] == 2.5
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ([([1], {"a": 1.0}), ([0], None), ([0], None), ([1], {"a": 4.0})], {"a": 2.5}),  # A stale log counts once.
+        ([([1, 1, 1, 0], {"a": 1.0}), ([0, 0, 0, 1], {"a": 3.0})], {"a": 2.0}),  # The size of a reset does not matter.
+        ([([1], {"a": 1.0}), ([1], {"a": 3.0, "b": 7.0})], {"a": 2.0, "b": 7.0}),  # Only the logs with a key count.
+    ],
+)
+def test_logs_of_resets_are_averaged(steps, expected):
+    log = EpisodeLog(len(steps[0][0]))
+    for dones, values in steps:
+        step(log, [0.0] * len(dones), dones, values)
+    assert expected.items() <= log.collect().items()
 
 
-def test_reset_batches_count_alike_whatever_their_size():
-    log = EpisodeLog(4)
-    step(log, [0.0] * 4, [1, 1, 1, 0], {"Metrics/error": 1.0})
-    step(log, [0.0] * 4, [0, 0, 0, 1], {"Metrics/error": 3.0})
-    assert log.collect()["Metrics/error"] == 2.0
-
-
-def test_a_key_that_only_some_logs_hold_is_the_mean_over_those():
-    log = EpisodeLog(1)
-    step(log, [0.0], [1], {"a": 1.0})
-    step(log, [0.0], [1], {"a": 3.0, "b": 7.0})
-    scalars = log.collect()
-    assert (scalars["a"], scalars["b"]) == (2.0, 7.0)
-
-
-def test_an_iteration_begins_with_an_empty_log():
-    log = EpisodeLog(1)
-    step(log, [0.0], [1], {"a": 1.0})
-    log.collect()
-    assert "a" not in log.collect()
-
-
-def test_scalars_are_plain_numbers():
+def test_scalars_are_floats_and_each_iteration_starts_with_an_empty_log():
     log = EpisodeLog(1)
     step(log, [1.5], [1], {"a": 1.0, "b": 2})
     assert {type(value) for value in log.collect().values()} == {float}
+    assert "a" not in log.collect()
 
 
 def test_state_goes_round(tmp_path):
@@ -105,9 +85,20 @@ def test_state_goes_round(tmp_path):
     assert first.collect() == second.collect()
 
 
-def test_a_state_that_was_taken_does_not_move_on():
+def test_a_saved_state_does_not_change_in_later_steps():
     log = EpisodeLog(1)
     step(log, [1.0], [0])
     saved = log.state_dict()
     step(log, [1.0], [1], {})
     assert (saved["return"].tolist(), saved["length"].tolist(), saved["returns"]) == ([1.0], [1.0], [])
+
+
+@pytest.mark.parametrize(("num_envs", "share", "allowed"), [(1, 0.1, 1), (16, 0.1, 1), (512, 0.1, 51), (512, 0.0, 1)])
+def test_one_failed_episode_and_a_share_of_many_are_always_allowed(num_envs, share, allowed):
+    count = FailureCount(num_envs, {"max_non_finite": share})
+    for _ in range(allowed):
+        count.take({"non_finite": {"keys": {0: ["env.sim"]}, "evidence": {}}})
+    count.require_few("by now")
+    count.take({"non_finite": {"keys": {0: ["env.sim"]}, "evidence": {}}})
+    with pytest.raises(SimulationFailure, match=r"env\.sim"):
+        count.require_few("by now")

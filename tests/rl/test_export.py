@@ -63,12 +63,9 @@ def by_hand(policy, observations: torch.Tensor) -> np.ndarray:
     return x
 
 
-def test_onnx_passes_the_checker(model):
-    onnx.checker.check_model(onnx.load_from_string(model), full_check=True)
-
-
-def test_onnx_is_one_file(model, tmp_path):
+def test_onnx_passes_the_checker_and_is_one_file(model, tmp_path):
     loaded = onnx.load_from_string(model)
+    onnx.checker.check_model(loaded, full_check=True)
     assert all(t.data_location == onnx.TensorProto.DEFAULT for t in loaded.graph.initializer)
     (tmp_path / "policy.onnx").write_bytes(model)
     onnxruntime.InferenceSession(tmp_path / "policy.onnx")
@@ -90,10 +87,11 @@ def test_torch_torchscript_and_onnx_give_the_same_actions(policy, model, tmp_pat
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_the_exports_draw_nothing(policy):
-    before = torch.get_rng_state()
+def test_an_export_draws_no_random_numbers_and_leaves_the_policy_unchanged(policy):
+    stream, before = torch.get_rng_state(), {name: value.clone() for name, value in policy.state_dict().items()}
     export.torchscript(policy)
-    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(torch.get_rng_state(), stream)
+    assert all(torch.equal(before[name], value) for name, value in policy.state_dict().items())
 
 
 _EXPORT = """
@@ -149,12 +147,6 @@ def test_the_exports_name_no_place_of_this_disk(policy, model):
     assert not [place for place in places for content in (*contents, model) if place in content]
 
 
-def test_exporting_leaves_the_policy_as_it_was(policy):
-    before = {name: value.clone() for name, value in policy.state_dict().items()}
-    export.torchscript(policy)
-    assert all(torch.equal(before[name], value) for name, value in policy.state_dict().items())
-
-
 def test_the_slices_of_the_observation_hold_what_they_name(trainer, described):
     env = trainer.env.env
     env.reset()
@@ -182,10 +174,8 @@ def test_the_slices_of_the_observation_hold_what_they_name(trainer, described):
 def test_the_slices_of_the_action_move_the_joints_that_they_name(trainer, described):
     env = trainer.env.env
     columns = [joint for entry in described["actions"] for joint in entry["joints"]]
-    assert [(e["term"], e["start"], e["stop"]) for e in described["actions"]] == [
-        ("leg_pos", 0, 4),
-        ("wheel_vel", 4, 6),
-    ]
+    slices = [(entry["term"], entry["start"], entry["stop"]) for entry in described["actions"]]
+    assert slices == [("leg_pos", 0, 4), ("wheel_vel", 4, 6)]
     assert described["action_width"] == len(columns) == 6
     data, names = env.scene.robot.data, env.scene.robot.joint_names
     for column, joint in enumerate(columns):
@@ -201,27 +191,19 @@ def test_the_slices_of_the_action_move_the_joints_that_they_name(trainer, descri
 
 
 def test_the_description_holds_the_rest_that_a_deployer_needs(trainer, described):
-    assert described["iteration"] == 41
-    assert described["control_dt_s"] == pytest.approx(1 / 60)
+    assert (described["iteration"], described["control_dt_s"]) == (41, pytest.approx(1 / 60))
     assert described["robot_profile"] == "article"
     assert described["joint_order"] == ["l01", "r01", "l02", "r02", "l03", "r03"]
-    pose = described["default_joint_pos_rad"]
-    assert pose == pytest.approx(
-        {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885, "l03": 0.0, "r03": 0.0}, abs=1e-6
-    )
+    expected = {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885, "l03": 0.0, "r03": 0.0}
+    assert described["default_joint_pos_rad"] == pytest.approx(expected, abs=1e-6)
     assert described["actuators"]["legs"]["stiffness"] == 3.0
     assert described["observation_config"]["policy"]["history_length"] == 5
     assert described["action_config"]["wheel_vel"]["scale"] == 5.0
 
 
-def test_the_description_tells_that_actions_are_clipped(trainer, tiny_config):
-    agent = tiny_config("+agent.clip_actions=0.7")["agent"]
-    assert json.loads(export.description(trainer.env.env, agent, 0))["clip_actions"] == 0.7
-
-
-def test_several_groups_follow_each_other(trainer, tiny_config):
-    agent = tiny_config("agent.obs_groups.actor=[critic,policy]")["agent"]
+def test_the_description_lists_several_groups_in_order_and_clipped_actions(trainer, tiny_config):
+    agent = tiny_config("agent.obs_groups.actor=[critic,policy]", "+agent.clip_actions=0.7")["agent"]
     found = json.loads(export.description(trainer.env.env, agent, 0))
-    assert found["observation_width"] == 315
+    assert (found["observation_width"], found["clip_actions"]) == (315, 0.7)
     assert found["observations"][0] == {"group": "critic", "term": "base_ang_vel", "start": 0, "stop": 15}
     assert found["observations"][-1] == {"group": "policy", "term": "travel_error", "start": 305, "stop": 315}

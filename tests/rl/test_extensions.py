@@ -1,17 +1,13 @@
 """Test that stock configs of rsl_rl's extensions learn, and that a resumed training is bit-identical."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
 from wheelleg_exp.rl import checkpoint
 
+from .conftest import saved, without_times
+
 pytestmark = pytest.mark.train
-
-
-def without_times(done):
-    return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
 
 
 @pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry", "ppo_mirrored", "ppo_mirror_loss"])
@@ -22,10 +18,8 @@ def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
     trained = checkpoint.serialize(trainer.state_dict())
     first = make_trainer(*words)
     list(first.learn(until=1))
-    path = tmp_path / "model_0.pt"
-    path.write_bytes(checkpoint.serialize(first.state_dict()))
     second = make_trainer(*words, seed=5)
-    second.load_state_dict(checkpoint.load(path))
+    second.load_state_dict(checkpoint.load(saved(first.state_dict(), tmp_path)))
     later = list(second.learn(until=3))
     assert [without_times(done) for done in later] == [without_times(done) for done in straight[1:]]
     assert checkpoint.serialize(second.state_dict()) == trained

@@ -1,7 +1,5 @@
 """Test the precision, the selection, and the repeatability of matrix products in bfloat16."""
 
-from __future__ import annotations
-
 import copy
 import os
 import subprocess
@@ -120,12 +118,14 @@ def test_small_layers_and_users_own_perceptrons_are_left_alone():
 # --- selection of bfloat16 ---
 
 
-@pytest.mark.parametrize(("there", "found"), [(True, "bfloat16"), (False, "float32")])
-def test_auto_takes_bfloat16_where_the_cpu_has_units(units, there, found):
-    units(there)
-    assert has_units() == there
-    assert chosen_matmul(AGENT) == found
-    assert set_threads(AGENT, 1)["matmul"] == found
+@pytest.mark.parametrize(
+    ("cpu", "found"),
+    [((False,), "float32"), ((True,), "bfloat16"), ((True, False, True), "float32"), ((True, True, True), "bfloat16")],
+)
+def test_auto_takes_bfloat16_where_the_cpu_has_units_and_on_intels_cpus_only_with_amx(units, cpu, found):
+    units(*cpu)
+    assert has_units() == (found == "bfloat16")
+    assert chosen_matmul(AGENT) == set_threads(AGENT, 1)["matmul"] == found
 
 
 @pytest.mark.parametrize(
@@ -146,13 +146,6 @@ def test_units_that_onednn_may_not_use_do_not_count(units, monkeypatch, most, ve
     assert has_units() == tiles
 
 
-def test_of_intels_cpus_those_with_amx_count_alone(units):
-    units(True, intel=True)
-    assert chosen_matmul(AGENT) == "float32"
-    units(True, amx=True, intel=True)
-    assert chosen_matmul(AGENT) == "bfloat16"
-
-
 def test_without_onednn_there_are_no_units(units, monkeypatch):
     units(True)
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
@@ -160,18 +153,18 @@ def test_without_onednn_there_are_no_units(units, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("other", "found"), [({"device": "cuda"}, "tf32"), ({"torch_compile_mode": "default"}, "float32")]
+    ("other", "found", "refused"),
+    [
+        ({}, "bfloat16", "tf32"),
+        ({"device": "cuda"}, "tf32", "bfloat16"),
+        ({"torch_compile_mode": "default"}, "float32", "bfloat16"),
+    ],
 )
-def test_gpus_take_tf32_and_compiled_networks_keep_float32(units, other, found):
+def test_gpus_take_tf32_and_compiled_networks_float32(units, other, found, refused):
     units(True)
     assert chosen_matmul({**AGENT, **other}) == found
     with pytest.raises(ConfigError, match=r"agent\.matmul"):
-        chosen_matmul({**AGENT, **other, "matmul": "bfloat16"})
-
-
-def test_tf32_is_for_gpus():
-    with pytest.raises(ConfigError, match=r"agent\.matmul"):
-        chosen_matmul({**AGENT, "matmul": "tf32"})
+        chosen_matmul({**AGENT, **other, "matmul": refused})
 
 
 def test_a_run_of_before_the_key_had_float32(units):

@@ -1,7 +1,5 @@
 """Test that the mean of a policy's weights is played, and that training does not depend on the mean."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest
@@ -13,6 +11,8 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.digests import of_state
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.policy_average import PolicyAverage, without_average
+
+from .conftest import saved
 
 OVER = "agent.average_iterations=2"
 
@@ -98,10 +98,8 @@ def test_a_mean_may_begin_at_a_resume(make_trainer):
 
 
 def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
-    path = tmp_path / "model_2.pt"
-    path.write_bytes(checkpoint.serialize(averaged[-1]))
     trainer = make_trainer(OVER)
-    policy = load_policy(path, trainer.env, trainer._agent)
+    policy = load_policy(saved(averaged[-1], tmp_path), trainer.env, trainer._agent)
     mean = averaged[-1]["averaged_state_dict"]["mlp.0.weight"]
     assert torch.equal(policy.state_dict()["mlp.0.weight"], mean)
     trainer.load_state_dict(copy.deepcopy(averaged[0]))
@@ -111,8 +109,7 @@ def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
     assert of_state(trainer.state_dict()) == of_state(averaged[-1])
 
 
-def test_a_mean_that_is_none_is_no_checkpoint(averaged, tmp_path):
-    path = tmp_path / "model_2.pt"
-    path.write_bytes(checkpoint.serialize({**averaged[-1], "averaged_state_dict": 3}))
+def test_a_mean_that_is_not_a_mapping_is_not_a_checkpoint(averaged, tmp_path):
+    path = saved({**averaged[-1], "averaged_state_dict": 3}, tmp_path)
     with pytest.raises(RunDirectoryError, match="it lacks 'averaged_state_dict'"):
         checkpoint.load(path)

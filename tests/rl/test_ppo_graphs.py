@@ -142,7 +142,6 @@ def test_processes_that_train_together_update_as_rsl_rl_does(mjcf, tmp_path):
         for mine, others in zip(losses, their_losses, strict=True):
             assert mine == pytest.approx(others, rel=1e-5, abs=1e-5)
         assert weights == pytest.approx(their_weights, abs=1e-5)
-    assert ours[0][0] == ours[1][0]
+    assert (ours[0][0], ours[0][2]) == (ours[1][0], ours[1][2])
     assert len(set(ours[0][0])) > 1  # the learning rate has changed
-    assert ours[0][2] == ours[1][2]
     assert ours[0][1] != ours[1][1]  # Each process collected different samples.

@@ -59,20 +59,13 @@ def said(tmp_path_factory) -> list[list]:
     return [[json.loads(line) for line in out.splitlines()] for _, out, _ in found]
 
 
-def test_they_hear_each_other(said):
+def test_processes_receive_messages_and_the_first_one_merges_scalars(said):
     for (words, *_), rank in zip(said, range(SIZE), strict=True):
         assert words[:4] == [True, False, [{"n": 0}, {"n": 1}], "0"]
         assert words[4] == ([[[0.0], ""], [[1.0, 1.0], "r"]] if rank == 0 else [])
-
-
-def test_scalars_are_means_times_the_longest_and_counts_sums(said):
-    assert said[0][0][5] == {
-        "a": 1.5,
-        "Perf/total_fps": 20.0,
-        "Perf/learning_time": 2.0,
-        "Diagnostics/non_finite/env.x": 2.0,
-        "b": 5.0,
-    }
+    # Scalars are means, times are the longest ones, and counts are sums.
+    expected = {"a": 1.5, "Perf/total_fps": 20.0, "Perf/learning_time": 2.0, "b": 5.0}
+    assert said[0][0][5] == {**expected, "Diagnostics/non_finite/env.x": 2.0}
 
 
 def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
@@ -84,29 +77,22 @@ def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
     assert [words[3] for words in said[1][0][6:8]] == [False, True]
 
 
-def test_another_config_is_refused(said):
+def test_another_config_and_a_process_that_dies_are_detected(said):
     kind, message = said[0][0][8]
     assert kind == "ConfigError"
     assert message.startswith("the config: process 1 has another value than the first process")
-
-
-def test_a_process_that_dies_is_noticed(said):
     assert said[0][1] == "another process of the training has ended"
 
 
-def test_alone_nothing_is_told_and_nothing_changes():
+def test_a_single_process_sends_nothing_and_other_processes_have_their_own_streams():
+    assert Ranks(0, 4).seed(5) == 5
+    assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
     assert (ALONE.any(True), ALONE.any(False), ALONE.tell_all([1]), ALONE.said_by_first(2)) == (True, False, [[1]], 2)
     state = {"x": torch.ones(2)}
     assert ranks.state_of_all_ranks(ALONE, state) == state
-    assert ALONE.for_rsl_rl() is None
-    assert ALONE.seed(5) == 5
+    assert (ALONE.for_rsl_rl(), ALONE.seed(5)) == (None, 5)
     with pytest.raises(ConfigError), ALONE.agreed():
         raise ConfigError("is wrong")
-
-
-def test_the_others_have_streams_of_their_own():
-    assert Ranks(0, 4).seed(5) == 5
-    assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
 
 
 def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
@@ -129,12 +115,10 @@ def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
 def test_variables_that_are_not_torchruns_are_refused(monkeypatch):
     for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    with pytest.raises(ConfigError, match="2 processes, but RANK is not set"), joined():
-        pass
-    monkeypatch.setenv("WORLD_SIZE", "many")
-    with pytest.raises(ConfigError, match="WORLD_SIZE: the variable is 'many'"), joined():
-        pass
+    for size, message in (("2", "2 processes, but RANK is not set"), ("many", "WORLD_SIZE: the variable is 'many'")):
+        monkeypatch.setenv("WORLD_SIZE", size)
+        with pytest.raises(ConfigError, match=message), joined():
+            pass
 
 
 def test_the_parts_of_a_state_are_those_of_each():

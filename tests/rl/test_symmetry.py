@@ -1,7 +1,5 @@
 """Test mirror images against the physics and against hand-computed signs."""
 
-from __future__ import annotations
-
 import copy
 
 import mujoco
@@ -12,15 +10,17 @@ import torch
 from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.mirror_pairs import joint_images, joint_signs
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.symmetry import left_right, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
+from .conftest import saved
+
 MIRRORED = "agent=ppo_symmetry"
 SETTINGS = "agent.algorithm.symmetry_cfg"
 CALM = ["event@env.events=[]", "env.terminations.leg_contact=null", "env.terminations.base_contact=null"]
+LASTING = [f"env.commands.base_velocity.{word}" for word in ("resampling_time_range=[9,9]", "rel_standing_envs=0.0")]
 # The joints l01, r01, l02, r02, l03, r03 change sides, and all axes are +y, so no sign changes.
 SIDES = [1, 0, 3, 2, 5, 4]
 ACTIONS = [2, 3, 0, 1, 5, 4]  # The order is l01, l02, r01, r02, l03, r03.
@@ -28,13 +28,13 @@ ACTIONS = [2, 3, 0, 1, 5, 4]  # The order is l01, l02, r01, r02, l03, r03.
 
 @pytest.fixture(scope="module")
 def adapter(make_trainer):
-    command = "env.commands.base_velocity"
-    words = [f"{command}.resampling_time_range=[9,9]", f"{command}.rel_standing_envs=0.0"]
-    return make_trainer(MIRRORED, *CALM, "env.num_envs=32", *words).env
+    return make_trainer(MIRRORED, *CALM, "env.num_envs=32", *LASTING).env
 
 
 def write_twins(env, ids=None):
     """Set random states near the ground in 16 environments, and their mirror images in the other 16."""
+    env.autoreset = "disabled"
+    env.reset()
     robot, half, generator = env.scene.robot, 16, torch.Generator().manual_seed(4)
 
     def draw(*shape, size=1.0):
@@ -60,8 +60,6 @@ def write_twins(env, ids=None):
 
 def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
     env, half = adapter.env, 16
-    env.autoreset = "disabled"
-    env.reset()
     write_twins(env)
     generator = torch.Generator().manual_seed(7)
     contacts = 0.0
@@ -81,12 +79,8 @@ def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
 
 
 def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
-    command = "env.commands.base_velocity"
-    words = [f"{command}.resampling_time_range=[9,9]", f"{command}.rel_standing_envs=0.0"]
-    adapter = make_trainer("agent=ppo_mirrored", *CALM, "env.num_envs=32", *words).env
+    adapter = make_trainer("agent=ppo_mirrored", *CALM, "env.num_envs=32", *LASTING).env
     env, ones, images = adapter.env, torch.arange(0, 32, 2), torch.arange(1, 32, 2)
-    env.autoreset = "disabled"
-    env.reset()
     write_twins(env, torch.cat((ones, images)))
     generator = torch.Generator().manual_seed(7)
     for _ in range(12):
@@ -104,10 +98,8 @@ def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
 
 def test_a_policy_that_is_played_meets_no_robot_in_a_mirror(make_trainer, tmp_path):
     trainer = make_trainer("agent=ppo_mirrored", "env.num_envs=3")
-    path = tmp_path / "model_0.pt"
-    path.write_bytes(checkpoint.serialize(trainer.state_dict()))
     played = RslRlVecEnv(trainer.env.env)
-    load_policy(path, played, trainer._agent)
+    load_policy(saved(trainer.state_dict(), tmp_path), played, trainer._agent)
     own = played.env.observation_manager.obs_buf["policy"]
     assert torch.equal(played.get_observations()["policy"], own)
     trained = trainer.env.get_observations()["policy"]
@@ -126,20 +118,15 @@ def test_a_group_that_is_not_named_for_the_critic_is_mirrored_too(make_trainer):
     assert [torch.equal(seen[i], own[i]) for i in range(4)] == [True, False, True, False]
 
 
-def test_an_image_of_an_image_is_what_it_was(adapter):
-    seen = adapter.get_observations()
+def test_a_batch_is_followed_by_its_image_and_the_image_of_the_image_is_the_batch(adapter):
+    seen, actions = adapter.get_observations(), torch.rand(32, 6)
     twice = adapter.mirror.observations(adapter.mirror.observations(seen))
     assert all(torch.equal(twice[group], seen[group]) for group in ("policy", "critic"))
-
-
-def test_a_batch_is_followed_by_its_image(adapter):
-    seen, actions = adapter.get_observations(), torch.rand(32, 6)
     observations, both = left_right(adapter, seen, actions)
     assert observations.batch_size == (64,)
     assert torch.equal(observations["critic"][:32], seen["critic"])
     assert torch.equal(both[32:], actions[:, ACTIONS])
-    assert left_right(adapter, None, actions)[0] is None
-    assert left_right(adapter, seen, None)[1] is None
+    assert (left_right(adapter, None, actions)[0], left_right(adapter, seen, None)[1]) == (None, None)
 
 
 def test_signs_of_joints_are_those_of_their_axes():
@@ -158,6 +145,8 @@ def test_signs_of_joints_are_those_of_their_axes():
     images = joint_images(names, {"l_(.*)": r"r_\1"})
     assert images == [3, 4, 5, 0, 1, 2, 6, 7]
     assert joint_signs(model, "base", names, images) == [-1, -1, -1, -1, -1, -1, -1, 1]
+    # A pair that is null has no effect.
+    assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
 @pytest.mark.parametrize(
@@ -173,10 +162,6 @@ def test_pairs_that_cannot_be_are_told(pairs, said):
     with pytest.raises(ConfigError, match=r"agent\.symmetry\.joint_pairs") as caught:
         joint_images(["l1", "r1", "head"], pairs)
     assert said in str(caught.value)
-
-
-def test_a_pair_that_is_null_is_none():
-    assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
 def lopsided(change):
@@ -205,14 +190,13 @@ def test_joints_that_are_no_images_are_told(change, said):
     assert said in str(caught.value)
 
 
+UNEVEN_LEGS = "env.robot.init_state.joint_pos={'.*01$': 0.9599, 'l02': -1.0, 'r02': -1.8, '.*03$': 0.0}"
+
+
 @pytest.mark.parametrize(
     ("words", "key", "said"),
     [
-        (
-            ["env.robot.init_state.joint_pos={'.*01$': 0.9599, 'l02': -1.0, 'r02': -1.8, '.*03$': 0.0}"],
-            "env.robot",
-            "-1",
-        ),
+        ([UNEVEN_LEGS], "env.robot", "-1"),
         (["+agent.symmetry.terms={base_ang_vell: vector}"], "agent.symmetry.terms.base_ang_vell", "base_ang_vel"),
         (["+agent.symmetry.terms={base_ang_vel: vectr}"], "agent.symmetry.terms.base_ang_vel", "'vector'"),
         (["+agent.symmetry.terms={base_ang_vel: [1, 1]}"], "env.observations", "the term has 3"),
@@ -223,34 +207,37 @@ def test_joints_that_are_no_images_are_told(change, said):
         (["env.actions.wheel_vel.joint_names=[l03]"], "env.actions", "'r03'"),
     ],
 )
-def test_what_is_no_image_is_told_with_its_key(make_trainer, words, key, said):
+def test_a_config_without_a_mirror_image_is_rejected_with_its_key(make_trainer, words, key, said):
+    check_mirror(make_trainer, [MIRRORED, *words], key, said)
+
+
+def check_mirror(make_trainer, words, key, said):
+    """Check that a config has no mirror image because of ``key``, or that it has one if ``key`` is None."""
     if key is None:
-        make_trainer(MIRRORED, *words)
+        assert make_trainer(*words).env.mirror is not None
         return
     with pytest.raises(ConfigError) as caught:
-        make_trainer(MIRRORED, *words)
+        make_trainer(*words)
     assert key in str(caught.value.key)
     assert said in str(caught.value)
 
 
 @pytest.mark.usefixtures("allow_test_terms")
-def test_a_term_whose_image_is_not_known_is_told(make_trainer):
+def test_a_term_without_a_known_image_is_rejected(make_trainer):
     own = "+env.observations.policy.terms.own={_target_: mdp.fakes.two_numbers}"
     with pytest.raises(ConfigError, match=r"agent\.symmetry\.terms\.own.*vector"):
         make_trainer(MIRRORED, own)
-    mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={own: [1, -1]}").env.mirror
-    assert mirror is not None
+    assert make_trainer(MIRRORED, own, "+agent.symmetry.terms={own: [1, -1]}").env.mirror is not None
+
+
+RULES = "wheelleg_exp.rl.symmetry"
 
 
 @pytest.mark.parametrize(
     ("key", "value", "nearest"),
     [
         ("+agent.symmetry.terms", "{base_ang_vel: psudovector}", "pseudovector"),
-        (
-            f"{SETTINGS}.data_augmentation_func",
-            "wheelleg_exp.rl.symmetry.left_rigt",
-            "wheelleg_exp.rl.symmetry.left_right",
-        ),
+        (f"{SETTINGS}.data_augmentation_func", f"{RULES}.left_rigt", f"{RULES}.left_right"),
     ],
 )
 def test_a_wrong_word_is_told_before_anything_is_built(key, value, nearest):

@@ -14,6 +14,8 @@ from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
+from .conftest import saved, without_times
+
 NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
 
 
@@ -33,12 +35,9 @@ def finish(trainer, until):
 def test_the_stock_networks_have_the_articles_sizes(make_trainer):
     wide = ["agent.actor.hidden_dims=[512,256,128]", "agent.critic.hidden_dims=[512,256,128]"]
     algorithm = make_trainer(*wide, "env.num_envs=2").algorithm
-    shapes = {
-        role: [tuple(p.shape) for name, p in net.named_parameters() if name.startswith("mlp") and p.ndim == 2]
-        for role, net in (("actor", algorithm.actor), ("critic", algorithm.critic))
-    }
-    assert shapes["actor"] == [(512, 135), (256, 512), (128, 256), (6, 128)]
-    assert shapes["critic"] == [(512, 180), (256, 512), (128, 256), (1, 128)]
+    for net, inputs, outputs in ((algorithm.actor, 135, 6), (algorithm.critic, 180, 1)):
+        weights = [p for name, p in net.named_parameters() if name.startswith("mlp") and p.ndim == 2]
+        assert [tuple(p.shape) for p in weights] == [(512, inputs), (256, 512), (128, 256), (outputs, 128)]
 
 
 def test_the_seed_decides_the_first_weights(make_trainer):
@@ -78,18 +77,15 @@ def test_an_unknown_observation_group_is_told_with_the_nearest(adapter, tiny_con
         ("actor", {"activation": "eluu"}),
         ("actor", {"class_name": "MLPMdel"}),
         ("actor", {"distribution_cfg": {"class_name": "Gaussian"}}),
+        ("device", "cuda:77"),
     ],
 )
-def test_a_value_that_rsl_rl_refuses_is_the_configs_mistake(adapter, tiny_config, section, value):
+def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(adapter, tiny_config, section, value):
     agent = tiny_config()["agent"]
-    with pytest.raises(ConfigError, match="agent") as caught:
-        build_algorithm(adapter, agent | {section: agent[section] | value})
+    changed = value if section == "device" else agent[section] | value
+    with pytest.raises(ConfigError, match=r"agent\.device" if section == "device" else "agent") as caught:
+        build_algorithm(adapter, agent | {section: changed})
     assert len(str(caught.value).splitlines()) == 1
-
-
-def test_a_device_that_is_not_there_is_the_configs_mistake(adapter, tiny_config):
-    with pytest.raises(ConfigError, match=r"agent\.device"):
-        build_algorithm(adapter, tiny_config()["agent"] | {"device": "cuda:77"})
 
 
 # --- logged scalars of an iteration ---
@@ -156,13 +152,7 @@ def stopped(make_trainer, tmp_path_factory) -> Path:
     torch.set_num_threads(1)
     trainer = make_trainer(*NORMALISED)
     finish(trainer, 1)
-    path = tmp_path_factory.mktemp("stopped") / "model_0.pt"
-    path.write_bytes(checkpoint.serialize(trainer.state_dict()))
-    return path
-
-
-def without_times(done):
-    return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
+    return saved(trainer.state_dict(), tmp_path_factory.mktemp("stopped"))
 
 
 @pytest.mark.train
@@ -200,7 +190,7 @@ def trainer(make_trainer):
     return make_trainer()
 
 
-def test_the_policys_draws_leave_the_environments_streams_alone(trainer):
+def test_draws_of_the_policy_and_of_the_environment_leave_each_others_streams_alone(trainer):
     env = trainer.env.env
     before = {path: value.clone() for path, value in env.streams.state_dict()["generators"].items()}
     for _ in range(5):
@@ -208,25 +198,19 @@ def test_the_policys_draws_leave_the_environments_streams_alone(trainer):
     after = env.streams.state_dict()["generators"]
     assert before.keys() == after.keys()
     assert all(torch.equal(before[path], after[path]) for path in before)
-
-
-def test_the_environment_leaves_the_policys_stream_alone(trainer):
-    before = torch.get_rng_state()
+    stream = torch.get_rng_state()
     for _ in range(20):  # The loop runs past the end of an episode.
         trainer.env.step(torch.zeros(16, 6))
-    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(torch.get_rng_state(), stream)
 
 
 # --- the adapter ---
 
 
 def test_the_adapter_clips_only_when_asked(trainer, make_trainer):
-    actions = torch.full((16, 6), 3.0)
-    plain, clipped = trainer, make_trainer("+agent.clip_actions=0.5")
-    for trainer in (plain, clipped):
-        trainer.env.step(actions)
-    assert (plain.env.env.action_manager.action == 3.0).all()
-    assert (clipped.env.env.action_manager.action == 0.5).all()
+    for made, expected in ((trainer, 3.0), (make_trainer("+agent.clip_actions=0.5"), 0.5)):
+        made.env.step(torch.full((16, 6), 3.0))
+        assert (made.env.env.action_manager.action == expected).all()
 
 
 def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):

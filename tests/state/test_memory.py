@@ -17,10 +17,6 @@ class Holds(Stateful):
         vars(self).update(items)
 
 
-def _alone(**items):
-    return Memory({"env.rewards.own": Holds(**items)}, dict)
-
-
 WHOLE = torch.arange(6.0).reshape(2, 3)
 LIST: list[int] = [0]
 APART = {
@@ -43,24 +39,20 @@ SHARED = {
 
 
 @pytest.mark.parametrize("items", APART.values(), ids=APART)
-def test_what_lies_apart_is_let_be(items):
-    _alone(**items).require_apart()
+def test_attributes_without_shared_memory_are_accepted_until_they_share(items):
+    own = Holds(**items)
+    memory = Memory({"own": own}, dict)
+    memory.require_apart()
+    own.a = own.b = torch.zeros(2)
+    with pytest.raises(ConfigError, match=r"'[ab]' and '[ab]'"):
+        memory.require_apart()
 
 
 @pytest.mark.parametrize("items", SHARED.values(), ids=SHARED)
 def test_sharing_within_an_object_is_refused_with_both_names(items):
     with pytest.raises(ConfigError, match=r"'[ab].*' and '[ab].*'") as caught:
-        _alone(**items)
+        Memory({"env.rewards.own": Holds(**items)}, dict)
     assert caught.value.key == "env.rewards.own"
-
-
-def test_sharing_that_comes_later_is_refused():
-    own = Holds(a=torch.zeros(2), b=torch.zeros(2))
-    memory = Memory({"own": own}, dict)
-    memory.require_apart()
-    own.b = own.a
-    with pytest.raises(ConfigError, match=r"'[ab]' and '[ab]'"):
-        memory.require_apart()
 
 
 def test_a_view_of_the_surroundings_may_be_kept_from_the_start_and_not_taken_up_or_dropped_later():
@@ -77,11 +69,14 @@ def test_a_view_of_the_surroundings_may_be_kept_from_the_start_and_not_taken_up_
         memory.require_apart()
 
 
-def test_the_surroundings_may_share_among_themselves_and_be_made_anew():
-    tensors = {"env.state": WHOLE, "env.view": WHOLE[0]}
-    memory = Memory({"own": Holds(a=torch.zeros(1))}, lambda: tensors)
+def test_the_surroundings_may_share_memory_with_each_other_and_be_replaced():
+    tensors, own = {"env.state": WHOLE, "env.view": WHOLE[0]}, Holds(a=torch.zeros(1))
+    memory = Memory({"own": own}, lambda: tensors)
     tensors["env.view"] = torch.zeros(3)
     memory.require_apart()
+    own.a = tensors["env.view"]
+    with pytest.raises(ConfigError, match=r"'a' has come to share its memory with env\.view"):
+        memory.require_apart()
 
 
 def test_two_objects_that_come_to_share_are_both_named():

@@ -1,7 +1,5 @@
 """Test that shared memory is found from addresses alone, because the host cannot read GPU memory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
