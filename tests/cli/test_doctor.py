@@ -11,12 +11,9 @@ from PIL import Image
 from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("shared_cache")
+
 FLIPPED = seeded(('name="r_axle" axis="0 1 0"', 'name="r_axle" axis="0 -1 0"'))
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(monkeypatch, tmp_path_factory):
-    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.getbasetemp() / "doctor-cache"))
 
 
 @pytest.fixture
