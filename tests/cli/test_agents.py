@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -24,8 +22,7 @@ def test_the_contact_table_shows_what_each_link_carries():
 
 def test_json_is_one_document_and_nothing_else(strict_json):
     document = strict_json(wheelleg("zero-agent", *FEW, "--steps", "3", "--json").out)
-    assert set(document) == {"folder", "contacts", "figures"}
-    assert document["contacts"] == {"contact_forces": []}
+    assert (set(document), document["contacts"]) == ({"folder", "contacts", "figures"}, {"contact_forces": []})
     assert (Path(document["folder"]) / "recording.rrd").is_file()
 
 

@@ -27,8 +27,7 @@ def printed(capsys):
 
 def test_each_figure_says_what_it_is_of(printed):
     found = printed(PLAYED)
-    assert found["episodes"] == "8 the first of each environment"
-    assert found["still running"] == "1"
+    assert (found["episodes"], found["still running"]) == ("8 the first of each environment", "1")
     assert found["survived to the time-out"] == "85.7% 7 ended episodes"
     assert found["base height, RMSE to target, after 1 s"] == "2.10 mm 1440 steps of 6 episodes"
     assert found["pitch, mean, after 1 s"] == "0.90 deg 1440 steps of 6 episodes"

@@ -210,8 +210,7 @@ def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):
     monkeypatch.setenv("MKL_CBWR", "SSE4_2")
     monkeypatch.setitem(sys.modules, "torch", None)
     assert not prepare_threads()
-    assert os.environ["MKL_CBWR"] == "SSE4_2"
-    assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
+    assert (os.environ["MKL_CBWR"], os.environ["OMP_WAIT_POLICY"]) == ("SSE4_2", "PASSIVE")
     assert os.environ["GOMP_SPINCOUNT"].isdigit()
     assert prepare_threads()
     # If the user sets OpenMP's wait policy, the program does not set the spin time.

@@ -193,8 +193,7 @@ def test_a_failure_or_interrupt_leaves_nothing(tmp_path, monkeypatch, patched, e
 def test_a_tab_offers_folders_and_robot_files(tmp_path):
     urdf(tmp_path)
     (tmp_path / "robots").mkdir()
-    assert answer("wheelleg new ro") == ["robots/"]
-    assert answer("wheelleg new myrobot --robot t") == ["two.urdf"]
+    assert (answer("wheelleg new ro"), answer("wheelleg new myrobot --robot t")) == (["robots/"], ["two.urdf"])
 
 
 def test_no_project_is_created_inside_the_program_itself(monkeypatch):

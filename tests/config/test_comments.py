@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment
 
 SECTION = """\

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from omegaconf import OmegaConf
 from small_tree import replayed
@@ -69,8 +67,7 @@ def test_a_deleted_leaf_is_known_with_the_override_that_deleted_it(composed):
     provenance = composed("~env.events.push").provenance
     assert "env.events.push.mode" not in provenance
     deleted = provenance.deleted["env.events.push.mode"]
-    assert deleted.override == "~env.events.push"
-    assert deleted.shadowed[0].where == "configs/event/push.yaml:3"
+    assert (deleted.override, deleted.shadowed[0].where) == ("~env.events.push", "configs/event/push.yaml:3")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from omegaconf import OmegaConf
 from small_tree import replayed

@@ -39,8 +39,7 @@ def test_two_serial_legs():
     assert found.wheel_joints == ["l_axle", "r_axle"]
     left, right = found.wheels
     assert (left.side, right.side, left.sign, right.sign) == ("left", "right", 1, 1)
-    assert left.radius == pytest.approx(RADIUS)
-    assert left.width == pytest.approx(0.04)
+    assert (left.radius, left.width) == (pytest.approx(RADIUS), pytest.approx(0.04))
     assert left.contact == pytest.approx((0, TRACK / 2, -0.6 - RADIUS))
     assert [leg.joints for leg in found.legs] == [("l_hip", "l_knee"), ("r_hip", "r_knee")]
     assert (found.base, found.floating, found.forward, found.up) == ("trunk", True, (1, 0, 0), (0, 0, 1))
@@ -94,16 +93,14 @@ def test_leg_joints_without_limits_are_not_wheels_and_very_wide_limits_of_an_axl
 @pytest.mark.parametrize("corners", [8, 64])
 def test_a_mesh_is_a_wheel_when_it_is_round(corners):
     found = look(with_mesh(corners))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.wheels[0].radius == pytest.approx(RADIUS, rel=1e-6)
+    assert (found.wheel_joints, found.wheels[0].radius) == (["l_axle", "r_axle"], pytest.approx(RADIUS, rel=1e-6))
     assert found.wheels[0].roundness == pytest.approx(math.cos(math.pi / corners), rel=0.01)
 
 
 def test_a_square_collider_is_a_wheel_when_its_masses_say_so():
     box = f'<geom type="box" size="{RADIUS} 0.02 {RADIUS}"/>'
     found = look(two_legged(wheel=box))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.wheels[0].roundness == pytest.approx(math.sqrt(0.5))
+    assert (found.wheel_joints, found.wheels[0].roundness) == (["l_axle", "r_axle"], pytest.approx(math.sqrt(0.5)))
     uneven = box.replace("/>", ' mass="1"/>') + '<geom type="sphere" size="0.02" pos="0.05 0 0" mass="1"/>'
     text = two_legged(wheel=uneven).replace('<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>', "")
     assert look(text).wheels == ()
@@ -155,8 +152,7 @@ def test_the_second_chain_of_a_five_bar_closes_a_loop():
     left, right = found.legs
     parts = (("l_1", "l_2"), ("l_2",), ("l_4", "l_5"), ("close_l",))
     assert (left.joints, left.passive, left.beside, left.loops) == parts
-    assert right.beside == ("r_4", "r_5")
-    assert found.others == ()
+    assert (right.beside, found.others) == (("r_4", "r_5"), ())
 
 
 def test_joints_that_spin_on_the_trunk_or_an_arm_are_not_wheels():
@@ -167,8 +163,7 @@ def test_joints_that_spin_on_the_trunk_or_an_arm_are_not_wheels():
         '<joint name="wrist" axis="1 0 0"/><geom type="cylinder" size="0.03 0.02" euler="0 1.5707963 0"/></body></body>'
     )
     found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + top + arm))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.others == ("spin", "elbow", "wrist")
+    assert (found.wheel_joints, found.others) == (["l_axle", "r_axle"], ("spin", "elbow", "wrist"))
 
 
 def swivel(name: str, x: float, y: float, trail: float, above: str = "") -> str:
@@ -194,8 +189,7 @@ WHEELS_DRIVE = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuat
 def test_a_caster_trails_a_passive_vertical_joint(trail, drives, caster):
     found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + swivel("f", 0.3, 0.0, trail), drives))
     wheel = next(wheel for wheel in found.wheels if wheel.joint == "f_roll")
-    assert (wheel.side, wheel.steered, wheel.caster) == ("middle", True, caster)
-    assert found.forward == (1, 0, 0)
+    assert (wheel.side, wheel.steered, wheel.caster, found.forward) == ("middle", True, caster, (1, 0, 0))
     assert not any(other.steered or other.caster for other in found.wheels if other is not wheel)
 
 
@@ -241,8 +235,7 @@ def test_up_is_against_gravity_and_forward_is_level_for_every_rotation_of_the_ba
     text = mjcf(f'<body quat="{quat[0]} {-quat[1]} 0 0">{leg("l", 0.2)}{leg("r", -0.2)}</body>')
     model = mujoco.MjModel.from_xml_string(text)
     found = anatomy_of(model, np.array([0, 0, 1, *quat, *model.qpos0[7:]]))
-    assert found.up == pytest.approx((0, 1, 0), abs=1e-9)
-    assert found.forward == pytest.approx((1, 0, 0), abs=1e-9)
+    assert (found.up, found.forward) == (pytest.approx((0, 1, 0), abs=1e-9), pytest.approx((1, 0, 0), abs=1e-9))
     assert found.left == pytest.approx((0, 0, -1), abs=1e-9)
 
 

@@ -113,12 +113,9 @@ def test_the_pendulum_over_the_axle(facts):
 
 def test_the_stock_robot_has_its_published_figures():
     found = robot_facts(compose())
-    assert found.mass == pytest.approx(0.5)
-    assert found.standing_height == pytest.approx(0.06995, abs=1e-5)
-    assert found.clearance == pytest.approx(0.015, abs=1e-4)
-    assert found.wheel_radius == pytest.approx(0.02)
-    assert found.track == pytest.approx(0.112)
-    assert found.balance.mass == pytest.approx(0.38)
+    assert (found.mass, found.standing_height) == (pytest.approx(0.5), pytest.approx(0.06995, abs=1e-5))
+    assert (found.clearance, found.wheel_radius) == (pytest.approx(0.015, abs=1e-4), pytest.approx(0.02))
+    assert (found.track, found.balance.mass) == (pytest.approx(0.112), pytest.approx(0.38))
     assert found.balance.height == pytest.approx(0.0441, abs=1e-4)
     assert found.balance.inertia == pytest.approx(1.03e-3, rel=0.01)
     assert found.balance.pole == pytest.approx(9.25, abs=0.01)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -127,8 +125,7 @@ NUMBERS = [
 @pytest.mark.parametrize(("rule", "sections", "key", "figures", "fine"), NUMBERS)
 def test_a_number_beyond_a_limit_is_found(rule, sections, key, figures, fine):
     (finding,) = found(rule, case(**sections))
-    assert finding.key == key
-    assert {name: finding.figures[name] for name in figures} == pytest.approx(figures)
+    assert (finding.key, {name: finding.figures[name] for name in figures}) == (key, pytest.approx(figures))
     assert found(rule, case(**fine)) == []
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -67,8 +65,7 @@ def height(weight):
 def test_a_term_that_costs_less_than_a_hundredth_is_found():
     # A height error of 0.04 m costs 0.0016 · 20 = 0.032 per second, 0.64 % of the reward of 5 per second.
     (finding,) = found("reward_too_small", case(rewards=height(-20.0)))
-    assert finding.key == "env.rewards.height.weight"
-    assert finding.figures["share"] == pytest.approx(0.0064)
+    assert (finding.key, finding.figures["share"]) == ("env.rewards.height.weight", pytest.approx(0.0064))
     assert "-32" in finding.hint  # 5 · 0.01 / 0.0016 = 31.25
     assert found("reward_too_small", case(rewards=height(-32.0))) == []
 
@@ -86,8 +83,7 @@ def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
 
     assert found("reward_outweighs", tried(20.0)) == []
     (finding,) = found("reward_outweighs", tried(40.0))
-    assert finding.key == "env.rewards.height.weight"
-    assert finding.figures == {"cost_per_s": 40.0, "earned_per_s": 5.0}
+    assert (finding.key, finding.figures) == ("env.rewards.height.weight", {"cost_per_s": 40.0, "earned_per_s": 5.0})
     assert "a weight near -4," in finding.hint
     assert found("reward_outweighs", case(rewards=rewards)) == []  # This case has no trial.
 
@@ -118,8 +114,7 @@ VALUES = {
 def test_a_kernel_costs_what_it_loses_at_the_tolerance(target, settings):
     looked_at = case(rewards={"x": term(target, weight=3.0, **settings)})
     (item,) = contributions(looked_at)
-    assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
-    assert item.best == 1.0
+    assert (item.per_episode(looked_at), item.best) == (pytest.approx(3.0 * math.exp(-4.0) * 10.0), 1.0)
     narrow = case(rewards={"x": term(target, weight=3.0, **{**settings, "std": 1e-200})})
     assert contributions(narrow)[0].value == 0.0
 

@@ -69,8 +69,7 @@ def test_a_robot_whose_legs_cannot_balance_it_leans(two):
     assert two.positions == {"l_hip": pytest.approx(hip), "r_hip": pytest.approx(hip), "l_axle": 0.0, "r_axle": 0.0}
     assert two.standing.lean == pytest.approx(-hip, abs=1e-4)
     assert two.standing.frame == pytest.approx((math.cos(hip / 2), 0.0, math.sin(hip / 2), 0.0), abs=1e-4)
-    assert two.rotation == (1.0, 0.0, 0.0, 0.0)
-    assert two.up == pytest.approx((0.0, 0.0, 1.0), abs=1e-4)
+    assert (two.rotation, two.up) == ((1.0, 0.0, 0.0, 0.0), pytest.approx((0.0, 0.0, 1.0), abs=1e-4))
 
 
 def test_the_lowest_collider_touches_the_ground(two):
@@ -197,8 +196,7 @@ def test_wheels_follow_speeds_and_are_about_as_strong_as_their_traction(two):
     gains = wheel_gains(two)
     assert set(gains.stiffness.values()) == {0.0}
     slip = two.facts.friction * two.facts.weight / 2 * RADIUS
-    assert gains.effort["l_axle"] == pytest.approx(1.5 * slip, rel=0.1)
-    assert gains.given == []
+    assert (gains.effort["l_axle"], gains.given) == (pytest.approx(1.5 * slip, rel=0.1), [])
 
 
 def test_gains_of_drives_in_the_file_are_used():
@@ -238,8 +236,7 @@ def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
     [(0.25, "0.25"), (1.0, "1.0"), (-5100, "-5100.0"), (1e-5, "1.0e-05"), (2.5e-7, "2.5e-07"), (0, "0.0")],
 )
 def test_numbers_are_floats_to_yaml(value, text):
-    assert number(value) == text
-    assert yaml.safe_load(f"[{text}]") == [pytest.approx(value)]
+    assert (number(value), yaml.safe_load(f"[{text}]")) == (text, [pytest.approx(value)])
 
 
 def test_odd_names_survive_yaml_and_match_themselves_alone():
