@@ -104,7 +104,7 @@ def test_files_are_offered_where_a_file_is_asked_for(tmp_path, monkeypatch):
     assert completion.answer("wheelleg convert some/r") == ["some/robot.usda"]
 
 
-def test_a_broken_config_offers_nothing_and_says_nothing(tmp_path, capsys):
+def test_a_broken_config_completes_nothing_and_prints_no_error(tmp_path, capsys):
     (tmp_path / "task").mkdir()
     (tmp_path / "task" / "bad.yaml").write_text("a: [\n")
     assert completion.answer(f"wheelleg train --config-dir {tmp_path} task=bad env.decim") == ["env.decimation="]

@@ -39,7 +39,7 @@ def _environment_restored(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, os.environ.get(name, "kept"))
 
 
-def test_options_may_stand_before_between_and_after_overrides(probe):
+def test_options_can_be_before_between_and_after_overrides(probe):
     seen = []
     probe(lambda args: seen.append(args) or len(seen))
     words = ["probe", "--config-dir", "a", "task=stand", "--config-dir", "b", "~env.events.push", "agent.x=-3"]
@@ -179,7 +179,7 @@ def test_version_and_help(capsys, probe):
     assert "--config-dir" in capsys.readouterr().out
 
 
-def test_a_reader_that_goes_away_is_no_error():
+def test_a_reader_that_goes_away_is_not_an_error():
     code = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(['--help']))"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     reader, writer = os.pipe()

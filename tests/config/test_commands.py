@@ -40,7 +40,7 @@ def test_an_unknown_word_is_reported_with_the_nearest(words, nearest, capsys):
         ("list tasks --config-dir mine/configs", "hop"),
         ("list tasks --config-dir mine/configs", "Stand still."),
         ("list terms reward", "One while the robot is up."),
-        ("list groups", "reward\n"),
+        ("list groups", "\nreward\n"),
         ("list options robot", "physical"),
     ],
 )
@@ -66,8 +66,11 @@ def test_list_terms_contains_unused_terms_but_no_helpers_and_base_classes(capsys
 
 
 def test_list_terms_of_a_section_takes_both_of_its_names(capsys):
-    texts = [(main(["list", "terms", name, "--json"]), capsys.readouterr().out) for name in ("reward", "rewards")]
-    assert texts[0] == texts[1] == (0, texts[0][1])
+    texts = set()
+    for name in ("reward", "rewards"):
+        assert main(["list", "terms", name, "--json"]) == 0
+        texts.add(capsys.readouterr().out)
+    assert len(texts) == 1
 
 
 def test_list_runs_of_a_missing_folder_is_refused(capsys, tmp_path):

@@ -229,6 +229,6 @@ def test_the_command_prints_value_unit_meaning_and_sources_or_json(documented, c
         (["env.robot.order"], "env.robot.order = [a, b]"),
     ],
 )
-def test_the_first_line_says_what_the_key_is(stock, capsys, words, first):
+def test_the_first_line_names_the_kind_of_the_key(stock, capsys, words, first):
     assert main(["explain", *words]) == 0
     assert capsys.readouterr().out.splitlines()[0] == first

@@ -174,7 +174,7 @@ def test_the_whole_sweep_is_what_a_hydra_program_makes_of_the_same_words(stock, 
     assert mine == theirs
 
 
-def test_a_key_that_only_the_swept_tasks_have_is_no_mistake(stock):
+def test_a_key_that_only_the_swept_tasks_have_is_accepted(stock):
     found = compose_sweep(["task=walk", "env.rewards.smooth.weight=-1.0,-2.0", "seed=3"])
     assert len(found.jobs) == 2
     found = compose_sweep(["task=walk,walk", "env.rewards.smooth.weight=-1.0", *JOBLIB])

@@ -97,7 +97,7 @@ def test_a_mesh_is_a_wheel_when_it_is_round(corners):
     assert found.wheels[0].roundness == pytest.approx(math.cos(math.pi / corners), rel=0.01)
 
 
-def test_a_square_collider_is_a_wheel_when_its_masses_say_so():
+def test_a_square_collider_is_a_wheel_if_its_mass_distribution_is_round():
     box = f'<geom type="box" size="{RADIUS} 0.02 {RADIUS}"/>'
     found = look(two_legged(wheel=box))
     assert (found.wheel_joints, found.wheels[0].roundness) == (["l_axle", "r_axle"], pytest.approx(math.sqrt(0.5)))

@@ -273,7 +273,7 @@ def test_efforts_and_speeds_that_no_motor_has(tmp_path):
     assert found("placeholder_limits", none) == []  # The rule effort_against_load reports a tiny effort limit.
 
 
-def test_a_robot_that_nothing_holds_up(tmp_path):
+def test_a_robot_without_colliders_is_found(tmp_path):
     bare = HEALTHY.replace("<geom ", '<geom contype="0" conaffinity="0" ')
     assert next(finding.rule for finding in all_findings(patient(tmp_path, bare))) == "no_colliders"
     assert len(found("no_colliders", patient(tmp_path, bare))) == 1

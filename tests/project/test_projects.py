@@ -85,7 +85,7 @@ def test_the_nearest_project_counts(tmp_path, monkeypatch):
     assert projects.current_project().packages == ("drawer",)
 
 
-def test_a_pyproject_without_the_declaration_is_no_project(tmp_path, monkeypatch):
+def test_a_pyproject_without_the_declaration_is_not_a_project(tmp_path, monkeypatch):
     root = project(tmp_path / "p", declares="")
     monkeypatch.chdir(root)
     assert projects.current_project() is None

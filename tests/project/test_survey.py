@@ -221,7 +221,7 @@ def test_every_file_is_yaml_with_a_comment_at_the_top(two):
 
 
 @pytest.mark.parametrize(("without", "said"), [("joint", "no joints"), ("collision", "no shape of the robot collides")])
-def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
+def test_a_robot_that_cannot_stand_is_refused(without, said, tmp_path):
     path = urdf(tmp_path)
     text = re.sub(rf"<{without}\b.*?</{without}>", "", path.read_text(), flags=re.DOTALL)
     if without == "joint":  # A robot has one root link, so only one link remains.
