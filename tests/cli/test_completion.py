@@ -18,17 +18,7 @@ from wheelleg_exp.cli import completion
 from wheelleg_exp.cli.main import COMMANDS, main
 from wheelleg_exp.paths import configs_dir
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory) -> str:
-    return str(tmp_path_factory.mktemp("cache"))
-
-
-@pytest.fixture(autouse=True)
-def cache(shared, monkeypatch):
-    monkeypatch.setenv("WHEELLEG_CACHE", shared)
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("shared_cache")]
 
 
 OFFERED = {
@@ -73,15 +63,15 @@ OFFERED = {
 
 
 @pytest.mark.parametrize("line", OFFERED)
-def test_what_is_offered(line, tmp_path, monkeypatch):
+def test_a_line_is_completed(line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert completion.answer(line) == OFFERED[line]
 
 
 def test_every_command_and_every_option_of_a_group_is_offered():
     assert completion.answer("wheelleg ") == list(COMMANDS)
-    offered = completion.answer("wheelleg train reward@env.rewards=[")
     rewards = sorted(path.stem for path in (configs_dir() / "reward").glob("*.yaml"))
+    offered = completion.answer("wheelleg train reward@env.rewards=[")
     assert offered == [f"reward@env.rewards=[{name}" for name in rewards]
 
 
@@ -90,11 +80,11 @@ def test_options_of_every_command_are_offered(command):
     assert "--help" in completion.answer(f"wheelleg {command} --")
 
 
-def test_pipelines_are_offered_where_they_can_be_gone_on_with(tmp_path, monkeypatch):
+def test_only_resume_offers_pipelines(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("2026-11-20_b", "2026-11-19_a"):
-        (tmp_path / "runs" / "pipelines" / name).mkdir(parents=True)
-        (tmp_path / "runs" / "pipelines" / name / "pipeline.json").write_text("{}")
+        (folder := tmp_path / "runs" / "pipelines" / name).mkdir(parents=True)
+        (folder / "pipeline.json").write_text("{}")
     assert completion.answer("wheelleg resume 2026") == ["2026-11-19_a", "2026-11-20_b"]
     assert completion.answer("wheelleg play 2026") == []
 
@@ -114,7 +104,7 @@ def test_files_are_offered_where_a_file_is_asked_for(tmp_path, monkeypatch):
     assert completion.answer("wheelleg convert some/r") == ["some/robot.usda"]
 
 
-def test_a_broken_config_offers_nothing_and_says_nothing(tmp_path, capsys):
+def test_a_broken_config_completes_nothing_and_prints_no_error(tmp_path, capsys):
     (tmp_path / "task").mkdir()
     (tmp_path / "task" / "bad.yaml").write_text("a: [\n")
     assert completion.answer(f"wheelleg train --config-dir {tmp_path} task=bad env.decim") == ["env.decimation="]
@@ -122,8 +112,7 @@ def test_a_broken_config_offers_nothing_and_says_nothing(tmp_path, capsys):
 
 
 def _bash(line: str, tmp_path: Path) -> list[str]:
-    (tmp_path / "bin").mkdir(exist_ok=True)
-    program = tmp_path / "bin" / "wheelleg"
+    program = tmp_path / "wheelleg"
     program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"\n')
     program.chmod(0o755)
     script = f"""
@@ -133,14 +122,8 @@ def _bash(line: str, tmp_path: Path) -> list[str]:
     printf '%s\\n' "${{COMPREPLY[@]}}"
     complete -p wheelleg
     """
-    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-c", script],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PATH": path, "LC_ALL": "C"},
-    )
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "LC_ALL": "C"}
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True, env=environment)
     assert done.stderr == ""
     *found, registered = done.stdout.splitlines()
     assert registered == "complete -o nospace -F _wheelleg_complete wheelleg"
@@ -191,7 +174,7 @@ def _type(terminal: int, text: str, until: str) -> None:
             seen += os.read(terminal, 4096).decode(errors="replace")
 
 
-def test_the_answer_needs_neither_torch_nor_mujoco_nor_when_kept_hydra(tmp_path, monkeypatch):
+def test_an_answer_imports_neither_torch_nor_mujoco_and_a_cached_answer_not_even_hydra(tmp_path, monkeypatch):
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
     code = (
         "import os, sys; from wheelleg_exp.cli.main import main; status = main(['completion', 'query']);"
@@ -204,13 +187,10 @@ def test_the_answer_needs_neither_torch_nor_mujoco_nor_when_kept_hydra(tmp_path,
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_script_for_each_shell(shell, capsys):
+def test_each_shell_has_a_script_and_another_shell_is_refused(shell, capsys):
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
     assert "wheelleg" in script
     assert "completion query" in script
-
-
-def test_an_unknown_shell_is_told(capsys):
     assert main(["completion", "tcsh"]) == 2
     assert "bash" in capsys.readouterr().err

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -11,12 +9,9 @@ from PIL import Image
 from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("shared_cache")
+
 FLIPPED = seeded(('name="r_axle" axis="0 1 0"', 'name="r_axle" axis="0 -1 0"'))
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(monkeypatch, tmp_path_factory):
-    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.getbasetemp() / "doctor-cache"))
 
 
 @pytest.fixture

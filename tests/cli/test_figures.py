@@ -25,10 +25,9 @@ def printed(capsys):
     return table
 
 
-def test_each_figure_says_what_it_is_of(printed):
+def test_each_figure_names_its_sample(printed):
     found = printed(PLAYED)
-    assert found["episodes"] == "8 the first of each environment"
-    assert found["still running"] == "1"
+    assert (found["episodes"], found["still running"]) == ("8 the first of each environment", "1")
     assert found["survived to the time-out"] == "85.7% 7 ended episodes"
     assert found["base height, RMSE to target, after 1 s"] == "2.10 mm 1440 steps of 6 episodes"
     assert found["pitch, mean, after 1 s"] == "0.90 deg 1440 steps of 6 episodes"
@@ -36,7 +35,7 @@ def test_each_figure_says_what_it_is_of(printed):
     assert sum(int(value) for label, value in found.items() if label.startswith("ended by ")) == PLAYED.ended
 
 
-def test_motion_is_told_with_its_unit_and_group_by_group(printed):
+def test_motion_is_printed_with_its_unit_and_by_group(printed):
     motion = MotionFigures(0.0123, 1.5, 0.75, 0.25, {"wheels": 0.01}, {"wheels": 0.0004}, {"wheels": 2.0})
     found = printed(PLAYED, motion)
     assert found["strayed from its place, after 1 s"] == "12.3 mm 6 episodes"
@@ -48,7 +47,7 @@ def test_motion_is_told_with_its_unit_and_group_by_group(printed):
     assert printed(PLAYED, none)["power, net of armature, after 1 s"].startswith("- ")
 
 
-def test_what_leaves_out_another_time_has_another_label(printed):
+def test_figures_after_another_settling_time_have_another_label(printed):
     play, agent = printed(PLAYED), printed(replace(PLAYED, settle_s=0.0))
     apart = {label for label in play if label.startswith(("base height", "pitch"))}
     assert len(apart) == 4
@@ -56,7 +55,7 @@ def test_what_leaves_out_another_time_has_another_label(printed):
     assert set(play) - apart == {label for label in agent if not label.endswith("from the start")}
 
 
-def test_nothing_that_ended_or_settled_is_said_and_no_percentage(printed):
+def test_figures_without_ended_or_settled_episodes_are_dashes(printed):
     nan = float("nan")
     none = replace(PLAYED, unfinished=8, survival=None, mean_return=None, settled_episodes=0, settled_steps=0)
     found = printed(replace(none, height_rmse_m=nan, height_mean_m=nan, pitch_rms_deg=nan, pitch_mean_deg=nan))
@@ -64,7 +63,7 @@ def test_nothing_that_ended_or_settled_is_said_and_no_percentage(printed):
     assert found["base height, mean, after 1 s"] == "- no episode lasted that long"
 
 
-def test_contacts_say_of_which_steps_they_are(capsys):
+def test_contacts_name_their_steps(capsys):
     print_contacts("feet", [ContactFigures("wheel", 2.0, 4.0, 0.5, 120)])
     *words, columns, _ = capsys.readouterr().out.strip().splitlines()
     title = " ".join(words)

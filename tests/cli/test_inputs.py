@@ -1,16 +1,16 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
-from jobs.small import TINY, cache_of, wheelleg
+from jobs.small import TINY, wheelleg
+from refused import refusal
 
 from wheelleg_exp.paths import assets_dir
 
+pytestmark = pytest.mark.usefixtures("own_folders")
+
 # Wrong overrides, and parts of their messages. All mistakes in a config are reported together, so each set of overrides
-# is one
-# command. The ranges of values are tested in test_parameter_values.py.
-TOLD_TOGETHER = [
+# is one command. The ranges of values are tested in test_parameter_values.py.
+REPORTED_TOGETHER = [
     {
         "recording.steps=0": ["at least 1"],
         "env.rewards.alive.weight=heavy": ["a number"],
@@ -35,7 +35,7 @@ TOLD_TOGETHER = [
     },
 ]
 # Only one mistake is reported if it is found while the config is composed or built.
-TOLD_ALONE = {
+REPORTED_ALONE = {
     # keys and groups
     "env.rewards.alive.wieght=2": ["no such key", "did you mean 'env.rewards.alive.weight'?"],
     "task=stnd": ["expected one of", "did you mean 'stand'?"],
@@ -55,44 +55,25 @@ TOLD_ALONE = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-
-
-def message_of(said) -> str:
-    assert said.status == 2, said.err
-    assert said.out == ""
-    assert "Traceback" not in said.err
-    (line,) = said.err.splitlines()
-    assert line.startswith("wheelleg: error: ")
-    return line
-
-
 def key_of(override: str) -> str:
     return override.split("=")[0].lstrip("+~").split("@")[0]
 
 
-@pytest.mark.parametrize("override", TOLD_ALONE)
-def test_a_wrong_override_is_told_and_leaves_nothing_behind(override, tmp_path):
-    line = message_of(wheelleg("train", *TINY, "agent.max_iterations=1", override))
-    assert key_of(override) in line
-    assert f"override {override}" in line, "the message does not say where the value came from"
-    assert [word for word in TOLD_ALONE[override] if word not in line] == []
+@pytest.mark.parametrize("override", REPORTED_ALONE)
+def test_a_wrong_override_is_reported_with_its_key_and_source_and_leaves_nothing_behind(override, tmp_path):
+    line = refusal("train", *TINY, "agent.max_iterations=1", override)
+    expected = (key_of(override), f"override {override}", *REPORTED_ALONE[override])
+    assert [word for word in expected if word not in line] == []
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("wrong", TOLD_TOGETHER, ids=["keys", "types"])
-def test_every_mistake_of_a_config_is_told_at_once_and_leaves_nothing_behind(wrong, tmp_path):
+@pytest.mark.parametrize("wrong", REPORTED_TOGETHER, ids=["keys", "types"])
+def test_every_mistake_of_a_config_is_reported_at_once_and_leaves_nothing_behind(wrong, tmp_path):
     said = wheelleg("train", *TINY, *wrong)
-    assert said.status == 2
-    assert said.out == ""
-    lines = said.err.splitlines()
+    assert (said.status, said.out) == (2, "")
     for override, words in wrong.items():
-        (line,) = [text for text in lines if f"(override {override})" in text]
-        assert key_of(override) in line
-        assert [word for word in words if word not in line] == []
+        (line,) = [text for text in said.err.splitlines() if f"(override {override})" in text]
+        assert [word for word in (key_of(override), *words) if word not in line] == []
     assert list(tmp_path.iterdir()) == []
 
 
@@ -100,18 +81,18 @@ def test_every_mistake_of_a_config_is_told_at_once_and_leaves_nothing_behind(wro
 @pytest.mark.parametrize(
     "override", ["env.decimation=0", "env.actions.leg_pos.joint_names=[nothing]", "recording.env_ids=[99]"]
 )
-def test_agents_say_the_same(command, override, tmp_path):
-    line = message_of(wheelleg(command, "env.num_envs=2", "env.sim.nthread=1", override))
+def test_agents_refuse_the_same_overrides(command, override, tmp_path):
+    line = refusal(command, "env.num_envs=2", "env.sim.nthread=1", override)
     assert f"override {override}" in line
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_value_in_a_file_is_told_with_file_and_line(tmp_path):
+def test_a_wrong_value_in_a_file_is_reported_with_file_and_line(tmp_path):
     folder = tmp_path / "configs" / "task"
     folder.mkdir(parents=True)
     text = "# @package _global_\ndefaults: [stand, _self_]\nenv:\n  actions:\n    leg_pos: {joint_names: [nothing]}\n"
     (folder / "mine.yaml").write_text(text)
-    line = message_of(wheelleg("train", "--config-dir", "configs", "task=mine", *TINY))
+    line = refusal("train", "--config-dir", "configs", "task=mine", *TINY)
     assert "env.actions.leg_pos.joint_names" in line
     assert "configs/task/mine.yaml:5" in line
     assert not (tmp_path / "runs").exists()
@@ -128,22 +109,21 @@ def test_a_value_in_a_file_is_told_with_file_and_line(tmp_path):
     ],
     ids=["empty", "text", "without articulation", "cut off", "without its references"],
 )
-def test_a_robot_file_without_a_robot_is_told(tmp_path, text, word):
+def test_a_robot_file_without_a_robot_is_refused(tmp_path, text, word):
     (tmp_path / "robot.usda").write_text(text)
-    line = message_of(wheelleg("train", *TINY, f"env.robot.asset={tmp_path / 'robot.usda'}"))
+    line = refusal("train", *TINY, f"env.robot.asset={tmp_path / 'robot.usda'}")
     assert word in line
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
+def test_a_run_root_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "runs").write_text("a file, not a folder")
-    said = wheelleg("train", *TINY, "agent.max_iterations=1", "run.root=runs")
-    assert "run" in message_of(said)
+    assert "run" in refusal("train", *TINY, "agent.max_iterations=1", "run.root=runs")
     assert (tmp_path / "runs").read_text() == "a file, not a folder"
 
 
 @pytest.mark.parametrize("words", [["seed=1,2"], ["--sweep"], ["env.num_envs"], ["=3"], ["--config-dir", "nowhere"]])
-def test_words_that_are_no_overrides_are_told(words, tmp_path):
-    line = message_of(wheelleg("train", *words))
+def test_words_that_are_not_overrides_are_refused(words, tmp_path):
+    line = refusal("train", *words)
     assert words[-1].split("=")[0] in line
     assert list(tmp_path.iterdir()) == []

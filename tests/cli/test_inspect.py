@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -38,11 +36,7 @@ def inspect(capsys, tmp_path, monkeypatch):
     return call
 
 
-def refuse(word):
-    raise AssertionError(f"{word} is no JSON")
-
-
-def test_a_training_leads_with_what_it_ended_as_and_says_of_what_the_rest_is(inspect, tmp_path):
+def test_a_training_starts_with_its_last_sample_and_names_the_rows_of_the_tables(inspect, tmp_path):
     late(tmp_path / "r.rrd")
     out = inspect("r.rrd")[1]
     titles = [block.splitlines()[0] for block in out.split("\n\n")[1:]]
@@ -65,7 +59,7 @@ def test_the_summary_of_a_damaged_recording_is_printed(inspect, tmp_path):
     assert json.loads(inspect("r.rrd", "--json")[1])["summary"]["health"]["damaged"] == 1
 
 
-def test_what_happened_to_the_recording_is_told(inspect):
+def test_notes_of_the_recording_are_printed(inspect):
     writer = Writer("r.rrd")
     drive(writer)
     writer.words("log/recording", [(1, "the bound of 3 MB is reached", "WARN")])
@@ -79,16 +73,15 @@ def test_what_happened_to_the_recording_is_told(inspect):
     assert "spring" not in holds  # The recording has no rows of the spring over time.
 
 
-def test_the_summary_is_printed_or_one_json_document(inspect):
+def test_the_summary_is_printed_or_one_json_document(inspect, strict_json):
     status, out, err = inspect(play("r.rrd"))
     assert (status, err) == (0, "")
     for words in ("play", "whole", "survived           50.0% (1 of 2)", "drive.v_x", "feet.left", "hip", "push"):
         assert words in out
     status, out, err = inspect("r.rrd", "--json")
-    document = json.loads(out, parse_constant=refuse)
     assert (status, err) == (0, "")
-    assert document["recording"] == "r.rrd"
-    assert document["summary"]["figures"]["survival"] == 0.5
+    document = strict_json(out)
+    assert (document["recording"], document["summary"]["figures"]["survival"]) == ("r.rrd", 0.5)
     assert {"name": "base.pitch", "rows": 200} in json.loads(inspect("r.rrd", "--names", "--json")[1])["names"]
     document = json.loads(inspect(training("t.rrd"), "--env", "5", "--json")[1])
     assert document["summary"]["base"]["height"]["mean"] == pytest.approx(1.1)
@@ -114,14 +107,14 @@ def test_times_can_be_pasted_back_as_they_are_printed(inspect):
     assert extremes("--from", "28steps", "--to", "500ms") == (28, 30)
 
 
-def test_units_stand_with_the_names(inspect):
+def test_units_follow_the_names(inspect):
     assert "contacts.feet.left (N)" in inspect(play("r.rrd"), "--term", "contacts.feet.left")[1]
     words = ("--where", "terminations.fallen", "--around", "1steps", "--term", "base.v_x")
     assert "base.v_x (m/s)" in inspect("r.rrd", *words)[1]
     assert json.loads(inspect("r.rrd", "--term", "base.v_x", "--json")[1])["stats"]["base.v_x"]["unit"] == "m/s"
 
 
-def test_a_selection_without_rows_is_told(inspect):
+def test_a_selection_without_rows_is_reported(inspect):
     status, out, _ = inspect(play("r.rrd"), "--from", "100s")
     assert status == 0
     assert re.search(r"below: 0 of 200 recorded frames\n", out)
@@ -144,14 +137,12 @@ def test_statistics_of_terms(inspect):
 
 
 def test_moments_with_the_rows_around(inspect):
-    status, out, _ = inspect(
-        play("r.rrd"), "--where", "terminations.fallen", "--around", "40ms", "--term", "base.pitch"
-    )
-    assert status == 0
-    assert out.splitlines()[0] == "the condition becomes true once"
-    marked = [line.split() for line in out.splitlines() if line.startswith("*")]
-    assert [line[:3] for line in marked] == [["*", "50", "1.000"]]
-    assert [line.split()[0] for line in out.splitlines()[4:6]] == ["48", "49"]
+    words = ("--where", "terminations.fallen", "--around", "40ms", "--term", "base.pitch")
+    status, out, _ = inspect(play("r.rrd"), *words)
+    lines = out.splitlines()
+    assert (status, lines[0]) == (0, "the condition becomes true once")
+    assert [line.split()[:3] for line in lines if line.startswith("*")] == [["*", "50", "1.000"]]
+    assert [line.split()[0] for line in lines[4:6]] == ["48", "49"]
 
 
 def test_two_recordings_compare_with_an_exit_status(inspect):
@@ -162,22 +153,18 @@ def test_two_recordings_compare_with_an_exit_status(inspect):
     writer.close()
     assert inspect("a.rrd", "--compare", "b.rrd")[0] == 0
     status, out, _ = inspect("a.rrd", "--compare", "c.rrd", "--json")
-    assert status == 1
-    assert [number["name"] for number in json.loads(out)["compare"]["numbers"]] == ["base.height"]
+    assert (status, [number["name"] for number in json.loads(out)["compare"]["numbers"]]) == (1, ["base.height"])
     assert "base.height" in inspect("a.rrd", "--compare", "c.rrd")[1]
 
 
-def test_repair_writes_beside_and_tells_what_is_lost(inspect, tmp_path):
+def test_repair_writes_another_file_and_reports_what_is_lost(inspect, tmp_path):
     path = tmp_path / "r.rrd"
     play(path)
     path.write_bytes(path.read_bytes()[:-2000])
     status, out, _ = inspect("r.rrd", "--repair")
-    assert status == 0
-    assert "repaired: r.repaired.rrd" in out
-    assert "cut off at byte" in out
+    assert (status, "repaired: r.repaired.rrd" in out, "cut off at byte" in out) == (0, True, True)
     status, _, err = inspect("r.rrd", "--repair")
-    assert status == 2
-    assert "exists and is not overwritten" in err
+    assert (status, "exists and is not overwritten" in err) == (2, True)
     assert inspect("r.rrd", "--repair", "-o", "other.rrd")[0] == 0
     assert "whole" in inspect("other.rrd")[1]
 
@@ -194,7 +181,7 @@ def run(tmp_path):
     return run
 
 
-def test_the_recording_of_a_run_that_goes_on_is_not_mended(inspect, run):
+def test_the_recording_of_a_running_training_is_not_repaired(inspect, run):
     with RunLock(run):
         status, out, err = inspect("latest", "--repair")
     assert (status, out) == (2, "")
@@ -228,17 +215,15 @@ def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
         (["r.rrd", "--width", "3"], "expected also --screenshot or --video"),
         (["r.rrd", "--port", "3"], "expected also --web"),
         (["r.rrd", "--around", "1s"], "expected also --where"),
-        (
-            ["r.rrd", "-o", "x"],
-            "--output: the option has no effect on the chosen actions; expected also --repair or --export",
-        ),
+        (["r.rrd", "-o", "x"],
+         "--output: the option has no effect on the chosen actions; expected also --repair or --export"),
         (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect on the chosen actions"),
         (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
         (["r.rrd", "--iteration", "5-2"], "ends before its start"),
         (["r.rrd", "--from", "3s", "--to", "2s"], "the end is before --from"),
         ([], "RUN|FILE"),
     ],
-)
+)  # fmt: skip
 def test_wrong_input_is_one_line_and_status_2(inspect, tmp_path, words, said):
     play(tmp_path / "r.rrd")
     (tmp_path / "text.rrd").write_text("not one")
@@ -249,14 +234,12 @@ def test_wrong_input_is_one_line_and_status_2(inspect, tmp_path, words, said):
     assert len(err.splitlines()) == 1
 
 
-def test_a_recording_of_another_tool_tells_what_it_holds(inspect):
+def test_the_contents_of_another_tools_recording_are_listed(inspect):
     writer = Writer("r.rrd", application="another")
     writer.numbers("camera/exposure", [1.0])
     writer.close()
     status, out, _ = inspect("r.rrd")
-    assert status == 0
-    assert "wheelleg did not write this recording" in out
-    assert "camera" in out
+    assert (status, "wheelleg did not write this recording" in out, "camera" in out) == (0, True, True)
 
 
 def test_it_needs_neither_torch_nor_mujoco(tmp_path):

@@ -8,23 +8,18 @@ from pathlib import Path
 import pytest
 import yaml
 from asset.corpus import ABSENT, corpus_folder
-from jobs.small import TINY, cache_of, wheelleg
+from jobs.small import TINY, wheelleg
 from patience import PATIENCE_S
 from project.robots import urdf
+from refused import refusal
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.project import create
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_folders")]
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
 
 
 @pytest.fixture(autouse=True)
@@ -35,9 +30,8 @@ def _no_project_stays():
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    command = [sys.executable, "-m", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
@@ -51,7 +45,6 @@ def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[
     return ["--robot", str(folder / "assets" / name)]
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("made")
 def test_the_tests_of_a_new_project_pass():
     tests = run("pytest", "-q", "-p", "no:cacheprovider")
@@ -77,15 +70,19 @@ def test_a_new_project_checks_and_trains(robot, request, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def made(tmp_path, monkeypatch):
+def made(own_folders, tmp_path, monkeypatch):
     said = wheelleg("new", "myrobot")
     assert said.status == 0, said.err
     monkeypatch.chdir(tmp_path / "myrobot")
     return tmp_path / "myrobot", said
 
 
-def test_it_says_what_was_made_and_its_commands_compose(made):
+def test_it_reports_what_was_made_and_its_commands_compose(made):
     root, said = made
+    assert not [name for name in sys.modules if name.split(".")[0] == "myrobot"]  # The draft leaves nothing imported.
+    assert not [project for project in projects._joined.values() if ".tmp" in str(project.root)]
+    names = {path.relative_to(root / "configs") for path in (root / "configs").rglob("*.yaml")}
+    assert not [name for name in names if (ROOT / "configs" / name).exists()]  # No file hides a stock file.
     assert said.out.startswith(f"created myrobot: {len([p for p in root.rglob('*') if p.is_file()])} files\n")
     assert "legs: l01, r01, l02, r02" in said.out
     assert "wheels: l03, r03" in said.out
@@ -98,34 +95,24 @@ def test_it_says_what_was_made_and_its_commands_compose(made):
 
 
 def test_its_config_is_its_own(made, monkeypatch):
-    composed, stock = (
-        yaml.safe_load(wheelleg("compose", "--resolve", f"task={task}").out)["env"] for task in ("myrobot", "stand")
-    )
-    assert composed["robot"]["asset"] == "myrobot/wheelleg.usda"
-    assert composed["robot"]["profile"] == "myrobot"
+    tasks = [wheelleg("compose", "--resolve", f"task={task}") for task in ("myrobot", "stand")]
+    composed, stock = (yaml.safe_load(said.out)["env"] for said in tasks)
+    assert (composed["robot"]["asset"], composed["robot"]["profile"]) == ("myrobot/wheelleg.usda", "myrobot")
     assert composed["rewards"]["myrobot_upright"]["_target_"] == "myrobot.terms.upright"
     assert composed["actions"]["myrobot_wheels"]["joint_names"] == ["l03", "r03"]
     assert stock["robot"]["asset"] == "wheelleg/wheelleg.usda"
     root, _ = made
     (root / "assets" / "myrobot" / "wheelleg.usda").unlink()
-    said = wheelleg("check", "task=myrobot")
-    assert said.status == 2
-    assert str(root / "assets") in said.err
+    assert str(root / "assets") in refusal("check", "task=myrobot")
 
 
-def test_its_numbers_have_no_findings_but_the_robots_own(made):
+def test_the_physics_check_finds_only_defects_of_the_robot(made):
     _, told = made
     said = wheelleg("check", "--physics", "--json", "task=myrobot")
     document = json.loads(said.out)
     assert (said.status, document["findings"]) == (0, [])
     accepted = {finding["rule"] for finding in document["silenced"] if finding["key"].split(".")[1] == "robot"}
     assert {word for word in accepted if f"({word})" in told.out} == accepted != set()
-
-
-def test_none_of_its_files_hides_a_stock_one(made):
-    root, _ = made
-    names = {path.relative_to(root / "configs") for path in (root / "configs").rglob("*.yaml")}
-    assert not [name for name in names if (ROOT / "configs" / name).exists()]
 
 
 def test_it_passes_the_linters_of_this_repository(made):
@@ -152,12 +139,10 @@ def test_a_folder_may_be_named_with_its_place(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])
-def test_what_is_there_already_stays(kind, tmp_path):
+def test_an_existing_place_is_not_overwritten(kind, tmp_path):
     place = tmp_path / "myrobot"
     {"folder": place.mkdir, "file": place.touch, "link": lambda: place.symlink_to("nowhere")}[kind]()
-    said = wheelleg("new", "myrobot")
-    assert said.status == 2
-    assert "exists already" in said.err
+    assert "exists already" in refusal("new", "myrobot")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["myrobot"]
 
 
@@ -174,17 +159,16 @@ def test_what_is_there_already_stays(kind, tmp_path):
         ([], "NAME: the argument is missing"),
     ],
 )
-def test_a_mistake_is_told_and_leaves_nothing(words, said, tmp_path):
+def test_a_mistake_is_reported_and_leaves_nothing(words, said, tmp_path):
     urdf(tmp_path)
     (tmp_path / "robots").mkdir()
     bare = '<robot name="b"><link name="body"><inertial><mass value="1"/>{}</inertial></link></robot>'
     (tmp_path / "bare.urdf").write_text(bare.format('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'))
     (tmp_path / "broken.urdf").write_text("<robot")
     before = sorted(path.name for path in tmp_path.iterdir())
-    answer = wheelleg("new", *words)
-    assert answer.status == 2
-    assert said in answer.err
-    assert ".tmp" not in answer.err
+    message = refusal("new", *words)
+    assert said in message
+    assert ".tmp" not in message
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
@@ -209,18 +193,10 @@ def test_a_failure_or_interrupt_leaves_nothing(tmp_path, monkeypatch, patched, e
 def test_a_tab_offers_folders_and_robot_files(tmp_path):
     urdf(tmp_path)
     (tmp_path / "robots").mkdir()
-    assert answer("wheelleg new ro") == ["robots/"]
-    assert answer("wheelleg new myrobot --robot t") == ["two.urdf"]
+    assert (answer("wheelleg new ro"), answer("wheelleg new myrobot --robot t")) == (["robots/"], ["two.urdf"])
 
 
-def test_it_does_not_stand_inside_the_program_itself(monkeypatch):
+def test_no_project_is_created_inside_the_program_itself(monkeypatch):
     monkeypatch.chdir(ROOT / "docs")
-    said = wheelleg("new", "myrobot")
-    assert said.status == 2
-    assert "inside wheelleg_exp itself" in said.err
+    assert "inside wheelleg_exp itself" in refusal("new", "myrobot")
     assert not (ROOT / "docs" / "myrobot").exists()
-
-
-def test_nothing_of_the_draft_stays_in_the_process(made):
-    assert not [name for name in sys.modules if name.split(".")[0] == "myrobot"]
-    assert not [project for project in projects._joined.values() if ".tmp" in str(project.root)]

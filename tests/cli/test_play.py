@@ -1,11 +1,10 @@
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 import torch
-from jobs.small import cache_of, copied, trained_once, wheelleg
+from jobs.small import copied, trained_once, wheelleg
+from refused import refusal
 
 pytestmark = pytest.mark.train
 
@@ -13,19 +12,8 @@ QUICK = ["env.num_envs=2", "recording.enabled=false"]
 
 
 @pytest.fixture
-def run(tmp_path, tmp_path_factory, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+def run(own_folders, tmp_path, tmp_path_factory):
     return copied(trained_once(tmp_path_factory), tmp_path)
-
-
-def told(said, *words):
-    """Check that a command failed with status 2 and one line on standard error that contains the words."""
-    assert said.status == 2, said.err
-    assert said.out == ""
-    (line,) = said.err.splitlines()
-    assert line.startswith("wheelleg: error: ")
-    assert [word for word in words if word not in line] == []
 
 
 def test_figures_are_a_table_and_the_recording_can_be_opened(run):
@@ -51,16 +39,11 @@ def test_a_run_is_found_by_latest_id_or_path(run, way, tmp_path, monkeypatch):
     assert json.loads(said.out)["run"] == str(run.path)
 
 
-def test_json_is_one_document_even_without_figures(run):
-
-    def refuse(word):
-        raise AssertionError(f"{word} is no JSON")
-
+def test_json_is_one_document_even_without_figures(run, strict_json):
     # The robot does not settle within an episode of 0.3 s, so the figures of height and pitch are NaN.
     said = wheelleg("play", "latest", *QUICK, "play.settle_s=5.0", "--json")
     assert said.status == 0, said.err
-    document = json.loads(said.out, parse_constant=refuse)
-    assert document["figures"]["episodes"] == 2
+    assert strict_json(said.out)["figures"]["episodes"] == 2
 
 
 @pytest.mark.parametrize("words", [["--checkpoint", "0"], ["--checkpoint", "model_0.pt"], ["--checkpoint", "PATH"]])
@@ -80,7 +63,7 @@ QUICKLY = {
 
 
 @pytest.mark.parametrize("command", QUICKLY)
-def test_a_checkpoint_that_somebody_has_changed_is_used_with_a_warning(run, command):
+def test_a_changed_checkpoint_is_used_with_a_warning(run, command):
     before = wheelleg(command, "latest", *QUICKLY[command])
     assert (before.status, "warning" in before.err) == (0, False), before.err
     state = torch.load(run.checkpoint(2), weights_only=True)
@@ -94,41 +77,43 @@ def test_a_checkpoint_that_somebody_has_changed_is_used_with_a_warning(run, comm
     assert (other.status, "warning" in other.err) == (0, False), other.err
 
 
-@pytest.mark.parametrize("file", ["manifest.json", "exported/policy.pt", "exported/policy.onnx", "recording.rrd"])
-def test_a_file_that_is_no_checkpoint_is_told(run, file):
-    told(wheelleg("play", "latest", "--checkpoint", run.path / file), file, "model_<iteration>.pt")
+CHECKPOINT = ("latest", "--checkpoint")
+# Words after ``wheelleg play``, in which RUN is the folder of the run and TMP its parent, and parts of the message.
+REFUSED = [
+    *(((*CHECKPOINT, f"RUN/{file}"), (file, "model_<iteration>.pt"))
+      for file in ("manifest.json", "exported/policy.pt", "exported/policy.onnx", "recording.rrd")),
+    ((), ("RUN",)),
+    (("latst",), ("latst", "did you mean 'latest'?")),
+    (("runs/stand",), ("not a run directory", "manifest.json")),
+    (("TMP",), ("not a run directory",)),
+    (("RUN/params",), ("not a run directory", "RUN")),
+    (("latest", "--root", "TMP/nowhere"), ("no run",)),
+    ((*CHECKPOINT, "7"), ("iteration 7", "0, 1, 2", "model_2.pt")),
+    ((*CHECKPOINT, "nowhere.pt"), ("nowhere.pt",)),
+    (("latest", "env.num_evns=4"), ("env.num_evns", "override", "did you mean 'env.num_envs'?")),
+    (("latest", "env.num_envs=0"), ("env.num_envs", "at least 1")),
+    (("latest", "robot=physical"), ("robot", "config groups can only be selected for a new run")),
+    (("latest", "seed=1,2"), ("seed", "one value")),
+    (("latest", "seed"), ("seed", "key=value")),
+]  # fmt: skip
 
 
-def test_a_run_or_checkpoint_that_does_not_exist_is_told(run, tmp_path):
-    told(wheelleg("play"), "RUN")
-    told(wheelleg("play", "latst"), "latst", "did you mean 'latest'?")
-    told(wheelleg("play", "runs/stand"), "not a run directory", "manifest.json")
-    told(wheelleg("play", tmp_path), "not a run directory")
-    told(wheelleg("play", run.play.parent / "params"), "not a run directory", str(run.path))
-    told(wheelleg("play", "latest", "--root", tmp_path / "nowhere"), "no run")
-    told(wheelleg("play", "latest", "--checkpoint", "7"), "iteration 7", "0, 1, 2", "model_2.pt")
-    told(wheelleg("play", "latest", "--checkpoint", "nowhere.pt"), "nowhere.pt")
+@pytest.mark.parametrize(("words", "expected"), REFUSED, ids=lambda words: " ".join(words))
+def test_a_wrong_run_checkpoint_or_override_is_refused(run, words, expected, tmp_path):
+    words = [word.replace("RUN", str(run.path)).replace("TMP", str(tmp_path)) for word in words]
+    message = refusal("play", *words)
+    expected = [part.replace("RUN", str(run.path)) if words else part for part in expected]
+    assert [part for part in expected if part not in message] == []
+    assert not run.play.exists()
+
+
+def test_a_run_without_a_checkpoint_is_refused(run):
     for path in run.checkpoints():
         path.unlink()
-    told(wheelleg("play", "latest"), "no checkpoint")
+    assert "no checkpoint" in refusal("play", "latest")
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"format": 99}'])
-def test_a_run_with_a_broken_manifest_is_told(run, content):
+def test_a_run_with_a_broken_manifest_is_refused(run, content):
     (run.path / "manifest.json").write_text(content)
-    told(wheelleg("play", run.path), "manifest")
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("env.num_evns=4", ["env.num_evns", "override", "did you mean 'env.num_envs'?"]),
-        ("env.num_envs=0", ["env.num_envs", "at least 1"]),
-        ("robot=physical", ["robot", "config groups can only be selected for a new run"]),
-        ("seed=1,2", ["seed", "one value"]),
-        ("seed", ["seed", "key=value"]),
-    ],
-)
-def test_a_wrong_override_is_told(run, override, words):
-    told(wheelleg("play", "latest", override), *words)
-    assert not run.play.exists()
+    assert "manifest" in refusal("play", run.path)

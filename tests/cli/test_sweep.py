@@ -1,24 +1,15 @@
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import yaml
-from jobs.small import SMALL, cache_of, wheelleg
+from jobs.small import SMALL, wheelleg
 from jobs.sweeps import STAND_IN, swept_once
 
 from wheelleg_exp.jobs import training_job
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_folders")]
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +18,7 @@ def swept(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["seed=1,2"], ["seed: several values for one run (override seed=1,2)", "-m (--multirun) trains each"]),
         (["seed=range(1,3)"], ["seed: several values for one run", "-m (--multirun)"]),
@@ -42,10 +33,9 @@ def swept(tmp_path_factory):
     ],
     ids=lambda value: " ".join(value) if "=" in value[-1] and " " not in value[-1] else "",
 )
-def test_mistakes_end_with_status_2_and_leave_nothing(tmp_path, words, told):
+def test_mistakes_end_with_status_2_and_leave_nothing(tmp_path, words, expected):
     said = wheelleg("train", *words)
-    assert (said.status, said.out) == (2, "")
-    assert [part for part in told if part not in said.err] == []
+    assert (said.status, said.out, [part for part in expected if part not in said.err]) == (2, "", [])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -63,30 +53,22 @@ def test_a_failed_job_is_status_3_after_all_others(tmp_path):
     said = wheelleg("train", "-m", "run.name=fail,finish1,die,killed,finish2", "seed=3")
     assert said.status == 3
     rows = [line.split() for line in said.out.splitlines()[1:6]]
-    assert [row[:3] for row in rows] == [
-        ["1", "run.name=fail", "failed"],
-        ["2", "run.name=finish1", "finished"],
-        ["3", "run.name=die", "failed"],
-        ["4", "run.name=killed", "failed"],
-        ["5", "run.name=finish2", "finished"],
-    ]
+    ends = {"fail": "failed", "finish1": "finished", "die": "failed", "killed": "failed", "finish2": "finished"}
+    assert [row[:3] for row in rows] == [[str(n), f"run.name={what}", ends[what]] for n, what in enumerate(ends, 1)]
     assert rows[1][-1] == "runs/stand/finish1"
-    assert "2 of 5 jobs finished: runs/sweeps/" in said.out
-    assert "retry: " in said.out
-    assert " train run.name=fail seed=3" in said.out
+    for words in ("2 of 5 jobs finished: runs/sweeps/", "retry: ", " train run.name=fail seed=3"):
+        assert words in said.out
     assert "job 1 run.name=fail failed: gone to NaN" in said.err
 
 
 @pytest.mark.usefixtures("pretend")
-def test_json_is_one_document_whatever_becomes_of_the_jobs(tmp_path):
+def test_json_is_one_document_when_a_job_fails(tmp_path):
     said = wheelleg("train", "-m", "--json", "run.name=finish1,fail")
-    assert said.status == 3
     document = json.loads(said.out)
-    assert document["status"] == "failed"
+    assert (said.status, document["status"]) == (3, "failed")
     assert [job["status"] for job in document["jobs"]] == ["finished", "failed"]
     assert document["jobs"][0]["run"] == str(tmp_path / "runs" / "stand" / "finish1")
-    (index,) = (tmp_path / "runs" / "sweeps").iterdir()
-    assert document["sweep"] == str(index)
+    assert [document["sweep"]] == [str(path) for path in (tmp_path / "runs" / "sweeps").iterdir()]
     assert document["command"] == ["wheelleg", "train", "-m", "--json", "run.name=finish1,fail"]
 
 
@@ -101,7 +83,7 @@ def test_the_basic_launcher_runs_one_job_at_a_time_whatever_the_machine(tmp_path
 
 
 @pytest.mark.usefixtures("pretend")
-def test_jobs_that_crowd_the_machine_are_warned_of(tmp_path, monkeypatch):
+def test_jobs_with_more_threads_than_cores_cause_a_warning(tmp_path, monkeypatch):
     import joblib
 
     monkeypatch.setattr(joblib, "cpu_count", lambda: 4)
@@ -145,18 +127,16 @@ def test_jobs_find_the_environment_that_a_run_alone_finds():
 
 
 @pytest.mark.train
-def test_the_last_lines_tell_the_jobs_and_what_comes_next(swept):
+def test_the_last_lines_list_the_jobs_and_the_next_commands(swept):
     lines = swept.said.out.splitlines()
     assert lines[0].split() == ["job", "overrides", "status", "return", "run"]
     for line, job in zip(lines[1:3], swept.index.jobs, strict=True):
         run = swept.index.run_of(job)
         figure = f"{job['results']['Train/mean_reward']:.3f}"
-        expected = [str(job["number"]), *job["swept"], "finished", figure, f"runs/stand/{run.name}"]
-        assert line.split() == expected
+        assert line.split() == [str(job["number"]), *job["swept"], "finished", figure, f"runs/stand/{run.name}"]
     assert lines[4].startswith("2 of 2 jobs finished: runs/sweeps/")
-    assert any(" --logdir runs/stand" in line for line in lines)
-    assert any("diff runs/stand/" in line for line in lines)
-    assert any("play runs/stand/" in line for line in lines)
+    for words in (" --logdir runs/stand", "diff runs/stand/", "play runs/stand/"):
+        assert words in swept.said.out
     assert "retry:" not in swept.said.out
     # The warnings of the physics check are shown once for all jobs.
     assert " ".join(swept.said.err.split()).count("check.silence.episode_end silences it") == 1
@@ -168,7 +148,6 @@ def test_the_last_lines_tell_the_jobs_and_what_comes_next(swept):
 @pytest.mark.train
 def test_multirun_yaml_names_the_sweep_and_its_folder(swept):
     multirun = yaml.safe_load((swept.folder / "multirun.yaml").read_text())
-    assert multirun["hydra"]["mode"] == "MULTIRUN"
-    assert multirun["hydra"]["launcher"]["n_jobs"] == 2
+    assert (multirun["hydra"]["mode"], multirun["hydra"]["launcher"]["n_jobs"]) == ("MULTIRUN", 2)
     assert multirun["hydra"]["sweep"]["dir"] == str(swept.folder)
     assert multirun["hydra"]["overrides"]["task"] == ["seed=0,1", *SMALL, "run.name=small"]

@@ -1,21 +1,13 @@
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path
 
 import pytest
-from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
+from jobs.small import ITERATIONS, SMALL, trained_once, wheelleg
 
 from wheelleg_exp.run import run_directory
 
-pytestmark = pytest.mark.train
-
-
-@pytest.fixture(autouse=True)
-def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("own_folders")]
 
 
 @pytest.fixture(scope="module")
@@ -23,13 +15,13 @@ def trained(tmp_path_factory):
     return trained_once(tmp_path_factory)
 
 
-def test_the_last_lines_say_what_was_made_and_what_comes_next(trained):
+def test_the_last_lines_name_the_run_and_the_next_commands(trained):
     path = str(trained.run.path)
     lines = trained.said.out.splitlines()
     assert lines[0].startswith(f"trained {ITERATIONS} iterations in ")
     assert lines[0].endswith(path)
     assert f"wheelleg play {path}" in lines[1]
-    assert any("tensorboard --logdir" in line for line in lines)
+    assert "tensorboard --logdir" in trained.said.out
     assert any(line.endswith("recording.rrd") for line in lines)
 
 
@@ -49,8 +41,7 @@ def test_json_is_one_document_and_the_run_is_below_the_working_folder_by_default
     assert said.status == 0, said.err
     document = json.loads(said.out)
     assert set(document) == {"run", "status", "results"}
-    assert document["status"] == "finished"
-    assert document["results"]["iterations"] == 1
+    assert (document["status"], document["results"]["iterations"]) == ("finished", 1)
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
     (run,) = (tmp_path / "runs" / "stand").iterdir()
     assert Path(document["run"]) == run

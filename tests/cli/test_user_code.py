@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import io
 import json
 import signal
@@ -8,7 +6,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
-from jobs.small import TINY, cache_of, wheelleg
+from jobs.small import TINY, wheelleg
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.main import main
@@ -35,18 +33,12 @@ ENDINGS = {
 
 
 @pytest.fixture
-def pet(tmp_path, monkeypatch, tmp_path_factory):
+def pet(own_folders, tmp_path):
     """Write a project with one term, whose module contains a given text, into the current folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+    files = {"pyproject.toml": TOML, "configs/reward/pet.yaml": TERM, "pet/__init__.py": ""}
 
     def write(text):
-        for name, content in {
-            "pyproject.toml": TOML,
-            "configs/reward/pet.yaml": TERM,
-            "pet/__init__.py": "",
-            "pet/terms.py": HEAD + text,
-        }.items():
+        for name, content in {**files, "pet/terms.py": HEAD + text}.items():
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / name).write_text(content)
         return ["+reward@env.rewards=pet"]
@@ -72,7 +64,7 @@ def test_a_module_that_would_end_the_program_when_it_is_imported_is_named(pet, l
 
 
 @pytest.mark.parametrize("command", ["check", "compose", "explain", "zero-agent", "list"])
-def test_no_command_ends_with_such_a_module(pet, command):
+def test_no_command_is_ended_by_such_a_module(pet, command):
     words = pet("import sys\nsys.exit(0)\n" + FUNCTION.format("pass"))
     if command == "list":
         assert wheelleg("list", "terms").status == 0
@@ -84,35 +76,30 @@ def test_no_command_ends_with_such_a_module(pet, command):
         assert "cannot import 'pet.terms': SystemExit: 0 would end the program" in refused(2, command, *words)
 
 
-def test_a_term_that_would_end_the_program_while_all_is_built_is_named(pet):
+def test_a_term_that_would_end_the_program_when_it_is_built_is_named(pet):
     message = refused(2, "train", *TINY, *pet(CLASS.format("import sys; sys.exit(0)", "pass")))
-    assert "SystemExit: 0" in message
-    assert "env.rewards.pet" in message
-    assert "pet/terms.py:" in message
+    assert [part for part in ("SystemExit: 0", "env.rewards.pet", "pet/terms.py:") if part not in message] == []
 
 
 @pytest.mark.train
 @pytest.mark.parametrize("line", [line for line in ENDINGS if "sys" in line or "Keyboard" in line or "Odd" in line])
 def test_a_term_that_would_end_the_program_while_it_trains_is_named_and_the_run_has_failed(pet, line, tmp_path):
     words = pet(CLASS.format("pass", f"if self.calls > 20: exec({line!r})"))
-    said = wheelleg("train", *TINY, "agent.max_iterations=1", "recording.enabled=false", *words)
-    assert (said.status, said.out) == (3, "")
-    (message,) = [text for text in said.err.splitlines() if text.startswith("wheelleg: error: ")]
-    assert ENDINGS[line] in message
-    assert "env.rewards.pet: 'pet.terms.reward' raises " in message
-    assert "pet/terms.py:" in message
+    message = refused(3, "train", *TINY, "agent.max_iterations=1", "recording.enabled=false", *words)
+    expected = (ENDINGS[line], "env.rewards.pet: 'pet.terms.reward' raises ", "pet/terms.py:")
+    assert [part for part in expected if part not in message] == []
     (run,) = (tmp_path / "runs" / "stand").iterdir()
     manifest = json.loads((run / "manifest.json").read_text())
     assert (manifest["status"], manifest["error"]["type"]) == ("failed", "SimulationFailure")
 
 
-def test_a_network_of_ones_own_that_would_end_the_program_is_named(pet):
+def test_a_user_defined_network_that_would_end_the_program_is_named(pet):
     pet("import sys\nsys.exit(0)\n")
     message = refused(2, "check", "agent.actor.class_name=pet.terms:Net")
     assert "agent.actor.class_name: cannot import 'pet.terms.Net': SystemExit: 0 would end the program" in message
 
 
-def test_a_module_that_takes_standard_output_gives_it_back(pet):
+def test_a_module_that_replaces_standard_output_does_not_hide_messages(pet):
     words = pet("import io, sys\nsys.stdout = sys.stderr = io.StringIO()\n" + FUNCTION.format("pass"))
     said = wheelleg("check", *words)
     assert (said.status, said.err) == (0, "")
@@ -128,7 +115,7 @@ def test_a_module_that_closes_standard_output_is_refused(pet):
 
 
 @pytest.mark.train
-def test_a_module_that_takes_ctrl_c_for_itself_does_not_keep_it(pet, tmp_path):
+def test_a_module_that_ignores_ctrl_c_does_not_prevent_an_interrupt(pet, tmp_path):
     words = pet(
         "import os, signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         + CLASS.format("pass", "os.kill(os.getpid(), signal.SIGINT) if self.calls == 20 else 0")
@@ -141,7 +128,7 @@ def test_a_module_that_takes_ctrl_c_for_itself_does_not_keep_it(pet, tmp_path):
     assert [path.name for path in run.glob("model_*.pt")] == ["model_0.pt"]
 
 
-def test_the_program_never_ends_well_by_somebodys_exit(monkeypatch, capsys):
+def test_an_exit_inside_a_command_is_a_failure(monkeypatch):
     from wheelleg_exp.cli import list as command
 
     monkeypatch.setattr(command, "run", lambda args: sys.exit(0))

@@ -16,52 +16,41 @@ TARGETS = '''
 from wheelleg_exp.constraints import Interval
 from wheelleg_exp.managers import ActionTerm
 
-
 class Effort(ActionTerm):
     """An effort action."""
 
     def __init__(self, env, joint_names: list[str], gain: float = 1.0):
         pass
 
-
 def alive(env):
     """One while the robot is up."""
-
 
 def height(env, target_height: float, sensor=None):
     """Squared distance from a height."""
 
-
 def smooth(env, order: int = 1):
     """Change of the action."""
-
 
 def takes_weight(env, weight: float):
     """A target that uses the manager's name."""
 
-
 def fell(env, limit: float):
     """True when the robot has fallen."""
-
 
 def push(env, env_ids, generator, velocity_range: Interval):
     """Push the robot."""
 
-
 def speed(env):
     """Speed of the base, m/s."""
 
-
 def joints(env, entity: object = None):
     """Joint positions, rad."""
-
 
 class Noise:
     """Uniform noise."""
 
     def __init__(self, low: float, high: float):
         pass
-
 
 NOT_CALLABLE = 3
 '''
@@ -77,12 +66,7 @@ STOCK = {
         seed: 1
         recording: {}
     """,
-    "play.yaml": """
-        defaults:
-          - train
-          - _self_
-        seed: 7
-    """,
+    "play.yaml": "defaults:\n  - train\n  - _self_\nseed: 7\n",
     "task/stand.yaml": """
         # @package _global_
         # Stand still.
@@ -133,15 +117,8 @@ STOCK = {
         order: [a, b]
         length: ${env.sim.dt}
     """,
-    "robot/physical.yaml": """
-        # @package env.robot
-        asset: real.usda
-    """,
-    "sim/mujoco.yaml": """
-        # @package env.sim
-        dt: 0.01
-        solver: newton
-    """,
+    "robot/physical.yaml": "# @package env.robot\nasset: real.usda\n",
+    "sim/mujoco.yaml": "# @package env.sim\ndt: 0.01\nsolver: newton\n",
     "agent/ppo.yaml": """
         # @package agent
         num_steps_per_env: 24
@@ -154,25 +131,14 @@ STOCK = {
         actor: {class_name: MLPModel, distribution_cfg: {class_name: GaussianDistribution}}
         critic: {class_name: MLPModel}
     """,
-    "run/default.yaml": """
-        # @package run
-        root: runs
-        name: null
-    """,
-    "action/effort.yaml": """
-        effort:
-          _target_: shelf_terms.Effort
-          joint_names: [a]
-    """,
+    "run/default.yaml": "# @package run\nroot: runs\nname: null\n",
+    "action/effort.yaml": "effort:\n  _target_: shelf_terms.Effort\n  joint_names: [a]\n",
     "observation/speed.yaml": """
         speed:
           _target_: shelf_terms.speed
           noise: {_target_: shelf_terms.Noise, low: -0.1, high: 0.1}
     """,
-    "observation/joints.yaml": """
-        joints:
-          _target_: shelf_terms.joints
-    """,
+    "observation/joints.yaml": "joints:\n  _target_: shelf_terms.joints\n",
     "event/push.yaml": """
         push:
           _target_: shelf_terms.push
@@ -180,11 +146,7 @@ STOCK = {
           interval_range_s: [1.0, 2.0]
           velocity_range: [-0.5, 0.5]
     """,
-    "reward/alive.yaml": """
-        alive:
-          _target_: shelf_terms.alive
-          weight: 1.0
-    """,
+    "reward/alive.yaml": "alive:\n  _target_: shelf_terms.alive\n  weight: 1.0\n",
     "reward/height.yaml": """
         # Keep the base at a height.
         height:
@@ -192,16 +154,8 @@ STOCK = {
           weight: 1.0
           target_height: 0.07
     """,
-    "reward/smooth.yaml": """
-        smooth:
-          _target_: shelf_terms.smooth
-          weight: -0.1
-    """,
-    "termination/fell.yaml": """
-        fell:
-          _target_: shelf_terms.fell
-          limit: 0.5
-    """,
+    "reward/smooth.yaml": "smooth:\n  _target_: shelf_terms.smooth\n  weight: -0.1\n",
+    "termination/fell.yaml": "fell:\n  _target_: shelf_terms.fell\n  limit: 0.5\n",
 }
 
 USER = {
@@ -218,12 +172,7 @@ USER = {
           rewards:
             height: null
     """,
-    "reward/bounce.yaml": """
-        bounce:
-          _target_: shelf_terms.height
-          weight: 3.0
-          target_height: 0.2
-    """,
+    "reward/bounce.yaml": "bounce:\n  _target_: shelf_terms.height\n  weight: 3.0\n  target_height: 0.2\n",
 }
 
 

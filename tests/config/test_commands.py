@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -36,31 +34,22 @@ def test_an_unknown_word_is_reported_with_the_nearest(words, nearest, capsys):
     assert f"did you mean '{nearest}'" in capsys.readouterr().err
 
 
-def test_compose_reports_where_leaves_come_from(capsys):
-    key = "env.rewards.height.weight"
-    assert main(["compose", "--provenance", "--package", key, f"{key}=1"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"{key}: 1  # override {key}=1"
-    assert lines[1].endswith("-50.0 (configs/task/stand.yaml:23)")
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("list tasks --config-dir mine/configs", "hop"),
+        ("list tasks --config-dir mine/configs", "Stand still."),
+        ("list terms reward", "One while the robot is up."),
+        ("list groups", "\nreward\n"),
+        ("list options robot", "physical"),
+    ],
+)
+def test_lists_contain_tasks_terms_groups_and_options(words, text, capsys, user):
+    assert main(words.split()) == 0
+    assert text in capsys.readouterr().out
 
 
-def test_list_tasks_with_a_users_folder(capsys, user):
-    assert main(["list", "tasks", "--config-dir", str(user)]) == 0
-    text = capsys.readouterr().out
-    assert "hop" in text
-    assert "Stand still." in text
-
-
-def test_list_terms_groups_and_options(capsys):
-    assert main(["list", "terms", "reward"]) == 0
-    assert "One while the robot is up." in capsys.readouterr().out
-    assert main(["list", "groups"]) == 0
-    assert "reward" in capsys.readouterr().out.split()
-    assert main(["list", "options", "robot"]) == 0
-    assert "physical" in capsys.readouterr().out
-
-
-def test_list_terms_holds_those_that_no_file_uses(capsys):
+def test_list_terms_contains_unused_terms_but_no_helpers_and_base_classes(capsys):
     assert main(["list", "terms", "--json"]) == 0
     rows = {(row["group"], row["term"]): row for row in json.loads(capsys.readouterr().out)}
     height = rows["reward", "height"]
@@ -69,30 +58,27 @@ def test_list_terms_holds_those_that_no_file_uses(capsys):
     unused = rows["reward", "base_height_l2"]
     assert (unused["file"], unused["target"]) == (None, "wheelleg_exp.mdp.rewards.base_height_l2")
     assert (unused["takes"], unused["help"][:14]) == ("target_height, asset_cfg=..., sensor_cfg=None", "(z - target)^2")
-    sections = {group for group, _ in rows}
-    assert sections == {"action", "command", "observation", "event", "reward", "termination", "curriculum", "recorder"}
-
-
-def test_list_terms_leaves_helpers_and_bases_out(capsys):
-    assert main(["list", "terms", "--json"]) == 0
-    names = {row["term"] for row in json.loads(capsys.readouterr().out)}
+    sections = {"action", "command", "observation", "event", "reward", "termination", "curriculum", "recorder"}
+    assert {group for group, _ in rows} == sections
+    names = {term for _, term in rows}
     assert {"JointEffortAction", "is_terminated_term", "reset_scene_to_default"} <= names
     assert not names & {"draw", "operate", "all_ids", "JointAction", "ActionTerm", "Sequence", "SceneEntityCfg"}
 
 
 def test_list_terms_of_a_section_takes_both_of_its_names(capsys):
-    assert main(["list", "terms", "reward", "--json"]) == 0
-    one = capsys.readouterr().out
-    assert main(["list", "terms", "rewards", "--json"]) == 0
-    assert capsys.readouterr().out == one
+    texts = set()
+    for name in ("reward", "rewards"):
+        assert main(["list", "terms", name, "--json"]) == 0
+        texts.add(capsys.readouterr().out)
+    assert len(texts) == 1
 
 
-def test_list_runs_of_a_folder_that_is_not_there_is_told(capsys, tmp_path):
+def test_list_runs_of_a_missing_folder_is_refused(capsys, tmp_path):
     (tmp_path / "runs").mkdir()
     assert main(["list", "runs", "--root", str(tmp_path / "rnus")]) == 2
-    told = capsys.readouterr().err
-    assert "--root" in told
-    assert f"did you mean '{tmp_path / 'runs'}'" in told
+    message = capsys.readouterr().err
+    assert "--root" in message
+    assert f"did you mean '{tmp_path / 'runs'}'" in message
 
 
 def test_a_damaged_run_without_a_date_has_a_dash(capsys, tmp_path):
@@ -107,21 +93,21 @@ def test_a_damaged_run_without_a_date_has_a_dash(capsys, tmp_path):
     assert json.loads(capsys.readouterr().out)[0]["started"] is None
 
 
-def test_provenance_tells_what_overrides_removed(capsys):
-    words = ["compose", "--provenance", "--package", "env.events.push.mode", "~env.events.push"]
-    assert main(words) == 0
-    assert capsys.readouterr().out.splitlines() == [
+def test_provenance_shows_hidden_and_removed_values_and_resolves(capsys):
+    def shown(key, *words):
+        assert main(["compose", "--provenance", "--package", key, *words]) == 0
+        return capsys.readouterr().out
+
+    key = "env.rewards.height.weight"
+    lines = shown(key, f"{key}=1").splitlines()
+    assert lines[0] == f"{key}: 1  # override {key}=1"
+    assert lines[1].endswith("-50.0 (configs/task/stand.yaml:23)")
+    assert shown("env.events.push.mode", "~env.events.push").splitlines() == [
         "# env.events.push.mode: removed  # override ~env.events.push",
         "  # hides env.events.push.mode: 'interval' (configs/event/push.yaml:3)",
     ]
-    assert main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["env.events.push.mode"]
+    found = json.loads(shown("env.events.push.mode", "~env.events.push", "--json"))["env.events.push.mode"]
     assert (found["deleted"], found["shadowed"][0]["line"]) == (True, 3)
-
-
-def test_provenance_resolves(capsys):
-    words = ["compose", "--provenance", "task=walk", "seed=4", "--package", "env.num_envs"]
-    assert main(words) == 0
-    assert capsys.readouterr().out.startswith("env.num_envs: '${seed}'  #")
-    assert main([*words, "--resolve"]) == 0
-    assert capsys.readouterr().out.startswith("env.num_envs: 4  #")
+    words = ("env.num_envs", "task=walk", "seed=4")
+    assert shown(*words).startswith("env.num_envs: '${seed}'  #")
+    assert shown(*words, "--resolve").startswith("env.num_envs: 4  #")

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment
 
 SECTION = """\
@@ -20,35 +18,23 @@ deep:
 """
 
 
-def test_a_comment_on_the_line_then_the_one_above_it(tmp_path):
+def test_a_key_has_the_comment_on_its_line_or_else_above_it_and_a_section_the_one_at_the_top(tmp_path):
     file = tmp_path / "thing.yaml"
     file.write_text(SECTION)
     found = {line.split(":")[0].strip(): comment_at(file, n) for n, line in enumerate(SECTION.splitlines(), 1)}
-    assert found["second"] == "kg"
-    assert found["third"] == "above, at the same depth"
-    assert found["deep"] == ""
-    assert found["inner"] == "of the inner key"
-    assert found["last"] == ""
-    assert comment_at(file, 99) == ""
+    assert (found["first"], file_comment(file)) == ("", "What the thing is, in two lines.")
+    assert (found["second"], found["third"], found["deep"]) == ("kg", "above, at the same depth", "")
+    assert (found["inner"], found["last"], comment_at(file, 99)) == ("of the inner key", "", "")
 
 
-def test_the_comment_on_top_belongs_to_the_section_and_not_to_its_first_key(tmp_path):
-    file = tmp_path / "thing.yaml"
-    file.write_text(SECTION)
-    assert comment_at(file, 4) == ""
-    assert file_comment(file) == "What the thing is, in two lines."
-
-
-def test_the_comment_on_top_of_a_terms_file_is_the_terms(tmp_path):
+def test_the_comment_at_the_top_of_a_terms_file_belongs_to_the_term(tmp_path):
     file = tmp_path / "alive.yaml"
     file.write_text("# Not having failed.\nalive:\n  weight: 1.0\n")
-    assert comment_at(file, 2) == "Not having failed."
-    assert file_comment(file) == ""
+    assert (comment_at(file, 2), file_comment(file)) == ("Not having failed.", "")
 
 
-def test_a_changed_file_is_read_anew(tmp_path):
+def test_a_changed_file_is_read_again(tmp_path):
     file = tmp_path / "a.yaml"
-    file.write_text("a: 1   # old\n")
-    assert comment_at(file, 1) == "old"
-    file.write_text("a: 1   # newer\n")
-    assert comment_at(file, 1) == "newer"
+    for text in ("old", "newer"):
+        file.write_text(f"a: 1   # {text}\n")
+        assert comment_at(file, 1) == text

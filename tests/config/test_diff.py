@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path
@@ -92,15 +90,15 @@ def test_the_order_of_terms_counts_only_where_it_acts(diff, edit):
 
 
 def test_a_changed_parameter_has_both_values_and_both_places(diff):
-    found = diff("stand", "stand env.rewards.height.weight=3")
+    key = "env.rewards.height.weight"
+    found = diff("stand", f"stand {key}=3")
     assert found.terms == ()
     (change,) = found.parameters
-    assert (change.kind, change.path, change.a, change.b) == ("changed", "env.rewards.height.weight", -50.0, 3)
-    assert change.where_a == "configs/task/stand.yaml:23"
-    assert change.where_b == "override env.rewards.height.weight=3"
+    assert (change.kind, change.path, change.a, change.b) == ("changed", key, -50.0, 3)
+    assert (change.where_a, change.where_b) == ("configs/task/stand.yaml:23", f"override {key}=3")
 
 
-def test_terms_added_and_removed_say_who_did_it(diff):
+def test_added_and_removed_terms_have_the_places_that_caused_it(diff):
     found = diff("stand", "task=walk")
     kinds = {change.path: (change.kind, change.where_a, change.where_b) for change in found.terms}
     assert kinds == {
@@ -128,10 +126,12 @@ def test_values_that_mean_the_same(a, b, equal):
     assert same(a, b) is equal
 
 
-def test_two_runs_of_the_same_words_are_equal(diff, make_run):
+def test_two_runs_of_the_same_words_are_equal_and_overrides_may_follow_a_run(diff, make_run):
     one, other = make_run(), make_run(minute=1)
     assert not diff(str(one.path), "latest")
     assert not diff(one.id, other.id)
+    assert not diff(one.id, f"{one.id} env.decimation=2.0")
+    assert diff(one.id, f"{one.id} env.decimation=3").parameters[0].where_b == "override env.decimation=3"
 
 
 def test_a_run_names_its_override_or_the_line_of_its_parameters(diff, make_run):
@@ -161,18 +161,10 @@ def test_the_facts_of_two_runs_are_compared(diff, make_run):
 
 
 def test_equal_files_are_equal_code_whatever_they_were_committed_as():
-    one = {"code": {"tree": "t", "commit": "a", "dirty": True}}
-    other = {"code": {"tree": "t", "commit": "b", "dirty": False}}
-    changed = {"code": {"tree": "u", "commit": "b", "dirty": False}}
-    side = lambda facts: Side("", {}, lambda path: None, facts)  # noqa: E731
-    assert compare(side(one), side(other)).facts == ()
-    assert [f.name for f in compare(side(one), side(changed)).facts] == ["tree", "commit", "dirty"]
-
-
-def test_overrides_may_follow_a_run(diff, make_run):
-    run = make_run()
-    assert not diff(run.id, f"{run.id} env.decimation=2.0")
-    assert diff(run.id, f"{run.id} env.decimation=3").parameters[0].where_b == "override env.decimation=3"
+    codes = [{"tree": "t", "commit": "a", "dirty": True}, *({"tree": t, "commit": "b", "dirty": False} for t in "tu")]
+    one, other, changed = (Side("", {}, lambda path: None, {"code": code}) for code in codes)
+    assert compare(one, other).facts == ()
+    assert [f.name for f in compare(one, changed).facts] == ["tree", "commit", "dirty"]
 
 
 @pytest.mark.parametrize(
@@ -185,25 +177,21 @@ def test_overrides_may_follow_a_run(diff, make_run):
         ("latest", ["there is no run below"]),
     ],
 )
-def test_a_wrong_side_is_told(diff, side, parts):
+def test_a_wrong_side_is_refused(diff, side, parts):
     with pytest.raises(WheellegError) as raised:
         diff("stand", side)
-    for part in parts:
-        assert part in str(raised.value)
+    assert [part for part in parts if part not in str(raised.value)] == []
 
 
-def test_the_command_ends_with_0_for_equal_and_1_for_different(stock, capsys):
+def test_the_command_ends_with_0_for_equal_and_1_for_different_and_prints_json(stock, capsys):
     assert main(["diff", "stand", "task=stand"]) == 0
     assert capsys.readouterr().out.endswith("equal by meaning\n")
     assert main(["diff", "stand", "task=walk env.rewards.height.weight=2"]) == 1
     out = capsys.readouterr().out
-    assert [line.split()[:3] for line in out.splitlines() if line.startswith("changed") and "height" in line] == [
-        ["changed", "env.rewards.height.weight", "-50.0"]
-    ]
+    changed = [line.split()[:3] for line in out.splitlines() if line.startswith("changed") and "height" in line]
+    assert changed == [["changed", "env.rewards.height.weight", "-50.0"]]
     assert main(["diff", "stand", "walkk"]) == 2
-
-
-def test_the_command_prints_json(stock, capsys):
+    capsys.readouterr()
     assert main(["diff", "stand", "stand env.decimation=3", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert (found["equal"], found["terms"], found["facts"]) == (False, [], [])

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -14,11 +12,9 @@ DOCUMENTED = '''
 import enum
 from typing import Literal
 
-
 class Shade(enum.Enum):
     LIGHT = "light"
     DARK = "dark"
-
 
 def bend(env, angle: float, side: Literal["left", "right"] = "left", shade: Shade = Shade.DARK, cfg=None):
     """How far a thing is bent, rad.
@@ -30,7 +26,6 @@ def bend(env, angle: float, side: Literal["left", "right"] = "left", shade: Shad
         side: which side bends.
     """
 
-
 class Inner:
     """Something inside a term.
 
@@ -40,7 +35,6 @@ class Inner:
 
     def __init__(self, reach: float, tight: bool = False):
         pass
-
 
 def stretch(env):
     """Not used by any file."""
@@ -78,15 +72,14 @@ def test_a_leaf_has_value_type_and_every_source_in_order(composed):
     assert explained.alternatives.type == "a number"
 
 
-def test_the_meaning_is_the_files_comment_then_the_parameters_line_then_the_terms(documented, composed):
+def test_the_meaning_is_the_comment_then_the_line_of_the_parameter_then_that_of_the_term(documented, composed):
     explained = explain_key(composed(), "env.rewards.bend.angle")
     assert [(note.text, note.about) for note in explained.meanings] == [
         ("rad, not degrees", "key"),
         ("where bending begins, rad/s.", "key"),
         ("How far a thing is bent, rad.", "term"),
     ]
-    assert explained.meanings[0].where == "configs/reward/bend.yaml:6"
-    assert explained.unit == "rad"
+    assert (explained.meanings[0].where, explained.unit) == ("configs/reward/bend.yaml:6", "rad")
     assert explain_key(composed("env.rewards.bend.angle=1"), "env.rewards.bend.angle").unit == "rad"
 
 
@@ -97,21 +90,18 @@ def test_a_key_inside_a_nested_target_is_described_by_that_target(documented, co
     assert (tight.kind, tight.value, tight.alternatives.values) == ("not set", False, (True, False))
 
 
-def test_literals_enums_and_booleans_are_counted_up(documented, composed):
+def test_literals_enums_booleans_and_targets_of_the_same_module_are_listed(documented, composed):
     config = composed()
-    assert explain_key(config, "env.rewards.bend.side").alternatives.values == ("left", "right")
-    assert explain_key(config, "env.rewards.bend.shade").alternatives.values == ("light", "dark")
-    assert explain_key(config, "env.sim.solver").alternatives.values == ("newton", "cg")
-    assert explain_key(config, "env.observations.policy.enable_corruption").alternatives.values == (True, False)
-    assert explain_key(config, "env.events.push.mode").alternatives.values == (
-        "prestartup", "startup", "reset", "interval", "step",
-    )  # fmt: skip
-
-
-def test_another_target_is_one_of_the_same_module(documented, composed):
-    values = explain_key(composed(), "env.rewards.bend._target_").alternatives.values
-    assert "documented.stretch" in values
-    assert "documented.Literal" not in values
+    for key, values in {
+        "env.rewards.bend.side": ("left", "right"),
+        "env.rewards.bend.shade": ("light", "dark"),
+        "env.sim.solver": ("newton", "cg"),
+        "env.observations.policy.enable_corruption": (True, False),
+        "env.events.push.mode": ("prestartup", "startup", "reset", "interval", "step"),
+    }.items():
+        assert explain_key(config, key).alternatives.values == values
+    targets = explain_key(config, "env.rewards.bend._target_").alternatives.values
+    assert ("documented.stretch" in targets, "documented.Literal" in targets) == (True, False)
 
 
 def test_a_parameter_that_is_not_set_has_its_default(composed):
@@ -139,48 +129,35 @@ def test_a_section_has_no_comments_of_the_sections_inside_it(composed, edit):
     assert "The solver." not in [note.text for note in explain_key(composed(), "env").meanings]
 
 
-def test_an_interpolation_shows_what_it_leads_to_and_from_where(composed):
+def test_the_references_of_an_interpolation_are_followed(composed, edit):
     explained = explain_key(composed("task=walk", "seed=${env.decimation}"), "env.num_envs")
     assert (explained.value, explained.raw) == (2, "${seed}")
     assert [(r.path, r.value, r.raw, r.where) for r in explained.references] == [
         ("seed", 2, "${env.decimation}", "override seed=${env.decimation}"),
         ("env.decimation", 2, None, "configs/task/stand.yaml:19"),
     ]
-
-
-def test_a_relative_interpolation_is_followed(composed, edit):
     edit("sim/mujoco.yaml", "dt: 0.01", "dt: 0.01\nhalf: ${.dt}\nenvs: ${..num_envs}")
-    config = composed()
-    assert [r.path for r in explain_key(config, "env.sim.half").references] == ["env.sim.dt"]
-    assert [r.path for r in explain_key(config, "env.sim.envs").references] == ["env.num_envs"]
+    for key, path in (("env.sim.half", "env.sim.dt"), ("env.sim.envs", "env.num_envs")):  # relative interpolations
+        assert [r.path for r in explain_key(composed(), key).references] == [path]
 
 
-def test_a_term_that_a_task_removed_says_so_with_what_it_was(composed):
+def test_a_removed_term_is_explained_with_its_former_values(composed):
     explained = explain_key(composed("task=walk"), "env.rewards.alive.weight")
-    assert explained.kind == "removed"
-    assert [(s.where, s.value) for s in explained.sources] == [
-        ("configs/reward/alive.yaml:3", 1.0),
-        ("configs/task/walk.yaml:12", None),
-    ]
-
-
-def test_what_an_override_deleted_says_so(composed):
+    sources = [("configs/reward/alive.yaml:3", 1.0), ("configs/task/walk.yaml:12", None)]
+    assert (explained.kind, [(s.where, s.value) for s in explained.sources]) == ("removed", sources)
     explained = explain_key(composed("~env.events.push"), "env.events.push.mode")
-    assert explained.kind == "removed"
+    assert (explained.kind, explained.sources[0].value) == ("removed", "interval")
     assert explained.sources[-1].where == "override ~env.events.push"
-    assert explained.sources[0].value == "interval"
 
 
 def test_a_term_that_a_replaced_list_dropped_names_who_replaced_it(composed):
     explained = explain_key(composed("reward@env.rewards=[alive]", "~env.rewards.height"), "env.rewards.smooth")
     assert (explained.kind, explained.option) == ("not selected", "smooth")
-    assert [choice.where for choice in explained.mount.choices] == [
-        "configs/task/stand.yaml:11",
-        "override reward@env.rewards=[alive]",
-    ]
+    places = ["configs/task/stand.yaml:11", "override reward@env.rewards=[alive]"]
+    assert [choice.where for choice in explained.mount.choices] == places
 
 
-def test_a_group_names_its_options_and_where_it_stands(composed):
+def test_a_group_is_explained_with_its_options_and_its_place(composed):
     for key in ("robot", "reward@env.rewards", "reward"):
         assert explain_key(composed(), key).kind == "group"
     robot = explain_key(composed("robot=physical"), "robot").mount
@@ -193,10 +170,8 @@ def test_a_key_that_a_group_mounts_names_the_group(composed):
     assert (section.kind, section.mount.name) == ("section", "robot")
     rewards = explain_key(composed("task=walk"), "env.rewards")
     assert rewards.mount.selected == ("alive", "height", "smooth")
-    assert [choice.where for choice in rewards.mount.choices] == [
-        "configs/task/stand.yaml:11",
-        "configs/task/walk.yaml:5",
-    ]
+    places = ["configs/task/stand.yaml:11", "configs/task/walk.yaml:5"]
+    assert [choice.where for choice in rewards.mount.choices] == places
     term = explain_key(composed(), "env.rewards.alive")
     assert (term.kind, term.option) == ("term", "alive")
     assert [note.text for note in term.meanings] == ["One while the robot is up."]
@@ -223,23 +198,19 @@ def test_an_element_of_a_list_has_the_lists_sources(composed):
         ("..", None),
     ],
 )
-def test_a_misspelt_key_is_told_with_the_nearest(composed, wrong, right):
+def test_a_misspelt_key_is_refused_with_the_nearest_key(composed, wrong, right):
     with pytest.raises(ConfigError) as raised:
         explain_key(composed(), wrong)
     assert raised.value.key == wrong
     assert raised.value.nearest == right or right is None
 
 
-def test_the_command_prints_value_unit_meaning_and_sources(documented, capsys):
+def test_the_command_prints_value_unit_meaning_and_sources_or_json(documented, capsys):
     assert main(["explain", "env.rewards.bend.angle", "env.rewards.bend.angle=1"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "env.rewards.bend.angle = 1"
-    assert lines[1].split() == ["unit", "rad"]
+    assert (lines[0], lines[1].split()) == ("env.rewards.bend.angle = 1", ["unit", "rad"])
     assert lines[-2].split() == ["configs/reward/bend.yaml:6", "0.5"]
     assert lines[-1].split() == ["override", "env.rewards.bend.angle=1", "1"]
-
-
-def test_the_command_prints_json(documented, capsys):
     assert main(["explain", "env.rewards.bend.side", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["kind"], found["default"], found["values"]) == ("not set", "left", ["left", "right"])
@@ -258,6 +229,6 @@ def test_the_command_prints_json(documented, capsys):
         (["env.robot.order"], "env.robot.order = [a, b]"),
     ],
 )
-def test_the_first_line_says_what_the_key_is(stock, capsys, words, first):
+def test_the_first_line_names_the_kind_of_the_key(stock, capsys, words, first):
     assert main(["explain", *words]) == 0
     assert capsys.readouterr().out.splitlines()[0] == first

@@ -66,17 +66,13 @@ def test_the_unit_of_a_stock_leaf(stand, key):
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("m", "m"),
-        ("s, 1/120", "s"),
-        ("k, 1/s.", "1/s"),
-        ("(rad/s)^2", "(rad/s)^2"),
+        *(("m", "m"), ("s, 1/120", "s"), ("k, 1/s.", "1/s"), ("(rad/s)^2", "(rad/s)^2"), ("", None)),
         ("velocity, m/s; clipped", "m/s"),
         ("m/s, rad/s", "m/s, rad/s"),
         ("longest episode, s: 300 control steps", "s"),
         ("N environments", None),
         ("1 unless it failed", None),
         ("share of draws that stand still", None),
-        ("", None),
     ],
 )
 def test_units_in_comments(text, unit):
@@ -88,35 +84,23 @@ def test_parameters_of_a_docstring_end_with_their_section():
     assert parameters_in(text) == {"a": "one, and more.", "b": "two."}
 
 
-def test_rsl_rls_own_parameters_have_their_defaults_words_and_lines(stand):
+def test_parameters_of_rsl_rl_names_and_the_inside_of_default_objects_are_explained(stand):
     rnd = explain_key(stand, "agent.algorithm.rnd_cfg")
     assert (rnd.kind, rnd.value) == ("not set", None)
     activation = explain_key(stand, "agent.actor.activation")
     assert {"elu", "relu", "tanh"} <= set(activation.alternatives.values)
     assert activation.alternatives.default == "elu"
     assert any("ctivation function" in note.text for note in activation.meanings)
-    assert explain_key(stand, "agent.obs_groups.actor").alternatives.values == ("policy", "critic")
-
-
-def test_terms_by_name_are_counted_up(stand):
-    assert explain_key(stand, "env.rewards.track_ang_vel_z.command_name").alternatives.values == ("base_velocity",)
-    entity = explain_key(stand, "env.rewards.wheel_air.sensor_cfg.name")
-    assert entity.alternatives.values == ("robot", "contact_forces")
-
-
-def test_what_is_inside_a_default_object_is_known(stand):
-    name = explain_key(stand, "env.events.reset_base.asset_cfg.name")
+    for key, values in {
+        "agent.obs_groups.actor": ("policy", "critic"),
+        "env.rewards.track_ang_vel_z.command_name": ("base_velocity",),
+        "env.rewards.wheel_air.sensor_cfg.name": ("robot", "contact_forces"),
+    }.items():
+        assert explain_key(stand, key).alternatives.values == values
+    name, joints = (explain_key(stand, f"env.events.reset_base.asset_cfg.{key}") for key in ("name", "joint_names"))
     assert (name.kind, name.value) == ("not set", "robot")
-    joints = explain_key(stand, "env.events.reset_base.asset_cfg.joint_names")
-    assert (joints.value, joints.meanings[0].text) == (
-        None,
-        "joint expressions; null is all. Once resolved, the names.",
-    )
-
-
-def test_the_keys_of_a_play_are_explained():
-    explained = explain_key(compose(primary="play"), "play.settle_s")
-    assert (explained.value, explained.sources[0].where.endswith("configs/play.yaml:4")) == (1.0, True)
+    text = "joint expressions; null is all. Once resolved, the names."
+    assert (joints.value, joints.meanings[0].text) == (None, text)
 
 
 def test_every_field_of_a_manager_and_every_fixed_key_has_a_meaning():
@@ -136,7 +120,9 @@ def test_the_defaults_of_the_managers_fields_are_what_the_managers_do():
             assert f'fields.get("{name}", {default!r})' in code
 
 
-def test_a_key_that_nothing_reads_has_no_slot():
+def test_a_key_of_play_is_explained_and_a_key_that_nothing_reads_has_no_slot():
+    explained = explain_key(compose(primary="play"), "play.settle_s")
+    assert (explained.value, explained.sources[0].where.endswith("configs/play.yaml:4")) == (1.0, True)
     tree = compose(["task=stand"]).config
     assert known.slot(tree, ("env", "rewards", "alive", "nothing")) is None
     assert known.slot(tree, ("nothing",)) is None

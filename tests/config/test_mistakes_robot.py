@@ -55,7 +55,7 @@ def told(_own_cache: None) -> dict[str, dict[str, object]]:
 
 
 @pytest.mark.parametrize("override", WRONG)
-def test_a_wrong_name_is_told_with_key_place_and_nearest_name(override, told):
+def test_a_wrong_name_is_reported_with_key_place_and_nearest_name(override, told):
     message, nearest, *other = WRONG[override]
     key = other[0] if other else override.split("=")[0].lstrip("+")
     assert message in str(told[key]["message"])
@@ -77,14 +77,24 @@ def test_a_wrong_name_is_told_with_key_place_and_nearest_name(override, told):
         ("env.robot.joint_order=[l01,r01,l02,r02,l03,r3]", "no joint 'r3'"),
         ("env.robot.actuators.wheels.joint_names_expr=['.*0[23]$']", "is driven by both"),
         ("env.robot.asset=nowhere/robot.usda", "there is no file"),
+        ("env.robot.init_state.rot=[1,0,0]", "expected 4 finite numbers"),
+        ("env.robot.init_state.rot=[0,0,0,0]", "not all zero"),
+        ("env.robot.init_state.pos=[0,0]", "expected 3 finite numbers"),
+        ("env.events.push_robot.interval_range_s=[10,5]", "expected [low, high]"),
+        ("env.rewards.alive._target_=wheelleg_exp.mdp.terminations.time_out", "is a term of terminations"),
+        ("env.robot.actuators.legs=null", "no actuator drives l01, r01, l02, r02"),
+        ("run.name=a/b", "run.name: 'a/b'"),
+        ("recording.env_ids=[600]", "from 0 to 511"),
+        ("recording.env_ids=[1,1]", "each once"),
+        ("agent.obs_groups.actor=[policy,policy]", "names a group twice"),
+        ("check.silence.spawn_height=", "has no reason"),
     ],
 )
-def test_the_robot_section_is_held_against_the_robot(override, words, capsys):
+def test_a_value_that_no_robot_manager_or_training_accepts_is_reported_with_its_place(override, words, capsys):
     assert main(["check", "task=stand", override]) == 2
     message = capsys.readouterr().err
-    assert override.split("=")[0] in message
     assert words in message
-    assert f"override {override}" in message
+    assert ("configs/action/leg_pos.yaml" if "legs=null" in override else f"override {override}") in message
 
 
 def test_every_robot_of_the_stock_configs_is_free_of_mistakes(capsys):
@@ -100,14 +110,12 @@ def test_names_of_an_mjcf_are_breadth_first(tmp_path: Path):
         '<body name="r1"><joint name="jr1"/></body></body></worldbody></mujoco>'
     )
     names = names_in_mjcf(file)
-    assert names.bodies == ["root", "l1", "r1", "l2"]
-    assert names.joints == ["jl1", "jr1", "jl2"]
+    assert (names.bodies, names.joints) == (["root", "l1", "r1", "l2"], ["jl1", "jr1", "jl2"])
 
 
-def test_each_expression_of_a_list_is_told():
+def test_each_wrong_expression_of_a_list_is_reported():
     found, errors = match_all(["l1", "x.*", "y"], NAMES.joints, "key", "joint")
-    assert found == []
-    assert [error.message.split("'")[1] for error in errors] == ["x.*", "y"]
+    assert (found, [error.message.split("'")[1] for error in errors]) == ([], ["x.*", "y"])
 
 
 @pytest.mark.parametrize(("names", "told"), [(["l1", "r1"], 0), (["r1", "l1"], 1), ([".*"], 0), (["l.*", "r1"], 1)])
@@ -131,30 +139,7 @@ def test_a_sensor_offers_only_the_bodies_that_it_senses():
     assert "has no joints" in check_robot(config, NAMES)[0].message
 
 
-@pytest.mark.parametrize(
-    ("override", "told"),
-    [
-        ("env.robot.init_state.rot=[1,0,0]", "expected 4 finite numbers"),
-        ("env.robot.init_state.rot=[0,0,0,0]", "not all zero"),
-        ("env.robot.init_state.pos=[0,0]", "expected 3 finite numbers"),
-        ("env.events.push_robot.interval_range_s=[10,5]", "expected [low, high]"),
-        ("env.rewards.alive._target_=wheelleg_exp.mdp.terminations.time_out", "is a term of terminations"),
-        ("env.robot.actuators.legs=null", "no actuator drives l01, r01, l02, r02"),
-        ("run.name=a/b", "run.name: 'a/b'"),
-        ("recording.env_ids=[600]", "from 0 to 511"),
-        ("recording.env_ids=[1,1]", "each once"),
-        ("agent.obs_groups.actor=[policy,policy]", "names a group twice"),
-        ("check.silence.spawn_height=", "has no reason"),
-    ],
-)
-def test_a_value_that_no_robot_manager_or_training_accepts(capsys, override, told):
-    assert main(["check", override]) == 2
-    message = capsys.readouterr().err
-    assert told in message
-    assert f"override {override}" in message or "configs/action/leg_pos.yaml" in message
-
-
-def test_a_camera_that_would_draw_too_many_environments_is_told(capsys):
+def test_a_camera_that_would_draw_too_many_environments_is_refused(capsys):
     camera = "+sensor@env.scene.sensors=camera"
     assert main(["check", camera, "env.num_envs=17"]) == 2
     assert "sensors.camera.max_num_envs: 17 environments" in (message := capsys.readouterr().err)

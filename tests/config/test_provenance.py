@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from omegaconf import OmegaConf
 from small_tree import replayed
@@ -43,14 +41,14 @@ def test_the_source_of_a_users_term_is_the_users_file(composed, user):
     assert config.provenance["env.rewards.bounce.weight"].file == user / "reward" / "bounce.yaml"
 
 
-def test_every_leaf_of_a_file_has_a_line_that_holds_its_key(composed):
+def test_every_leaf_of_a_file_has_the_line_that_contains_its_key(composed):
     config = composed("task=walk")
     for path, source in config.provenance.items():
         text = source.file.read_text().splitlines()[source.line - 1]
         assert path.rstrip("]").rsplit(".", 1)[-1].split("[")[-1] in text
 
 
-def test_an_override_tells_what_it_hides_oldest_first(composed):
+def test_an_override_lists_the_values_that_it_hides_oldest_first(composed):
     source = composed("env.rewards.height.weight=-3").provenance["env.rewards.height.weight"]
     assert source.where == "override env.rewards.height.weight=-3"
     assert [(s.value, s.where) for s in source.shadowed] == [
@@ -69,8 +67,7 @@ def test_a_deleted_leaf_is_known_with_the_override_that_deleted_it(composed):
     provenance = composed("~env.events.push").provenance
     assert "env.events.push.mode" not in provenance
     deleted = provenance.deleted["env.events.push.mode"]
-    assert deleted.override == "~env.events.push"
-    assert deleted.shadowed[0].where == "configs/event/push.yaml:3"
+    assert (deleted.override, deleted.shadowed[0].where) == ("~env.events.push", "configs/event/push.yaml:3")
 
 
 @pytest.mark.parametrize(
@@ -86,7 +83,7 @@ def test_the_place_of_a_key(composed, path, where):
     assert composed().provenance.where(path) == f"configs/{where}"
 
 
-def test_anchors_and_merge_keys_have_the_lines_of_what_they_stand_for(composed, edit):
+def test_anchors_and_merge_keys_have_the_lines_of_the_values_that_they_copy(composed, edit):
     edit("reward/alive.yaml", "base: &base\n  weight: 2.0\nalive:\n  <<: *base\n  _target_: shelf_terms.alive\n")
     config = composed()
     assert config.provenance["env.rewards.alive.weight"].line == 2

@@ -80,7 +80,7 @@ def test_every_leaf_of_a_primary_is_hydras(primary, words):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_leaf_stands_at_its_line_with_its_value(task):
+def test_the_line_of_a_leaf_contains_its_value(task):
     places = compose_raw([f"task={task}"])
     assert configs_dir() / "reward" / "alive.yaml" in {source.file for source in places.values()}
     for path, source in places.items():

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import textwrap
 
 import pytest
@@ -18,7 +16,7 @@ def folder(tmp_path, name="mine", **files):
     return small_tree.write(tmp_path / name / "configs", files)
 
 
-def test_a_file_that_says_so_takes_the_stock_ones_place(tmp_path):
+def test_a_marked_file_replaces_the_stock_file_in_configs_and_lists(tmp_path):
     mine = folder(tmp_path, **{"reward/alive.yaml": MARKED})
     composed = compose(config_dirs=[mine])
     assert composed.config["env"]["rewards"]["alive"]["weight"] == 7.0
@@ -26,6 +24,10 @@ def test_a_file_that_says_so_takes_the_stock_ones_place(tmp_path):
     # The replacement does not change the order of the terms.
     assert list(composed.config["env"]["rewards"]) == ["alive", "height"]
     assert compose().config["env"]["rewards"]["alive"]["weight"] == 1.0
+    # The same folder twice does not hide the file.
+    assert compose(config_dirs=[mine, mine]).config["env"]["rewards"]["alive"]["weight"] == 7.0
+    (alive,) = [entry for entry in catalog.options("reward", [mine]) if entry.name == "alive"]
+    assert (alive.file, alive.help) == (mine / "reward" / "alive.yaml", "Worth more.")
 
 
 @pytest.mark.parametrize("text", [ALIVE, f"{ALIVE}# @replaces reward/alive\n"], ids=["no mark", "a mark below"])
@@ -37,7 +39,7 @@ def test_a_file_of_the_same_name_without_a_mark_at_its_top_is_an_error(tmp_path,
     assert "'# @replaces reward/alive'" in str(caught.value)
 
 
-def test_a_replaced_task_brings_its_own_defaults_list_and_package(tmp_path):
+def test_a_replaced_task_has_its_own_defaults_list_and_package(tmp_path):
     text = """
         # @package _global_
         # @replaces task/stand
@@ -51,12 +53,11 @@ def test_a_replaced_task_brings_its_own_defaults_list_and_package(tmp_path):
         env: {num_envs: 3}
     """
     config = compose(config_dirs=[folder(tmp_path, **{"task/stand.yaml": text})]).config
-    assert config["env"]["num_envs"] == 3
-    assert list(config["env"]["rewards"]) == ["smooth"]
+    assert (config["env"]["num_envs"], list(config["env"]["rewards"])) == (3, ["smooth"])
     assert config["env"]["robot"]["asset"] == "real.usda"
 
 
-def test_a_replaced_file_is_replaced_for_who_builds_on_it_too(tmp_path):
+def test_a_replaced_file_is_replaced_for_the_tasks_that_extend_it_too(tmp_path):
     text = "# @package env.robot\n# @replaces robot/article\nasset: new.usda\n"
     mine = folder(tmp_path, **{"robot/article.yaml": text})
     assert compose(["task=walk"], config_dirs=[mine]).config["env"]["robot"] == {"asset": "new.usda"}
@@ -73,8 +74,8 @@ def test_a_mark_names_the_file_itself(mark, tmp_path):
     mine = folder(tmp_path, **{"reward/alive.yaml": f"# Worth more.\n{mark}\n{ALIVE}"})
     with pytest.raises(ConfigError, match="can only replace a file of its own name") as caught:
         compose(config_dirs=[mine])
-    assert caught.value.where == "mine/configs/reward/alive.yaml:2"
-    assert caught.value.expected == "'# @replaces reward/alive'"
+    error = caught.value
+    assert (error.where, error.expected) == ("mine/configs/reward/alive.yaml:2", "'# @replaces reward/alive'")
 
 
 def test_a_mark_without_anything_to_replace_is_an_error(tmp_path):
@@ -91,15 +92,3 @@ def test_of_two_folders_only_one_file_can_replace_a_stock_file(tmp_path, text, s
     with pytest.raises(ConfigError, match=said) as caught:
         compose(config_dirs=folders)
     assert caught.value.where == f"yours/configs/reward/{where}"
-
-
-def test_the_same_folder_twice_hides_nothing(tmp_path):
-    mine = folder(tmp_path, **{"reward/alive.yaml": MARKED})
-    assert compose(config_dirs=[mine, mine]).config["env"]["rewards"]["alive"]["weight"] == 7.0
-
-
-def test_lists_show_the_file_that_is_read(tmp_path):
-    mine = folder(tmp_path, **{"reward/alive.yaml": MARKED})
-    (alive,) = [entry for entry in catalog.options("reward", [mine]) if entry.name == "alive"]
-    assert alive.file == mine / "reward" / "alive.yaml"
-    assert alive.help == "Worth more."

@@ -1,7 +1,5 @@
 """``gymnasium.make``: Gymnasium's own checker, spaces, seeds, and an environment that never resets itself."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings
@@ -57,22 +55,18 @@ def test_gymnasiums_checker_finds_nothing_but_missing_bounds(env):
     assert [text for text in said if not any(known in text for known in ABOUT_BOUNDS)] == []
 
 
-def test_spaces_are_float32_vectors_by_group(env):
+def test_spaces_are_float32_vectors_by_group_and_observations_are_copies_inside_them(env):
     assert {group: box.shape for group, box in env.observation_space.items()} == {"policy": (135,), "critic": (180,)}
     boxes = [*env.observation_space.values(), env.action_space]
-    assert {box.dtype for box in boxes} == {np.dtype(np.float32)}
-    assert env.action_space.shape == (6,)
-
-
-def test_observations_lie_in_their_space_and_are_the_callers_own(env):
+    assert ({box.dtype for box in boxes}, env.action_space.shape) == ({np.dtype(np.float32)}, (6,))
     first, info = env.reset(seed=0)
     assert info == {}
     assert env.observation_space.contains(first)
-    kept = {group: value.copy() for group, value in first.items()}
+    before = {group: value.copy() for group, value in first.items()}
     second, reward, terminated, truncated, _ = env.step(np.zeros(6, np.float32))
     assert env.observation_space.contains(second)
     assert [type(x) for x in (reward, terminated, truncated)] == [float, bool, bool]
-    assert all(np.array_equal(first[group], kept[group]) for group in kept)
+    assert all(np.array_equal(first[group], before[group]) for group in before)
 
 
 def test_the_same_seed_gives_the_same_episode_again_and_elsewhere(env):
@@ -82,10 +76,9 @@ def test_the_same_seed_gives_the_same_episode_again_and_elsewhere(env):
     assert not same(first, rollout(env, 6))
 
 
-def test_a_reset_without_a_seed_goes_on_with_the_streams(env):
+def test_a_reset_without_a_seed_continues_the_random_streams(env):
     env.reset(seed=1)
-    one = env.reset()[0]["policy"]
-    two = env.reset()[0]["policy"]
+    one, two = (env.reset()[0]["policy"] for _ in range(2))
     assert not np.array_equal(one, two)
     env.reset(seed=1)
     assert np.array_equal(env.reset()[0]["policy"], one)
@@ -95,8 +88,7 @@ def test_it_never_resets_by_itself():
     env = make(overrides=["env.episode_length_s=0.1"])  # 6 steps
     env.reset(seed=0)
     ended = [env.step(np.zeros(6, np.float32))[2:4] for _ in range(10)]
-    assert ended == [(False, k >= 5) for k in range(10)]
-    assert env.unwrapped.env.episode_length_buf.tolist() == [10]
+    assert (ended, env.unwrapped.env.episode_length_buf.tolist()) == ([(False, k >= 5) for k in range(10)], [10])
     env.reset()
     assert env.unwrapped.env.episode_length_buf.tolist() == [0]
 
@@ -115,21 +107,13 @@ def test_a_robot_that_fell_stays_on_the_ground(env):
     assert upright[2] > -0.9
 
 
-def test_task_and_overrides_are_composed():
+def test_stock_and_user_tasks_and_overrides_are_composed_and_an_unknown_task_is_refused(tmp_path):
     env = make(task="stand", overrides=["env.episode_length_s=0.5", "env.observations.policy.history_length=2"])
-    assert env.unwrapped.env.max_episode_length == 30
-    assert env.observation_space["policy"].shape == (54,)
-
-
-def test_a_users_own_task_is_found(tmp_path):
+    assert (env.unwrapped.env.max_episode_length, env.observation_space["policy"].shape) == (30, (54,))
     (tmp_path / "task").mkdir()
     text = "# @package _global_\ndefaults: [stand, _self_]\ntask: {name: mine}\nenv: {episode_length_s: 0.2}\n"
     (tmp_path / "task" / "mine.yaml").write_text(text)
-    env = make(task="mine", config_dirs=[tmp_path])
-    assert env.unwrapped.env.max_episode_length == 12
-
-
-def test_an_unknown_task_is_told_with_the_nearest():
+    assert make(task="mine", config_dirs=[tmp_path]).unwrapped.env.max_episode_length == 12
     with pytest.raises(ConfigError) as caught:
         gymnasium.make(ENV_ID, task="stnd")
     assert (caught.value.key, caught.value.nearest) == ("task", "stand")
@@ -145,14 +129,13 @@ def test_an_unknown_task_is_told_with_the_nearest():
         ("env.observations.policy.concatenate_terms=false", "env.observations.policy.concatenate_terms"),
     ],
 )
-def test_a_wrong_override_is_told(override, key):
+def test_a_wrong_override_is_reported_with_its_key(override, key):
     with pytest.raises(ConfigError if "asset" not in key else Exception) as caught:
         gymnasium.make(ENV_ID, overrides=[override])
-    assert caught.value.key == key
-    assert override in str(caught.value.where)
+    assert (caught.value.key, override in str(caught.value.where)) == (key, True)
 
 
-def test_one_override_and_one_config_folder_may_be_texts(tmp_path):
+def test_one_override_and_one_config_folder_can_be_strings(tmp_path):
     (tmp_path / "reward").mkdir()
     (tmp_path / "reward" / "own.yaml").write_text("own: {_target_: wheelleg_exp.mdp.rewards.is_alive, weight: 3.0}\n")
     for folder in (str(tmp_path), tmp_path):
@@ -162,10 +145,11 @@ def test_one_override_and_one_config_folder_may_be_texts(tmp_path):
         gymnasium.make(ENV_ID, overrides="env.num_envs=8")
 
 
-def test_registering_again_changes_nothing():
+def test_registering_again_changes_nothing_and_the_id_can_name_the_package():
     before = gymnasium.spec(ENV_ID)
     register()
     assert gymnasium.spec(ENV_ID) is before
+    assert gymnasium.make(f"wheelleg_exp:{ENV_ID}", overrides=ONE_THREAD).spec.id == ENV_ID
 
 
 @pytest.mark.parametrize(
@@ -181,12 +165,7 @@ def test_importing_the_package_registers_it_and_imports_little(code):
     subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
 
 
-def test_gymnasium_imports_the_package_that_the_id_names(monkeypatch):
-    made = gymnasium.make(f"wheelleg_exp:{ENV_ID}", overrides=ONE_THREAD)
-    assert made.spec.id == ENV_ID
-
-
-def test_whose_numbers_were_not_finite_is_told(env):
+def test_the_source_of_nan_is_named(env):
     env.reset(seed=0)
     *_, terminated, _, info = env.step(np.full(6, np.nan, np.float32))
     assert terminated
@@ -196,7 +175,7 @@ def test_whose_numbers_were_not_finite_is_told(env):
     assert info["log"]["Episode_Reward/alive"] == 0.0  # the failed step has no reward
 
 
-def test_a_reset_tells_what_the_managers_say_of_the_episode_that_was_left(env):
+def test_a_reset_returns_the_log_of_the_last_episode(env):
     _, info = env.reset(seed=0)
     rewards = [env.step(action)[1] for action in actions(5)]
     _, info = env.reset()
@@ -206,19 +185,18 @@ def test_a_reset_tells_what_the_managers_say_of_the_episode_that_was_left(env):
 
 
 @pytest.mark.parametrize(("bound", "high"), [(2, [2] * 6), ([1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6])])
-def test_actions_may_have_bounds(bound, high):
+def test_actions_can_have_bounds(bound, high):
     space = make(action_bound=bound).action_space
-    assert (space.high.tolist(), space.low.tolist()) == (high, [-x for x in high])
-    assert space.dtype == np.float32
+    assert (space.high.tolist(), space.low.tolist(), space.dtype) == (high, [-x for x in high], np.float32)
 
 
-def test_actions_beyond_the_bound_are_simulated_as_they_are(env):
+def test_actions_beyond_the_bound_are_simulated_unchanged(env):
     bounded = make(action_bound=0.1)
     assert same(rollout(bounded, 5), rollout(env, 5))
 
 
 @pytest.mark.parametrize("bound", [0, -1.0, float("inf"), float("nan"), [1, 2], "wide", "2", True])
-def test_a_bound_that_is_none_is_told(bound):
+def test_an_invalid_bound_is_refused(bound):
     with pytest.raises(ConfigError, match="a number above 0, 6 such numbers, or None") as caught:
         make(action_bound=bound)
     assert caught.value.key == "action_bound"

@@ -100,7 +100,7 @@ def actions_of(round_):
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_everything_is_laid_out_as_gymnasium_does_it(mode):
+def test_everything_has_the_layout_of_gymnasium(mode):
     ours = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode=mode)
     batch = Batch(next_step=mode is AutoresetMode.NEXT_STEP)
     theirs = SyncVectorEnv([lambda row=row: Row(batch, row, ours) for row in range(N)], autoreset_mode=mode)
@@ -133,7 +133,7 @@ def test_everything_is_laid_out_as_gymnasium_does_it(mode):
     assert seen == wanted | {f"_{key}" for key in wanted}
 
 
-def test_a_step_that_only_waits_counts_for_nothing():
+def test_a_step_that_only_resets_is_not_counted():
     """With ``next_step`` the managers log the rewards that the environment returned."""
     env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode="next_step")
     env.reset(seed=0)
@@ -153,7 +153,7 @@ def test_a_step_that_only_waits_counts_for_nothing():
     assert checked > 1
 
 
-def test_a_partial_reset_leaves_the_others_as_they_are():
+def test_a_partial_reset_does_not_change_the_other_environments():
     noisy = [*OVERRIDES, "env.observations.policy.enable_corruption=true"]
     env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=noisy, autoreset_mode="disabled")
     env.reset(seed=0)
@@ -164,8 +164,7 @@ def test_a_partial_reset_leaves_the_others_as_they_are():
     for group in before:
         np.testing.assert_array_equal(after[group][~mask], before[group][~mask])
         assert (after[group][mask] != before[group][mask]).any(axis=1).all()
-    assert infos["_log"].tolist() == mask.tolist()
-    assert env.unwrapped.env.episode_length_buf.tolist() == [5, 0, 5, 0]
+    assert (infos["_log"].tolist(), env.unwrapped.env.episode_length_buf.tolist()) == (mask.tolist(), [5, 0, 5, 0])
     gravity = env.step(actions_of(9))[0]["policy"][:, 15:30].reshape(N, 5, 3)
     np.testing.assert_array_equal(gravity[~mask][:, :4], before["policy"][~mask][:, 15:30].reshape(2, 5, 3)[:, 1:])
 
@@ -173,13 +172,11 @@ def test_a_partial_reset_leaves_the_others_as_they_are():
 @pytest.mark.parametrize(
     ("mask", "error"),
     [
-        ([True] * N, TypeError),
-        (np.ones(N, int), TypeError),
-        (np.ones(N + 1, bool), ValueError),
-        (np.zeros(N, bool), ValueError),
+        *(([True] * N, TypeError), (np.ones(N, int), TypeError)),
+        *((np.ones(N + 1, bool), ValueError), (np.zeros(N, bool), ValueError)),
     ],
 )
-def test_what_is_no_mask_is_refused_as_gymnasium_does(mask, error):
+def test_an_invalid_mask_is_refused_as_by_gymnasium(mask, error):
     for env in (
         gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode="disabled"),
         gymnasium.make_vec("CartPole-v1", num_envs=N, vectorization_mode="sync"),
@@ -189,14 +186,10 @@ def test_what_is_no_mask_is_refused_as_gymnasium_does(mask, error):
             env.reset(options={"reset_mask": mask})
 
 
-def test_a_seed_for_some_environments_alone_is_not_passed_over():
-    env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=OVERRIDES, autoreset_mode="disabled")
+def test_without_autoreset_a_seed_for_some_environments_and_a_step_after_the_end_are_refused():
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=["env.episode_length_s=0.05"], autoreset_mode="disabled")
     with pytest.raises(ValueError, match="a seed is for a reset of all"):
         env.reset(seed=0, options={"reset_mask": np.array([True, False])})
-
-
-def test_without_autoreset_a_step_of_what_is_done_is_refused():
-    env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=["env.episode_length_s=0.05"], autoreset_mode="disabled")
     env.reset(seed=0)
     for _ in range(3):
         env.step(np.zeros((2, 6), np.float32))

@@ -1,7 +1,5 @@
 """``gymnasium.make_vec``: batched spaces, seeds, logs, and modes of autoreset; test_sync_layout checks the layout."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -27,21 +25,17 @@ def actions(count):
     return np.random.default_rng(0).uniform(-1.0, 1.0, (count, N, 6)).astype(np.float32)
 
 
-def test_it_is_the_projects_own_vector_env(env):
-    assert type(env.unwrapped).__name__ == "WheellegVectorEnv"
-    assert isinstance(env, VectorEnv)
+def test_it_is_a_vector_env_with_batched_float32_spaces(env):
+    assert (type(env.unwrapped).__name__, isinstance(env, VectorEnv)) == ("WheellegVectorEnv", True)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    assert env.num_envs == N
-
-
-def test_spaces_are_batched_float32(env):
+    assert (env.num_envs, *map(env.unwrapped.call, ("render_mode", "render"))) == (N, (None,) * N, (None,) * N)
     assert {g: b.shape for g, b in env.observation_space.items()} == {"policy": (N, 135), "critic": (N, 180)}
     assert {g: b.shape for g, b in env.single_observation_space.items()} == {"policy": (135,), "critic": (180,)}
     assert (env.action_space.shape, env.single_action_space.shape) == ((N, 6), (6,))
     assert env.action_space.dtype == env.observation_space["policy"].dtype == np.float32
 
 
-def test_what_a_step_returns_fits_the_spaces(env):
+def test_the_results_of_a_step_fit_the_spaces_and_are_copies(env):
     observations, infos = env.reset(seed=0)
     assert infos == {}
     assert env.observation_space.contains(observations)
@@ -49,18 +43,14 @@ def test_what_a_step_returns_fits_the_spaces(env):
     assert env.observation_space.contains(observations)
     assert (rewards.shape, rewards.dtype.kind) == ((N,), "f")
     assert (terminated.shape, terminated.dtype, truncated.dtype) == ((N,), np.bool_, np.bool_)
-
-
-def test_results_of_a_step_are_the_callers_own(env):
-    env.reset(seed=0)
-    kept = env.step(np.zeros((N, 6), np.float32))[:4]
-    copies = [kept[0]["policy"].copy(), *(x.copy() for x in kept[1:])]
+    results = [observations["policy"], rewards, terminated, truncated]
+    copies = [result.copy() for result in results]
     for _ in range(40):
         env.step(np.ones((N, 6), np.float32))
-    assert all(np.array_equal(a, b) for a, b in zip([kept[0]["policy"], *kept[1:]], copies, strict=True))
+    assert same(results, copies)
 
 
-def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
+def test_the_first_observation_contains_nothing_of_the_last_episode(env):
     env.reset(seed=3)
     for action in actions(200):
         observations, _, terminated, _, infos = env.step(action)
@@ -74,7 +64,7 @@ def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
     assert not (infos["final_obs"][terminated][0]["policy"][95:125] == 0).all()
 
 
-def test_time_outs_are_truncations_and_the_managers_log_comes_with_the_resets_alone():
+def test_time_outs_are_truncations_and_only_resets_have_the_log_of_the_managers():
     env = make("env.episode_length_s=0.1")
     env.reset(seed=0)
     steps = [env.step(np.zeros((N, 6), np.float32)) for _ in range(12)]
@@ -107,21 +97,15 @@ def test_the_same_seed_gives_the_same_episodes_again_and_elsewhere(env):
     assert not same(first, rollout(env, 6))
 
 
-@pytest.mark.parametrize("seed", [[], [1, 2, 3, 4]])
-def test_a_seed_for_each_environment_is_not_passed_over(env, seed):
-    with pytest.raises(ValueError, match="one seed"):
-        env.reset(seed=seed)
-
-
-def test_no_environments_at_all_are_refused():
-    with pytest.raises(ConfigError, match=r"env\.num_envs"):
-        gymnasium.make_vec(ENV_ID, num_envs=0)
-
-
-def test_actions_of_another_shape_are_refused(env):
+def test_several_seeds_actions_of_another_shape_and_zero_environments_are_refused(env):
+    for seed in ([], [1, 2, 3, 4]):
+        with pytest.raises(ValueError, match="one seed"):
+            env.reset(seed=seed)
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"expected \(4, 6\)"):
         env.step(np.zeros((N, 5), np.float32))
+    with pytest.raises(ConfigError, match=r"env\.num_envs"):
+        gymnasium.make_vec(ENV_ID, num_envs=0)
 
 
 def test_gymnasiums_own_batching_works_too():
@@ -131,7 +115,7 @@ def test_gymnasiums_own_batching_works_too():
     env.step(np.zeros((2, 6), np.float32))
 
 
-def test_whose_numbers_were_not_finite_is_told(env):
+def test_the_source_of_nan_is_named_for_its_environment(env):
     env.reset(seed=0)
     wrong = np.zeros((N, 6), np.float32)
     wrong[2, 1] = np.nan
@@ -154,7 +138,7 @@ def test_whose_numbers_were_not_finite_is_told(env):
         (AutoresetMode.DISABLED, AutoresetMode.DISABLED),
     ],
 )
-def test_the_mode_of_autoreset_is_said_where_wrappers_look(given, mode):
+def test_the_mode_of_autoreset_is_where_wrappers_read_it(given, mode):
     env = gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode=given, overrides=ONE_THREAD)
     assert env.metadata["autoreset_mode"] is mode
     assert env.unwrapped.autoreset_mode is mode  # TorchRL reads this attribute of SyncVectorEnv
@@ -162,12 +146,7 @@ def test_the_mode_of_autoreset_is_said_where_wrappers_look(given, mode):
 
 
 @pytest.mark.parametrize("mode", ["next_stp", ["next_step"]])
-def test_an_unknown_mode_of_autoreset_is_told_with_the_nearest(mode):
+def test_an_unknown_mode_of_autoreset_is_refused_with_the_nearest(mode):
     with pytest.raises(ConfigError, match="same_step, next_step, disabled") as caught:
         gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode=mode)
     assert (caught.value.key, caught.value.nearest) == ("autoreset_mode", "next_step")
-
-
-def test_each_environment_is_asked_as_gymnasiums_own_are(env):
-    assert env.unwrapped.call("render_mode") == (None,) * N
-    assert env.unwrapped.call("render") == (None,) * N

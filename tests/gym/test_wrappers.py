@@ -1,7 +1,5 @@
 """Gymnasium's own wrappers around both environments: they take them, and what they compute is what they should."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium
@@ -40,13 +38,6 @@ def ignoring_precision(make_it):
         return make_it()
 
 
-def test_observations_are_filtered_and_flattened():
-    env = flat(make())
-    assert env.observation_space.shape == (135,)
-    observation, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(observation, make().reset(seed=0)[0]["policy"])
-
-
 def test_actions_are_clipped_and_rescaled_to_the_bound():
     plain, clipped = make(), wrappers.ClipAction(make(action_bound=0.5))
     rescaled = ignoring_precision(lambda: wrappers.RescaleAction(make(action_bound=0.5), -1.0, 1.0))
@@ -58,7 +49,10 @@ def test_actions_are_clipped_and_rescaled_to_the_bound():
     np.testing.assert_array_equal(rescaled.step(np.clip(wide, -0.5, 0.5) / 0.5)[0]["policy"], expected)
 
 
-def test_observations_and_rewards_are_normalized():
+def test_observations_are_filtered_flattened_and_normalized():
+    env = flat(make())
+    assert env.observation_space.shape == (135,)
+    np.testing.assert_array_equal(env.reset(seed=0)[0], make().reset(seed=0)[0]["policy"])
     env = wrappers.NormalizeReward(wrappers.NormalizeObservation(flat(make())))
     env.reset(seed=0)
     rows = [env.step(np.zeros(6, np.float32))[0] for _ in range(12)]
@@ -70,13 +64,12 @@ def test_episodes_are_counted_and_limited():
     env = wrappers.RecordEpisodeStatistics(wrappers.TimeLimit(make(), 5))
     env.reset(seed=0)
     steps = [env.step(np.zeros(6, np.float32)) for _ in range(5)]
-    assert [step[3] for step in steps] == [False] * 4 + [True]
-    assert steps[-1][4]["episode"]["l"] == 5
+    assert ([step[3] for step in steps], steps[-1][4]["episode"]["l"]) == ([False] * 4 + [True], 5)
     assert steps[-1][4]["episode"]["r"] == pytest.approx(sum(step[1] for step in steps))
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_batchs_episodes_are_counted(mode):
+def test_the_episodes_of_a_batch_are_counted_and_a_partial_reset_restarts_its_counts(mode):
     env = vector.RecordEpisodeStatistics(make_vec(mode))
     env.reset(seed=0)
     returns = np.zeros(N)
@@ -91,9 +84,6 @@ def test_a_batchs_episodes_are_counted(mode):
             returns[:] = 0
     second = 23 if mode == "same_step" else 24  # one step between episodes
     assert lengths == [(11, [12] * N), (second, [12] * N)]
-
-
-def test_a_partial_reset_is_seen_by_the_wrappers_as_well():
     env = vector.RecordEpisodeStatistics(make_vec("disabled"))
     env.reset(seed=0)
     env.step(np.zeros((N, 6), np.float32))
@@ -114,11 +104,9 @@ def test_infos_become_a_list(mode):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_actions_and_rewards_of_a_batch_are_transformed(mode):
-    plain = make_vec(mode)
-    clipped = vector.ClipAction(make_vec(mode, action_bound=0.5))
+    plain, clipped = make_vec(mode), vector.ClipAction(make_vec(mode, action_bound=0.5))
     rescaled = ignoring_precision(lambda: vector.RescaleAction(make_vec(mode, action_bound=0.5), -1.0, 1.0))
-    small = vector.ClipReward(make_vec(mode), 0.0, 0.01)
-    normal = vector.NormalizeReward(make_vec(mode))
+    small, normal = vector.ClipReward(make_vec(mode), 0.0, 0.01), vector.NormalizeReward(make_vec(mode))
     for env in (plain, clipped, rescaled, small, normal):
         env.reset(seed=0)
     wide = np.tile(np.array([9.0, -9.0, 0.25, 0.0, 0.5, -0.5], np.float32), (N, 1))
@@ -140,10 +128,9 @@ def test_observations_of_a_batch_are_transformed():
     np.testing.assert_array_equal(only.reset(seed=0)[0], plain.reset(seed=0)[0]["policy"])
 
 
-def test_gymnasiums_own_batches_hold_our_single_environments():
-    env = gymnasium.make_vec(
-        ENV_ID, num_envs=1, vectorization_mode="async", overrides=OVERRIDES, vector_kwargs={"context": "spawn"}
-    )
+def test_gymnasiums_own_batches_can_contain_our_single_environments():
+    options = {"vectorization_mode": "async", "vector_kwargs": {"context": "spawn"}}
+    env = gymnasium.make_vec(ENV_ID, num_envs=1, overrides=OVERRIDES, **options)
     try:
         assert env.reset(seed=0)[0]["policy"].shape == (1, 135)
         assert env.step(np.zeros((1, 6), np.float32))[1].shape == (1,)

@@ -1,7 +1,5 @@
 """Pixels and points of cameras, by hand, and the conventions of their frames."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

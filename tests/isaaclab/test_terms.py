@@ -1,7 +1,5 @@
 """Terms written for Isaac Lab in a real environment: bound, called, drawing from their own stream, saved."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -46,8 +44,7 @@ def lived(env, steps=7):
 def test_a_class_term_gets_its_config_and_its_parameters(make):
     env = make()
     term = env.reward_manager.get_term_cfg("smooth")
-    assert term.func.seen_weight == -0.5
-    assert term.params["scale"] == 2.0
+    assert (term.func.seen_weight, term.params["scale"]) == (-0.5, 2.0)
     env.reset()
     env.step(torch.zeros(4, 2))
     first = env.scene.robot.data.joint_vel[:, :2].clone()
@@ -60,20 +57,14 @@ def test_a_class_term_gets_its_config_and_its_parameters(make):
 
 
 @pytest.mark.parametrize(
-    ("section", "name", "parameter", "expected"),
-    [
-        ("rewards", "high", "minimum", "a number"),
-        ("rewards", "smooth", "scale", "a number"),
-        ("events", "jolt", "spread", "a number"),
-    ],
+    ("section", "name", "parameter"),
+    [("rewards", "high", "minimum"), ("rewards", "smooth", "scale"), ("events", "jolt", "spread")],
 )
-def test_a_wrong_type_is_told_though_the_env_is_imported_for_type_checkers_alone(
-    make, section, name, parameter, expected
-):
+def test_a_wrong_type_is_reported_although_only_type_checkers_import_the_env(make, section, name, parameter):
     nodes = {"rewards": REWARDS, "events": EVENTS}[section]
     with pytest.raises(ConfigError, match="right type") as caught:
         make(**{section: {name: {**nodes[name], parameter: "abc"}}})
-    assert (caught.value.key, caught.value.expected) == (f"env.{section}.{name}.{parameter}", expected)
+    assert (caught.value.key, caught.value.expected) == (f"env.{section}.{name}.{parameter}", "a number")
 
 
 def test_an_action_of_its_own_config(make):
@@ -95,7 +86,7 @@ def test_a_command_of_its_own_config(make):
     assert not term.metrics["asked"].any()
 
 
-def test_what_they_draw_comes_from_their_own_stream(make):
+def test_terms_draw_from_their_own_random_stream(make):
     with no_global_draws():
         first = lived(make(seed=1))
     torch.rand(100)
@@ -108,7 +99,7 @@ def test_what_they_draw_comes_from_their_own_stream(make):
     assert (first.scene.robot.data.root_pos_w - first.scene.env_origins)[:, 0].std() > 0.01
 
 
-def test_their_state_is_saved(make):
+def test_the_state_of_terms_is_saved(make):
     env, other = lived(make(seed=3), 9), make(seed=3)
     other.load_state_dict(env.state_dict())
     for k in range(60):
@@ -121,16 +112,12 @@ def test_their_state_is_saved(make):
 @pytest.mark.parametrize(
     ("section", "name", "change", "message"),
     [
-        (
-            "rewards",
-            "smooth",
-            {"scal": 1.0},
-            r"rewards.smooth.scal: .* takes no parameter 'scal'.*did you mean 'scale'",
-        ),
+        ("rewards", "smooth", {"scal": 1.0},
+         r"rewards.smooth.scal: .* takes no parameter 'scal'.*did you mean 'scale'"),
         ("actions", "torque", {"joint_name": "x"}, r"actions.torque.joint_name: .*did you mean 'joint_names'"),
     ],
-)
-def test_mistakes_are_told_by_key(make, section, name, change, message):
+)  # fmt: skip
+def test_mistakes_are_reported_by_key(make, section, name, change, message):
     nodes = {"rewards": REWARDS, "actions": ACTIONS, "commands": COMMANDS}[section]
     with pytest.raises(ConfigError, match=message):
         make(**{section: {**nodes, name: {**nodes[name], **change}}})

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import mujoco
 import numpy as np
@@ -38,81 +39,68 @@ def test_two_serial_legs():
     assert found.wheel_joints == ["l_axle", "r_axle"]
     left, right = found.wheels
     assert (left.side, right.side, left.sign, right.sign) == ("left", "right", 1, 1)
-    assert left.radius == pytest.approx(RADIUS)
-    assert left.width == pytest.approx(0.04)
+    assert (left.radius, left.width) == (pytest.approx(RADIUS), pytest.approx(0.04))
     assert left.contact == pytest.approx((0, TRACK / 2, -0.6 - RADIUS))
     assert [leg.joints for leg in found.legs] == [("l_hip", "l_knee"), ("r_hip", "r_knee")]
     assert (found.base, found.floating, found.forward, found.up) == ("trunk", True, (1, 0, 0), (0, 0, 1))
     assert found.support_height == pytest.approx(-0.7)
     assert (found.support_width, found.support_length) == (pytest.approx(TRACK), pytest.approx(0.0))
     assert found.one_axle
-    assert [(p.left, p.right, p.sign) for p in found.mirrored] == [
-        ("l_hip", "r_hip", 1),
-        ("l_knee", "r_knee", 1),
-        ("l_axle", "r_axle", 1),
-    ]
+    pairs = [(f"l_{name}", f"r_{name}", 1) for name in ("hip", "knee", "axle")]
+    assert [(p.left, p.right, p.sign) for p in found.mirrored] == pairs
     assert found.others == found.unmatched == ()
 
 
-def test_joints_without_limits_on_a_leg_are_no_wheels():
-    assert look(two_legged(hip="")).wheel_joints == ["l_axle", "r_axle"]
+FOOT = '<geom type="capsule" fromto="0 0 0 0 0 -0.1" size="0.02"/>'
+POINT = '<geom type="sphere" pos="0 0 -0.1" size="0.03"/>'
+DRAWN = WHEEL.replace("<geom", '<geom contype="0" conaffinity="0"')
 
 
-def test_a_leg_that_ends_without_a_wheel_has_none():
-    foot = '<geom type="capsule" fromto="0 0 0 0 0 -0.1" size="0.02"/>'
-    assert look(two_legged(hip="", wheel=foot)).wheels == ()
-    point = '<geom type="sphere" pos="0 0 -0.1" size="0.03"/>'
-    found = look(two_legged(hip="", wheel=point))
-    assert (found.wheels, found.forward, found.support_height) == ((), None, None)
+@pytest.mark.parametrize(
+    ("text", "reason"),  # a pattern of the reason why the axle is nearly a wheel; "" if the axle is nothing like one
+    [
+        (two_legged(hip="", wheel=FOOT), None),
+        # The body's mass distribution is that of a wheel.
+        (two_legged(hip="", wheel=POINT), ".*round about a line 100 mm off its axis.*"),
+        (two_legged(axle='axis="0 1 0" range="-3.1416 3.1416"'), ".*-3.142 to 3.142 rad.*"),
+        (two_legged(axle='axis="0 1 0" range="-0.5 0.5"'), ""),
+        (two_legged(wheel=DRAWN), "nothing of what it turns collides"),
+        (with_mesh(64, x=0.05), "its colliders are round about a line 50 mm off its axis"),
+    ],
+    ids=["foot", "point", "limits", "ankle", "drawn", "beside its axis"],
+)
+def test_a_leg_can_end_without_a_wheel_and_a_joint_that_is_nearly_a_wheel_has_a_reason(text, reason):
+    found = look(text)
+    assert found.wheels == ()
+    if reason is not None:
+        assert set(found.near) == ({"l_axle", "r_axle"} if reason else set())
+        assert all(re.fullmatch(reason, text) for text in found.near.values())
+
+
+def test_a_robot_on_point_feet_has_no_forward_direction():
+    found = look(two_legged(hip="", wheel=POINT))
+    assert (found.forward, found.support_height) == (None, None)
     assert found.others == ("l_hip", "l_knee", "l_axle", "r_hip", "r_knee", "r_axle")
-    # The body's mass distribution is that of a wheel.
-    assert "round about a line 100 mm off its axis" in found.near["l_axle"]
 
 
-@pytest.mark.parametrize("limits", ["-1e6 1e6", "-6.3 6.3"])
-def test_limits_of_more_than_a_turn_and_a_half_are_none(limits):
-    found = look(two_legged(axle=f'axis="0 1 0" range="{limits}"'))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-
-
-def test_a_wheel_within_limits_is_told_of():
-    found = look(two_legged(axle='axis="0 1 0" range="-3.1416 3.1416"'))
-    assert found.wheels == ()
-    assert set(found.near) == {"l_axle", "r_axle"}
-    assert "-3.142 to 3.142 rad" in found.near["l_axle"]
-
-
-def test_a_round_ankle_is_no_wheel():
-    found = look(two_legged(axle='axis="0 1 0" range="-0.5 0.5"'))
-    assert (found.wheels, found.near) == ((), {})
-
-
-def test_a_wheel_that_is_only_drawn_is_told_of():
-    drawn = WHEEL.replace("<geom", '<geom contype="0" conaffinity="0"')
-    found = look(two_legged(wheel=drawn))
-    assert found.wheels == ()
-    assert found.near == dict.fromkeys(("l_axle", "r_axle"), "nothing of what it turns collides")
+@pytest.mark.parametrize(
+    "changes", [{"hip": ""}, {"axle": 'axis="0 1 0" range="-1e6 1e6"'}, {"axle": 'axis="0 1 0" range="-6.3 6.3"'}]
+)
+def test_leg_joints_without_limits_are_not_wheels_and_very_wide_limits_of_an_axle_do_not_count(changes):
+    assert look(two_legged(**changes)).wheel_joints == ["l_axle", "r_axle"]
 
 
 @pytest.mark.parametrize("corners", [8, 64])
 def test_a_mesh_is_a_wheel_when_it_is_round(corners):
     found = look(with_mesh(corners))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.wheels[0].radius == pytest.approx(RADIUS, rel=1e-6)
+    assert (found.wheel_joints, found.wheels[0].radius) == (["l_axle", "r_axle"], pytest.approx(RADIUS, rel=1e-6))
     assert found.wheels[0].roundness == pytest.approx(math.cos(math.pi / corners), rel=0.01)
 
 
-def test_a_mesh_beside_its_axis_is_no_wheel():
-    found = look(with_mesh(64, x=0.05))
-    assert found.wheels == ()
-    assert found.near["l_axle"] == "its colliders are round about a line 50 mm off its axis"
-
-
-def test_a_square_collider_is_a_wheel_when_its_masses_say_so():
+def test_a_square_collider_is_a_wheel_if_its_mass_distribution_is_round():
     box = f'<geom type="box" size="{RADIUS} 0.02 {RADIUS}"/>'
     found = look(two_legged(wheel=box))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.wheels[0].roundness == pytest.approx(math.sqrt(0.5))
+    assert (found.wheel_joints, found.wheels[0].roundness) == (["l_axle", "r_axle"], pytest.approx(math.sqrt(0.5)))
     uneven = box.replace("/>", ' mass="1"/>') + '<geom type="sphere" size="0.02" pos="0.05 0 0" mass="1"/>'
     text = two_legged(wheel=uneven).replace('<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>', "")
     assert look(text).wheels == ()
@@ -156,23 +144,18 @@ LOOPS = """<equality>
   <connect name="close_{s}" body1="{s}_hind_shank" body2="{s}_fore_shank" anchor="0.2 0 -0.3"/></equality>"""
 
 
-def test_a_five_bar_closes_a_loop_beside_the_wheels_chain():
+def test_the_second_chain_of_a_five_bar_closes_a_loop():
     body = FIVE_BAR.format(side="l", y=0.2) + FIVE_BAR.format(side="r", y=-0.2)
     motors = "".join(f'<motor joint="{s}_{n}"/>' for s in "lr" for n in (1, 3, 4))
     found = look(mjcf(body, LOOPS.format(s="l") + LOOPS.format(s="r") + f"<actuator>{motors}</actuator>"))
     assert found.wheel_joints == ["l_3", "r_3"]
     left, right = found.legs
-    assert (left.joints, left.passive, left.beside, left.loops) == (
-        ("l_1", "l_2"),
-        ("l_2",),
-        ("l_4", "l_5"),
-        ("close_l",),
-    )
-    assert right.beside == ("r_4", "r_5")
-    assert found.others == ()
+    parts = (("l_1", "l_2"), ("l_2",), ("l_4", "l_5"), ("close_l",))
+    assert (left.joints, left.passive, left.beside, left.loops) == parts
+    assert (right.beside, found.others) == (("r_4", "r_5"), ())
 
 
-def test_what_spins_on_the_trunk_or_an_arm_is_no_wheel():
+def test_joints_that_spin_on_the_trunk_or_an_arm_are_not_wheels():
     top = '<body name="gyro" pos="0 0 0.2"><joint name="spin" axis="0 1 0"/>' + WHEEL + "</body>"
     arm = (
         '<body pos="0.2 0 0.1"><joint name="elbow" axis="0 1 0" range="-1 1"/>'
@@ -180,8 +163,7 @@ def test_what_spins_on_the_trunk_or_an_arm_is_no_wheel():
         '<joint name="wrist" axis="1 0 0"/><geom type="cylinder" size="0.03 0.02" euler="0 1.5707963 0"/></body></body>'
     )
     found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + top + arm))
-    assert found.wheel_joints == ["l_axle", "r_axle"]
-    assert found.others == ("spin", "elbow", "wrist")
+    assert (found.wheel_joints, found.others) == (["l_axle", "r_axle"], ("spin", "elbow", "wrist"))
 
 
 def swivel(name: str, x: float, y: float, trail: float, above: str = "") -> str:
@@ -207,8 +189,7 @@ WHEELS_DRIVE = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuat
 def test_a_caster_trails_a_passive_vertical_joint(trail, drives, caster):
     found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + swivel("f", 0.3, 0.0, trail), drives))
     wheel = next(wheel for wheel in found.wheels if wheel.joint == "f_roll")
-    assert (wheel.side, wheel.steered, wheel.caster) == ("middle", True, caster)
-    assert found.forward == (1, 0, 0)
+    assert (wheel.side, wheel.steered, wheel.caster, found.forward) == ("middle", True, caster, (1, 0, 0))
     assert not any(other.steered or other.caster for other in found.wheels if other is not wheel)
 
 
@@ -221,26 +202,26 @@ def test_wheels_that_are_all_steered_roll_one_way(trail, driven):
     assert [(wheel.steered, wheel.caster) for wheel in found.wheels] == [(True, False)] * 2
 
 
-def test_a_mirror_image_is_measured():
-    model = mujoco.MjModel.from_xml_string(mjcf(leg("l", 0.2) + leg("r", -0.2, x=0.01)))
-    found = anatomy_of(model)
-    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.01] * 3)
+WIDE = '<geom type="cylinder" size="0.1 0.05" pos="0 0.03 0" euler="1.5707963267948966 0 0"/>'
 
 
-def test_wheels_of_different_width_do_not_move_the_mirror():
-    wide = '<geom type="cylinder" size="0.1 0.05" pos="0 0.03 0" euler="1.5707963267948966 0 0"/>'
-    found = look(mjcf(leg("l", 0.2, wheel=wide) + leg("r", -0.2)))
-    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0, 0.0, 0.03])
-    assert found.middle == pytest.approx((0, 0, 0))
+@pytest.mark.parametrize(
+    ("legs", "offsets", "middle"),
+    [
+        (leg("l", 0.2) + leg("r", -0.2, x=0.01), [0.01] * 3, None),
+        # The width of a wheel does not move the mirror.
+        (leg("l", 0.2, wheel=WIDE) + leg("r", -0.2), [0.0, 0.0, 0.03], (0, 0, 0)),
+        (leg("l", 0.25) + leg("r", -0.15), [0.0] * 3, (0, 0.05, 0)),
+    ],
+    ids=["a shifted leg", "a wide wheel", "a base that is not in the middle"],
+)
+def test_the_mirror_is_between_the_legs_and_offsets_from_a_mirror_image_are_measured(legs, offsets, middle):
+    found = look(mjcf(legs))
+    assert [pair.offset for pair in found.mirrored] == pytest.approx(offsets, abs=1e-9)
+    assert middle is None or found.middle == pytest.approx(middle)
 
 
-def test_a_base_beside_the_middle_has_its_mirror_between_the_legs():
-    found = look(mjcf(leg("l", 0.25) + leg("r", -0.15)))
-    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0] * 3, abs=1e-9)
-    assert found.middle == pytest.approx((0, 0.05, 0))
-
-
-def test_the_pose_decides_where_things_are():
+def test_positions_depend_on_the_pose():
     model = mujoco.MjModel.from_xml_string(two_legged())
     qpos = model.qpos0.copy()
     qpos[model.joint("l_hip").qposadr[0]] = qpos[model.joint("r_hip").qposadr[0]] = 0.5
@@ -249,13 +230,12 @@ def test_the_pose_decides_where_things_are():
     assert found.wheels[0].centre[0] == pytest.approx(-2 * THIGH * math.sin(0.5))
 
 
-def test_up_is_against_gravity_and_forward_level_whatever_way_the_base_is_drawn():
+def test_up_is_against_gravity_and_forward_is_level_for_every_rotation_of_the_base():
     quat = [math.sqrt(0.5), math.sqrt(0.5), 0, 0]  # The base's y axis points up in the world.
     text = mjcf(f'<body quat="{quat[0]} {-quat[1]} 0 0">{leg("l", 0.2)}{leg("r", -0.2)}</body>')
     model = mujoco.MjModel.from_xml_string(text)
     found = anatomy_of(model, np.array([0, 0, 1, *quat, *model.qpos0[7:]]))
-    assert found.up == pytest.approx((0, 1, 0), abs=1e-9)
-    assert found.forward == pytest.approx((1, 0, 0), abs=1e-9)
+    assert (found.up, found.forward) == (pytest.approx((0, 1, 0), abs=1e-9), pytest.approx((1, 0, 0), abs=1e-9))
     assert found.left == pytest.approx((0, 0, -1), abs=1e-9)
 
 

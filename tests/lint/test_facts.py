@@ -55,6 +55,9 @@ def drive(names: str, kind: str = "ImplicitActuator", **gains: Any) -> dict[str,
     return {"_target_": f"wheelleg_exp.sim.actuators.{kind}", "joint_names_expr": [names], **values}
 
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
 @pytest.fixture(scope="module")
 def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
     file = tmp_path_factory.mktemp("robot") / "robot.xml"
@@ -70,41 +73,28 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
 
 
 def test_masses_heights_and_wheels(facts):
-    assert facts.mass == pytest.approx(4.0, abs=1e-5)
-    assert facts.wheels == ("left", "right")
-    assert facts.wheel_radius == pytest.approx(0.1)
-    assert facts.track == pytest.approx(0.6)
-    assert facts.standing_height == pytest.approx(0.5)
-    assert facts.clearance == pytest.approx(0.02)
-    assert facts.wheel_load == pytest.approx(20.0, abs=1e-4)
-    assert facts.top_speed == pytest.approx(2.0)
+    assert (facts.mass, facts.wheels) == (pytest.approx(4.0, abs=1e-5), ("left", "right"))
+    assert (facts.wheel_radius, facts.track) == (pytest.approx(0.1), pytest.approx(0.6))
+    assert (facts.standing_height, facts.clearance) == (pytest.approx(0.5), pytest.approx(0.02))
+    assert (facts.wheel_load, facts.top_speed) == (pytest.approx(20.0, abs=1e-4), pytest.approx(2.0))
     assert facts.friction == pytest.approx((0.9 + 0.5) / 2)  # MuJoCo averages the friction with the ground's 0.5.
+    without = replace(facts, wheels=())  # The one foot carries the whole weight.
+    assert (without.wheel_load, without.top_speed) == (pytest.approx(40.0, abs=1e-4), 0.0)
 
 
-def test_a_joint_carries_the_inertia_that_hangs_on_it(facts):
-    hip = facts.joints["hip"]
-    assert hip.inertia == pytest.approx(0.002 + 1 * 0.1**2)
-    assert hip.armature == pytest.approx(0.7)
+def test_a_joint_has_the_inertia_the_load_and_the_drive_of_its_link(facts):
+    hip, left = facts.joints["hip"], facts.joints["left"]
+    assert (hip.inertia, hip.armature) == (pytest.approx(0.002 + 1 * 0.1**2), pytest.approx(0.7))
     assert (hip.low, hip.high, hip.default_velocity, hip.limited) == (-1.0, 1.0, 0.5, True)
-    assert facts.joints["left"].inertia == pytest.approx(0.003)
-    assert not facts.joints["left"].limited
-
-
-def test_a_free_wheel_meets_a_torque_with_its_own_inertia_against_the_rest(facts):
+    assert (left.inertia, left.limited) == (pytest.approx(0.003), False)
     # In the air the wheel turns against the remaining robot, so the inertia is slightly below the wheel's 0.003 kg·m².
-    assert 0.0029 < facts.joints["left"].effective < 0.003
-
-
-def test_a_level_bob_is_held_by_its_weight_times_its_arm(facts):
-    assert facts.joints["hip"].hold == pytest.approx(-1 * 10 * 0.1)
-    assert facts.joints["left"].hold == pytest.approx(0.0, abs=1e-9)
-
-
-def test_drives(facts):
-    hip, left = facts.joints["hip"].drive, facts.joints["left"].drive
-    assert (hip.group, hip.stiffness, hip.explicit) == ("hip", 5.0, True)
-    assert (left.group, left.damping, left.effort, left.velocity, left.explicit) == ("wheels", 1.0, 3.0, 20.0, False)
-    assert facts.joints["fan"].drive is None
+    assert 0.0029 < left.effective < 0.003
+    # The level bob is held against its weight times its arm.
+    assert (hip.hold, left.hold) == (pytest.approx(-1 * 10 * 0.1), pytest.approx(0.0, abs=1e-9))
+    assert (hip.drive.group, hip.drive.stiffness, hip.drive.explicit) == ("hip", 5.0, True)
+    drive = left.drive
+    assert (drive.group, drive.damping, drive.effort, drive.velocity) == ("wheels", 1.0, 3.0, 20.0)
+    assert (drive.explicit, facts.joints["fan"].drive) == (False, None)
 
 
 def test_the_pendulum_over_the_axle(facts):
@@ -123,12 +113,9 @@ def test_the_pendulum_over_the_axle(facts):
 
 def test_the_stock_robot_has_its_published_figures():
     found = robot_facts(compose())
-    assert found.mass == pytest.approx(0.5)
-    assert found.standing_height == pytest.approx(0.06995, abs=1e-5)
-    assert found.clearance == pytest.approx(0.015, abs=1e-4)
-    assert found.wheel_radius == pytest.approx(0.02)
-    assert found.track == pytest.approx(0.112)
-    assert found.balance.mass == pytest.approx(0.38)
+    assert (found.mass, found.standing_height) == (pytest.approx(0.5), pytest.approx(0.06995, abs=1e-5))
+    assert (found.clearance, found.wheel_radius) == (pytest.approx(0.015, abs=1e-4), pytest.approx(0.02))
+    assert (found.track, found.balance.mass) == (pytest.approx(0.112), pytest.approx(0.38))
     assert found.balance.height == pytest.approx(0.0441, abs=1e-4)
     assert found.balance.inertia == pytest.approx(1.03e-3, rel=0.01)
     assert found.balance.pole == pytest.approx(9.25, abs=0.01)
@@ -139,23 +126,16 @@ def test_the_stock_robot_has_its_published_figures():
     assert abs(found.joints["l02"].hold) == pytest.approx(load, rel=0.01)
 
 
-def test_a_robot_without_wheels_carries_its_weight_alone(facts):
-    assert replace(facts, wheels=()).wheel_load == pytest.approx(40.0, abs=1e-4)
-    assert replace(facts, wheels=()).top_speed == 0.0
-
-
 SHAPES = {
     "sphere": ('type="sphere" size="0.2"', 0.2),
     "capsule, turned by 60 degrees": ('type="capsule" size="0.1 0.4" euler="60 0 0"', 0.1 + 0.4 * 0.5),
     "cylinder on its side": ('type="cylinder" size="0.3 0.05" euler="90 0 0"', 0.3),
     "cylinder, turned by 60 degrees": (
-        'type="cylinder" size="0.3 0.05" euler="60 0 0"',
-        0.3 * math.sqrt(3) / 2 + 0.05 * 0.5,
-    ),
+        'type="cylinder" size="0.3 0.05" euler="60 0 0"', 0.3 * math.sqrt(3) / 2 + 0.05 * 0.5),
     "box on its edge": ('type="box" size="0.1 0.2 0.2" euler="45 0 0"', 0.2 * math.sqrt(2)),
     "ellipsoid on its side": ('type="ellipsoid" size="0.1 0.2 0.3" euler="90 0 0"', 0.2),
     "mesh": ('type="mesh" mesh="wedge"', 0.25),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -175,10 +155,3 @@ def test_how_far_down_a_shape_reaches(name):
 def test_a_body_without_shapes_reaches_nowhere():
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     assert lowest_point(model, mujoco.MjData(model), [0]) == np.inf
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield

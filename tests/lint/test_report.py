@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import inspect
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +12,8 @@ from wheelleg_exp.lint.diagnosis import known_by
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Finding
 from wheelleg_exp.paths import configs_dir
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 TERMS = "[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel,last_action]"
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
@@ -32,13 +31,6 @@ AT_LEAST = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def physics(capsys, *words):
     status = main(["check", "--physics", "--json", *words])
     text = capsys.readouterr().out
@@ -46,14 +38,13 @@ def physics(capsys, *words):
     return status, json.loads(text)
 
 
-def test_without_its_silences_the_stock_task_has_what_an_expert_would_say(capsys):
+def test_without_its_silences_the_stock_task_has_the_findings_of_an_expert(capsys):
     status, report = physics(capsys, "robot=article", "task=stand", "~check")
     assert status == 1
     found = {(finding["rule"], finding["key"]): finding for finding in report["findings"]}
     assert set(found) >= AT_LEAST
     wheel = found["armature_ratio", "env.robot.actuators.wheels.armature"]["figures"]
-    assert round(wheel["pitch_ratio"]) == 49
-    assert round(wheel["translation_kg"]) == 125
+    assert (round(wheel["pitch_ratio"]), round(wheel["translation_kg"])) == (49, 125)
     traction = found["effort_against_traction", "env.robot.actuators.wheels.effort_limit"]["figures"]
     assert traction["slip"] == pytest.approx(0.85 * 0.5 * 9.81 * 0.02 / 2, rel=1e-3)
     assert all(finding["where"] for finding in report["findings"])
@@ -66,7 +57,7 @@ def test_wheel_angles_in_an_observation_are_found_unbounded(capsys):
     assert found == {f"env.observations.{group}.terms.joint_pos_rel": 225 for group in ("policy", "critic")}
 
 
-def test_driving_with_the_wide_std_is_found_as_what_standing_still_earns(capsys):
+def test_driving_with_the_wide_std_is_found_with_the_reward_of_standing_still(capsys):
     command = "env.commands.base_velocity.ranges.lin_vel_x=[-0.3,0.3]"
     _, report = physics(capsys, "task=stand", "~check", command)
     (finding,) = [f for f in report["findings"] if f["rule"] == "tracking_std"]
@@ -77,28 +68,19 @@ def test_driving_with_the_wide_std_is_found_as_what_standing_still_earns(capsys)
 def test_every_finding_on_a_stock_task_is_silenced_with_a_reason(task, capsys):
     status, report = physics(capsys, f"task={task}")
     assert status == 0, report["findings"]
-    assert report["findings"] == []
-    assert report["unused_silences"] == []
+    assert (report["findings"], report["unused_silences"]) == ([], [])
     assert all(len(finding["reason"]) > 20 for finding in report["silenced"])
 
 
-def test_a_silence_that_silences_nothing_is_told(capsys):
-    assert main(["check", "--physics", "robot=physical"]) == 0
-    assert "check.silence.armature_ratio silences nothing here" in capsys.readouterr().out
-
-
-def test_one_finding_is_silenced_by_its_name(capsys):
+def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_effect(capsys):
     wrong = "agent.algorithm.num_mini_batches=7"
     assert physics(capsys, wrong)[0] == 1
     status, report = physics(capsys, wrong, "++check.silence.ppo_batch=rest is dropped")
-    assert status == 0
-    assert [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"] == ["rest is dropped"]
-
-
-def test_a_null_lets_a_finding_speak_again_that_a_parent_silences(capsys):
-    status, report = physics(capsys, "check.silence.spawn_height=null")
-    assert status == 1
-    assert {f["rule"] for f in report["findings"]} == {"spawn_height"}
+    assert (status, [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"]) == (0, ["rest is dropped"])
+    status, report = physics(capsys, "check.silence.spawn_height=null")  # A parent silences the rule.
+    assert (status, {f["rule"] for f in report["findings"]}) == (1, {"spawn_height"})
+    assert main(["check", "--physics", "robot=physical"]) == 0
+    assert "check.silence.armature_ratio silences nothing here" in capsys.readouterr().out
 
 
 def test_mistakes_come_before_the_numbers(capsys):
@@ -108,13 +90,12 @@ def test_mistakes_come_before_the_numbers(capsys):
     assert "env.num_envs: 0 is out of range" in captured.err
 
 
-def test_people_get_the_robot_the_rewards_and_each_finding_with_its_place_and_hint(capsys):
+def test_the_text_shows_the_robot_the_rewards_and_each_finding_with_its_place_and_hint(capsys):
     assert main(["check", "--physics", "agent.algorithm.num_mini_batches=7"]) == 1
     text = capsys.readouterr().out
     assert "standing height" in text
     assert "base_height" in text
-    block = text[text.index("ppo_batch") :].split("\n\n")[0]
-    assert block.splitlines() == [
+    assert text[text.index("ppo_batch") :].split("\n\n")[0].splitlines() == [
         "ppo_batch  agent.algorithm.num_mini_batches",
         "    place  override agent.algorithm.num_mini_batches=7",
         "    what   12288 samples in 7 mini-batches of 1755 leave 3 unused",
@@ -123,7 +104,7 @@ def test_people_get_the_robot_the_rewards_and_each_finding_with_its_place_and_hi
     assert text.splitlines()[-1] == "1 finding, 23 silenced (--all shows them)"
 
 
-def test_what_is_silenced_is_counted_and_shown_when_all_is_asked_for(capsys):
+def test_silenced_findings_are_counted_and_shown_with_all(capsys):
     assert main(["check", "--physics"]) == 0
     counted = capsys.readouterr().out
     assert "spawn_height" not in counted
@@ -135,7 +116,8 @@ def test_what_is_silenced_is_counted_and_shown_when_all_is_asked_for(capsys):
     assert told.endswith("0 findings, 23 silenced\n")
 
 
-def test_rules_are_listed_with_a_line_for_each(capsys):
+def test_rules_are_listed_with_one_line_each_and_are_those_of_the_schema(capsys):
+    assert list(RULES) == sorted(PHYSICS_RULES)
     assert main(["check", "--list"]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines()[1:] if not line.startswith(" ")]
     assert [line.split()[0] for line in lines] == list(PHYSICS_RULES)
@@ -173,10 +155,6 @@ sys.exit(main(["check", "--physics", "task=stand"]))
 
 
 @pytest.mark.slow
-def test_the_package_may_run_without_docstrings():
+def test_the_package_can_run_without_docstrings():
     done = subprocess.run([sys.executable, "-c", BARE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_schema_names_every_rule():
-    assert list(RULES) == sorted(PHYSICS_RULES)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -74,8 +72,7 @@ def test_gains_are_found_where_a_simulated_drive_grows(kp, kd, explicit):
     findings = found("gains_against_time_step", case(facts))
     assert bool(findings) == expected
     if findings:
-        assert findings[0].figures["a"] == pytest.approx(a)
-        assert findings[0].figures["b"] == pytest.approx(b)
+        assert (findings[0].figures["a"], findings[0].figures["b"]) == (pytest.approx(a), pytest.approx(b))
 
 
 def test_an_integrator_that_is_not_implicit_makes_every_drive_explicit():

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -71,7 +69,7 @@ def test_a_network_that_normalises_its_input_takes_any_scale():
     assert found("observation_scale", case(**looked_at, actor=both["actor"]))
 
 
-def test_nothing_is_said_of_a_size_that_is_not_known():
+def test_an_observation_of_unknown_size_has_no_finding():
     looked_at = policy(x=term("observations.base_ang_vel", scale=1e6), y=term("observations.base_pos_z", scale=1e6))
     assert found("observation_scale", case(replace(FACTS, balance=None), **looked_at)) == []
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -14,18 +12,19 @@ def reset(position, velocity, **more):
     return {"events": {"joints": node}}
 
 
-def test_a_scaled_velocity_of_zero_is_no_randomisation():
-    (finding,) = found("noop_joint_reset", case(**reset([1.0, 1.0], [-0.2, 0.2])))
-    assert finding.key == "env.events.joints.velocity_range"
-    assert "U(-0.2, 0.2)" in finding.message
-    assert "every joint" in finding.message
-
-
-def test_a_scaled_position_of_zero_is_no_randomisation_on_the_joints_at_zero():
-    (finding,) = found("noop_joint_reset", case(**reset([0.5, 1.5], [0.0, 0.0])))
-    assert finding.key == "env.events.joints.position_range"
-    assert finding.figures["joints"] == 2  # Only the two wheels have a default of 0; the hip's default is 0.5 rad.
-    assert "left, right" in finding.message
+@pytest.mark.parametrize(
+    ("position", "velocity", "key", "parts"),
+    [
+        ([1.0, 1.0], [-0.2, 0.2], "velocity_range", ("U(-0.2, 0.2)", "every joint")),
+        # Only the two wheels have a default of 0; the hip's default is 0.5 rad.
+        ([0.5, 1.5], [0.0, 0.0], "position_range", ("left, right",)),
+    ],
+)
+def test_scaling_a_default_of_zero_is_not_a_randomisation(position, velocity, key, parts):
+    (finding,) = found("noop_joint_reset", case(**reset(position, velocity)))
+    assert finding.key == f"env.events.joints.{key}"
+    assert key == "velocity_range" or finding.figures["joints"] == 2
+    assert [part for part in parts if part not in finding.message] == []
 
 
 def test_a_scaled_default_that_is_not_zero_is_randomised():
@@ -36,23 +35,17 @@ def test_a_scaled_default_that_is_not_zero_is_randomised():
     assert found("noop_joint_reset", case(events={"joints": node})) == []
 
 
-def test_a_range_without_width_is_found():
+def test_a_range_without_width_and_a_command_that_never_changes_are_found():
     events = {
         "joints": reset([1.0, 1.0], [-0.2, 0.2])["events"]["joints"],
         "push": term("events.push_by_adding_velocity", mode="interval", velocity_range={"x": [0.1, 0.1]}),
         "mass": term("events.randomize_rigid_body_mass", mode="startup", mass_distribution_params=[0.1, 0.1]),
     }
-    assert [finding.key for finding in found("zero_width_range", case(events=events))] == [
-        "env.events.joints.position_range",
-        "env.events.push.velocity_range",
-        "env.events.mass.mass_distribution_params",
-    ]
-
-
-def test_a_command_that_never_changes_is_found():
+    keys = ["joints.position_range", "push.velocity_range", "mass.mass_distribution_params"]
+    assert [f.key for f in found("zero_width_range", case(events=events))] == [f"env.events.{key}" for key in keys]
     still = term("commands.UniformVelocityCommand", ranges={"lin_vel_x": [0, 0], "heading": None})
-    (finding,) = found("zero_width_range", case(commands={"velocity": still}))
-    assert finding.key == "env.commands.velocity.ranges"
+    keys = [finding.key for finding in found("zero_width_range", case(commands={"velocity": still}))]
+    assert keys == ["env.commands.velocity.ranges"]
 
 
 def test_one_axis_with_a_width_and_a_fixed_period_are_fine():
@@ -63,10 +56,8 @@ def test_one_axis_with_a_width_and_a_fixed_period_are_fine():
 
 
 def push(low, **more):
-    node = term(
-        "events.push_by_adding_velocity", mode="interval", interval_range_s=[low, 20.0], velocity_range={}, **more
-    )
-    return case(events={"push": node})
+    settings = {"mode": "interval", "interval_range_s": [low, 20.0], "velocity_range": {}, **more}
+    return case(events={"push": term("events.push_by_adding_velocity", **settings)})
 
 
 def test_an_interval_as_long_as_an_episode_never_fires():

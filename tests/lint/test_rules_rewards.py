@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -28,18 +26,15 @@ def test_what_standing_still_earns_is_the_mean_over_commands(speed, std):
     assert still_score(speed, std) == pytest.approx(float(np.exp(-((commands / std) ** 2)).mean()), abs=1e-4)
 
 
-def test_a_std_as_wide_as_the_commands_is_found():
+def test_a_std_as_wide_as_the_speed_or_yaw_commands_is_found():
     # The share is sqrt(pi)/2 · erf(0.6) · 5/3 = 0.8919. With 40 % zero commands it is 0.8919 + 0.4 · 0.1081 = 0.935.
     (finding,) = found("tracking_std", case(commands=command(0.3, standing=0.4), rewards=track(0.5)))
     assert finding.figures["still"] == pytest.approx(0.8919, abs=1e-4)
     assert "0.89" in finding.message
     assert "0.94" in finding.message
     assert found("tracking_std", case(commands=command(0.3), rewards=track(0.15))) == []  # 0.44
-
-
-def test_the_std_of_a_yaw_rate_is_held_against_yaw_commands():
-    node = track(0.5, "rewards.track_ang_vel_z_exp")
-    (finding,) = found("tracking_std", case(commands=command(0.01, yaw=0.5), rewards=node))
+    yaw = track(0.5, "rewards.track_ang_vel_z_exp")
+    (finding,) = found("tracking_std", case(commands=command(0.01, yaw=0.5), rewards=yaw))
     assert finding.figures["still"] == pytest.approx(0.7468, abs=1e-4)
 
 
@@ -48,15 +43,12 @@ def wheels(scale):
     return {"commands": command(), "actions": {"wheels": node}}
 
 
-def test_where_nothing_is_commanded_a_drift_must_not_earn_the_reward():
+def test_a_std_with_which_a_drift_earns_the_reward_is_found_if_nothing_is_commanded():
     # One unit of action is 5 rad/s · 0.1 m = 0.5 m/s, so the share is exp(-(0.5/1)²) = 0.7788.
     (finding,) = found("tracking_std", case(**wheels(5.0), rewards=track(1.0, weight=0.0)))
     assert finding.figures["drift"] == pytest.approx(0.5)
     assert finding.figures["drifting"] == pytest.approx(math.exp(-0.25))
     assert "its weight is 0" in finding.message
-
-
-def test_where_nothing_is_commanded_a_std_below_the_drift_is_fine():
     assert found("tracking_std", case(**wheels(5.0), rewards=track(0.4))) == []  # exp(-1.5625) = 0.21
     # One unit of opposite actions turns the robot at 2 · 0.5 m/s over a track of 0.5 m, which is 2 rad/s.
     assert found("tracking_std", case(**wheels(5.0), rewards=track(2.0, "rewards.track_ang_vel_z_exp"))) == []
@@ -73,19 +65,14 @@ def height(weight):
 def test_a_term_that_costs_less_than_a_hundredth_is_found():
     # A height error of 0.04 m costs 0.0016 · 20 = 0.032 per second, 0.64 % of the reward of 5 per second.
     (finding,) = found("reward_too_small", case(rewards=height(-20.0)))
-    assert finding.key == "env.rewards.height.weight"
-    assert finding.figures["share"] == pytest.approx(0.0064)
+    assert (finding.key, finding.figures["share"]) == ("env.rewards.height.weight", pytest.approx(0.0064))
     assert "-32" in finding.hint  # 5 · 0.01 / 0.0016 = 31.25
     assert found("reward_too_small", case(rewards=height(-32.0))) == []
 
 
 def test_failures_and_unknown_terms_are_not_too_small():
-    rewards = {
-        **ALIVE,
-        "fall": term("rewards.is_terminated", weight=-0.001),
-        "x": term("rewards.joint_acc_l2", weight=-1e-9),
-    }
-    assert found("reward_too_small", case(rewards=rewards)) == []
+    fall, unknown = term("rewards.is_terminated", weight=-0.001), term("rewards.joint_acc_l2", weight=-1e-9)
+    assert found("reward_too_small", case(rewards={**ALIVE, "fall": fall, "x": unknown})) == []
 
 
 def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
@@ -96,8 +83,7 @@ def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
 
     assert found("reward_outweighs", tried(20.0)) == []
     (finding,) = found("reward_outweighs", tried(40.0))
-    assert finding.key == "env.rewards.height.weight"
-    assert finding.figures == {"cost_per_s": 40.0, "earned_per_s": 5.0}
+    assert (finding.key, finding.figures) == ("env.rewards.height.weight", {"cost_per_s": 40.0, "earned_per_s": 5.0})
     assert "a weight near -4," in finding.hint
     assert found("reward_outweighs", case(rewards=rewards)) == []  # This case has no trial.
 
@@ -128,8 +114,7 @@ VALUES = {
 def test_a_kernel_costs_what_it_loses_at_the_tolerance(target, settings):
     looked_at = case(rewards={"x": term(target, weight=3.0, **settings)})
     (item,) = contributions(looked_at)
-    assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
-    assert item.best == 1.0
+    assert (item.per_episode(looked_at), item.best) == (pytest.approx(3.0 * math.exp(-4.0) * 10.0), 1.0)
     narrow = case(rewards={"x": term(target, weight=3.0, **{**settings, "std": 1e-200})})
     assert contributions(narrow)[0].value == 0.0
 
@@ -190,15 +175,12 @@ def levels(size, speed=1.0):
     )
 
 
-def test_a_level_needs_the_way_of_half_a_tile():
+def test_levels_need_tiles_and_commands_that_cover_half_a_tile():
     (finding,) = found("levels_out_of_reach", levels(20.0))
     assert finding.key == "env.scene.terrain.size"
     assert finding.figures == {"speed_m_s": pytest.approx(1.0), "way_m": pytest.approx(10.0), "half_tile_m": 10.0}
     assert found("levels_out_of_reach", levels(19.9)) == []
-
-
-def test_levels_need_tiles_and_commands():
-    (finding,) = found("levels_out_of_reach", levels(None))
+    (finding,) = found("levels_out_of_reach", levels(None))  # Levels need tiles and commands.
     assert finding.key == "env.curriculum.c"
     (finding,) = found("levels_out_of_reach", levels(1.0, speed=0.0))
     assert finding.advice == ()

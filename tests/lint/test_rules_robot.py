@@ -13,7 +13,7 @@ from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, patient, seede
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps
 from wheelleg_exp.anatomy.compiled_robot import Drive
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
-from wheelleg_exp.lint.diagnosis import _drives_of_mjcf
+from wheelleg_exp.lint.diagnosis import _drives_of_mjcf, case_of_file, diagnose_file, notes_on
 from wheelleg_exp.paths import assets_dir
 
 TRUNK = '<inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>'
@@ -32,10 +32,6 @@ def only(rule: str, case) -> str:
     (finding,) = found(rule, case)
     assert [other.rule for other in all_findings(case)] == [rule]
     return f"{finding.message} | {finding.hint}"
-
-
-def test_the_healthy_robot_has_nothing_to_mend(tmp_path):
-    assert all_findings(patient(tmp_path)) == []
 
 
 def test_a_shifted_mass(tmp_path):
@@ -63,24 +59,21 @@ def test_a_shifted_mass(tmp_path):
     assert data.body("l_wheel").xpos[2] > 1 - height  # The robot stands lower, because the hint avoids stretched legs.
 
 
-def test_the_weight_of_a_robot_that_balances_is_over_its_axle(tmp_path):
+def test_the_healthy_robot_has_no_findings_and_its_weight_is_over_its_axle(tmp_path):
     robot = patient(tmp_path).robot
+    assert all_findings(patient(tmp_path)) == []
     assert abs(weight_over_axle(robot).lean) < 0.02
     assert set(balanced_pose(robot)) == {"l_hip", "r_hip", "l_knee", "r_knee"}
 
 
 def test_a_mass_outside_the_wheels_of_a_car(tmp_path):
     wheel = f'<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/><geom {CYLINDER}/>'
-    wheels = "".join(
-        f'<body name="w{x}{y}" pos="{x} {y} 0"><joint name="j{x}{y}" axis="0 1 0"/>{wheel}</body>'
-        for x in (0.15, -0.15)
-        for y in (0.2, -0.2)
-    )
+    body = '<body name="w{x}{y}" pos="{x} {y} 0"><joint name="j{x}{y}" axis="0 1 0"/>{wheel}</body>'
+    wheels = "".join(body.format(x=x, y=y, wheel=wheel) for x in (0.15, -0.15) for y in (0.2, -0.2))
     text = (
         '<mujoco><compiler angle="radian"/><worldbody><body name="car" pos="0 0 1"><freejoint/>'
         '<inertial pos="0.19 0 0" mass="4" diaginertia="0.02 0.06 0.07"/><geom type="box" size="0.2 0.1 0.05"/>'
-        f"{wheels}"
-        "</body></worldbody></mujoco>"
+        f"{wheels}</body></worldbody></mujoco>"
     )
     assert "40 mm outside the outermost wheels, which are 300 mm apart" in only("balance_pose", patient(tmp_path, text))
 
@@ -128,7 +121,7 @@ def test_a_flipped_wheel(tmp_path):
     assert found("wheel_senses", patient(tmp_path, text, actions={"wheels": wheels})) == []
 
 
-def test_a_file_that_turns_one_whole_side_the_other_way_round_is_no_defect(tmp_path):
+def test_a_file_with_reversed_axes_on_one_whole_side_has_no_findings(tmp_path):
     turned = RIGHT.replace('axis="0 1 0"', 'axis="0 -1 0"').replace('range="-2 0"', 'range="0 2"')
     text = seeded((RIGHT, turned), (f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", f"{HIP} {KNEE} 0 {-HIP} {-KNEE} 0"))
     assert all_findings(patient(tmp_path, text)) == []
@@ -158,15 +151,13 @@ def test_a_link_sunk_into_another(tmp_path):
 
 
 def test_links_that_may_not_touch_are_only_noted(tmp_path):
-    from wheelleg_exp.lint.diagnosis import notes_on
-
     text = pack(0.012).replace('name="pack" type', 'name="pack" contype="0" type')
     case = patient(tmp_path, text.replace('name="l_thigh" type', 'name="l_thigh" contype="0" type'))
     assert all_findings(case) == []
     assert any("self_collisions: true would start with 1 pair" in note and "12 mm" in note for note in notes_on(case))
 
 
-def test_a_link_deep_inside_the_one_that_it_hangs_on(tmp_path):
+def test_a_link_deep_inside_its_parent(tmp_path):
     text = seeded(('name="l_thigh" type="capsule" fromto="0 0 -0.05 0 0 -0.25" size="0.02" mass="0.1"',
                    'name="l_thigh" type="sphere" size="0.25" pos="0 -0.2 0" mass="0.1"'))  # fmt: skip
     told = found("overlapping_bodies", patient(tmp_path, text))
@@ -185,21 +176,19 @@ def test_a_cut_effort(tmp_path):
 
 def test_a_wheel_that_cannot_catch_the_robot(tmp_path):
     drive = '<velocity joint="r_axle" kv="0.5" forcerange="-5 5"/>'
-    said = only(
-        "weak_wheels", patient(tmp_path, seeded((drive, drive.replace("5 5", "0.2 0.2").replace("-0.", "-0."))))
-    )
-    assert "0.2 N·m on wheels of 100 mm" in said
+    weak = patient(tmp_path, seeded((drive, drive.replace("5 5", "0.2 0.2"))))
+    assert "0.2 N·m on wheels of 100 mm" in only("weak_wheels", weak)
     assert found("weak_wheels", patient(tmp_path)) == []
 
 
 def test_wheels_slower_than_the_fall_that_they_have_to_catch(tmp_path):
     case = patient(tmp_path)
     needed = 0.1 * case.facts.balance.pole * case.facts.balance.height / case.facts.wheel_radius
+    joints = case.facts.joints
     for speed, count in ((0.99 * needed, 1), (1.01 * needed, 0)):
-        wheels = {
-            n: replace(case.facts.joints[n], drive=Drive("wheels", 0.0, 0.5, 5.0, speed)) for n in case.facts.wheels
-        }
-        slow = replace(case, facts=replace(case.facts, joints={**case.facts.joints, **wheels}))
+        drive = Drive("wheels", 0.0, 0.5, 5.0, speed)
+        wheels = {name: replace(joints[name], drive=drive) for name in case.facts.wheels}
+        slow = replace(case, facts=replace(case.facts, joints={**joints, **wheels}))
         assert len(found("weak_wheels", slow)) == count
 
 
@@ -211,9 +200,8 @@ def test_a_raised_stiffness(tmp_path):
 
 def test_a_square_wheel(tmp_path):
     text = seeded((CYLINDER, 'type="box" size="0.1 0.02 0.1"'))
-    said = only(
-        "wheels_that_do_not_roll", patient(tmp_path, text.replace('size="0.1 0.02" euler', 'size="0.1414 0.02" euler'))
-    )
+    text = text.replace('size="0.1 0.02" euler', 'size="0.1414 0.02" euler')
+    said = only("wheels_that_do_not_roll", patient(tmp_path, text))
     assert re.search(r"between 10\d.* and 141.4 mm", said)
 
 
@@ -225,11 +213,8 @@ def test_wheels_of_two_sizes(tmp_path):
 
 def test_wheels_within_limits(tmp_path):
     text = HEALTHY.replace('_axle" axis="0 1 0"', '_axle" axis="0 1 0" range="-3.14 3.14"')
-    told = found("wheels_that_do_not_roll", patient(tmp_path, text))
-    assert [finding.message.split(",")[0] for finding in told] == [
-        "'l_axle' would be a wheel's joint",
-        "'r_axle' would be a wheel's joint",
-    ]
+    messages = [finding.message.split(",")[0] for finding in found("wheels_that_do_not_roll", patient(tmp_path, text))]
+    assert messages == [f"'{side}_axle' would be a wheel's joint" for side in "lr"]
 
 
 @pytest.mark.parametrize(
@@ -244,7 +229,7 @@ def test_wheels_within_limits(tmp_path):
         ('name="r_hip" axis="0 1 0" range="-1 1"', 'name="r_hip" axis="0 1 0" range="-1 1.5"', "0.5 off"),
     ],
 )  # fmt: skip
-def test_a_side_that_is_no_mirror_image(old, new, said, tmp_path):
+def test_a_side_that_is_not_a_mirror_image(old, new, said, tmp_path):
     assert said in only("mirror_images", patient(tmp_path, seeded((old, new))))
 
 
@@ -288,7 +273,7 @@ def test_efforts_and_speeds_that_no_motor_has(tmp_path):
     assert found("placeholder_limits", none) == []  # The rule effort_against_load reports a tiny effort limit.
 
 
-def test_a_robot_that_nothing_holds_up(tmp_path):
+def test_a_robot_without_colliders_is_found(tmp_path):
     bare = HEALTHY.replace("<geom ", '<geom contype="0" conaffinity="0" ')
     assert next(finding.rule for finding in all_findings(patient(tmp_path, bare))) == "no_colliders"
     assert len(found("no_colliders", patient(tmp_path, bare))) == 1
@@ -318,13 +303,11 @@ def test_a_termination_on_what_touches_at_the_start(tmp_path):
 
 def test_a_reset_into_the_ground(tmp_path):
     def reset(**ranges):
-        node = term("events.reset_root_state_uniform", mode="reset", pose_range=ranges, velocity_range={})
-        return {"base": node}
+        return {"base": term("events.reset_root_state_uniform", mode="reset", pose_range=ranges, velocity_range={})}
 
     (finding,) = found("reset_into_ground", patient(tmp_path, events=reset(z=[-0.05, 0.0])))
     assert "reach 50 mm into the ground" in finding.message
-    rolled = patient(tmp_path, events=reset(roll=[-0.2, 0.2]))
-    (finding,) = found("reset_into_ground", rolled)
+    (finding,) = found("reset_into_ground", patient(tmp_path, events=reset(roll=[-0.2, 0.2])))
     # The base rolls around its origin. The rim of the lower wheel is 0.2 + 0.02 m to the side.
     height = 2 * LINK * math.cos(HIP) + 0.1
     low = 0.22 * math.sin(0.2) + (height - 0.1) * math.cos(0.2) + 0.1 * math.cos(0.2) - height
@@ -354,14 +337,12 @@ BOX = '<box size="0.3 0.3 0.3"/>'
 
 
 def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
-    from wheelleg_exp.lint.diagnosis import case_of_file
-
     file = folder / "robot.urdf"
     file.write_text(URDF.format(inertial=inertial, shape=shape, low=low, effort=effort))
     return case_of_file(file)
 
 
-def test_what_the_file_does_not_give(tmp_path):
+def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):
     whole = read_urdf(tmp_path)
     for rule in ("missing_files", "assumed_masses", "lost_in_conversion"):
         assert found(rule, whole) == []
@@ -379,11 +360,9 @@ def test_what_the_file_does_not_give(tmp_path):
     assert "wrong way round" in finding.message
 
 
-@pytest.mark.parametrize("name", ["wheelleg/wheelleg.usda"])
-def test_the_stock_robots_file_has_only_its_armature(name):
-    from wheelleg_exp.lint.diagnosis import diagnose_file
-
-    assert {finding.rule for finding in diagnose_file(assets_dir() / name).findings} <= {"armature_ratio"}
+def test_the_armature_is_the_only_finding_of_the_stock_robot():
+    findings = diagnose_file(assets_dir() / "wheelleg" / "wheelleg.usda").findings
+    assert {finding.rule for finding in findings} <= {"armature_ratio"}
 
 
 def test_actuators_of_an_mjcf_add_up_and_the_joint_limits_them(tmp_path):

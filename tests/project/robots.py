@@ -49,16 +49,25 @@ def urdf(folder: Path, inside: str = "", name: str = "two") -> Path:
     return path
 
 
+def edited(path: Path, *changes: tuple[str, str]) -> Path:
+    """Replace texts in a file."""
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
 def along_y(path: Path) -> Path:
     def turned(match: re.Match[str]) -> str:
         x, y, z = (float(part) for part in match[2].split())
         return f'{match[1]}="{-y} {x} {z}"'
 
-    text = re.sub(r'(xyz)="([^"]+)"', turned, path.read_text())
-    text = text.replace('rpy="1.5707963267948966 0 0"', 'rpy="0 1.5707963267948966 0"')
-    text = text.replace('ixx="0.0002" iyy="0.0004"', 'ixx="0.0004" iyy="0.0002"')
-    path.write_text(text.replace('"0.2 0.1 0.1"', '"0.1 0.2 0.1"'))
-    return path
+    path.write_text(re.sub(r'(xyz)="([^"]+)"', turned, path.read_text()))
+    inertia = ('ixx="0.0002" iyy="0.0004"', 'ixx="0.0004" iyy="0.0002"')
+    rotation = ('rpy="1.5707963267948966 0 0"', 'rpy="0 1.5707963267948966 0"')
+    return edited(path, inertia, rotation, ('"0.2 0.1 0.1"', '"0.1 0.2 0.1"'))
 
 
 def knees(folder: Path) -> Path:
@@ -86,9 +95,8 @@ def knees(folder: Path) -> Path:
 def tetrahedron(path: Path, size: float = 0.05) -> Path:
     """Write a tetrahedron mesh as an OBJ file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    corners = "".join(
-        f"v {x * size} {y * size} {z * size}\n" for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
-    )
+    points = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
+    corners = "".join(f"v {x * size} {y * size} {z * size}\n" for x, y, z in points)
     path.write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
     return path
 

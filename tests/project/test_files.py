@@ -39,7 +39,7 @@ def test_a_usd_keeps_its_layers_in_their_places(tmp_path):
     assert {p.relative_to(copy.parent): p.read_bytes() for p in copy.parent.rglob("*") if p.is_file()} == there
 
 
-def test_a_usd_that_reaches_out_of_its_folder_is_made_whole(tmp_path):
+def test_a_usd_with_layers_outside_its_folder_is_copied_completely(tmp_path):
     source = tmp_path / "robots" / "top" / "robot.usda"
     source.parent.mkdir(parents=True)
     base = copy_robot(assets_dir() / "wheelleg" / "wheelleg.usda", tmp_path / "robots" / "shared")
@@ -50,65 +50,41 @@ def test_a_usd_that_reaches_out_of_its_folder_is_made_whole(tmp_path):
     assert model(moved(copy, tmp_path / "elsewhere"), tmp_path / "b") == wanted
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mesh.obj",
-        "meshes/deep/mesh.obj",
-        "package://two_description/meshes/mesh.obj",
-        "../shared/mesh.obj",
-        "file://{}",
-    ],
-)
+RELATIVE = ["mesh.obj", "meshes/deep/mesh.obj", "../shared/mesh.obj"]
+
+
+@pytest.mark.parametrize("name", [*RELATIVE, "package://two_description/meshes/mesh.obj", "file://{}"])
 def test_a_urdf_finds_its_meshes_from_the_copy(name, tmp_path):
     home = tmp_path / "two_description"
-    places = {
-        "mesh.obj": "mesh.obj",
-        "meshes/deep/mesh.obj": "meshes/deep/mesh.obj",
-        "../shared/mesh.obj": "../shared/mesh.obj",
-    }
-    mesh = tetrahedron(home / places.get(name, "meshes/mesh.obj"))
+    mesh = tetrahedron(home / (name if name in RELATIVE else "meshes/mesh.obj"))
     source = urdf(home, visual(name.format(mesh.resolve())))
     wanted = model(source, tmp_path / "a")
     assert any(file.endswith(".obj") for file in wanted)
     copy = copy_robot(source, tmp_path / "project" / "copy")
     home.rename(tmp_path / "gone")
     mesh.unlink(missing_ok=True)
-    copy = moved(copy, tmp_path / "elsewhere" / "far" / "away" / "from" / "all" / "of" / "it")
+    copy = moved(copy, tmp_path / "elsewhere/far/away/from/all/of/it")
     assert set(model(copy, tmp_path / "b").values()) == set(wanted.values())
 
 
-def test_a_urdf_that_names_what_lies_beside_it_stays_the_same_to_the_byte(tmp_path):
+@pytest.mark.parametrize("name", ["mesh.obj", "missing.stl"])
+def test_a_urdf_with_a_mesh_in_its_folder_or_with_a_missing_mesh_stays_the_same_to_the_byte(name, tmp_path):
     tetrahedron(tmp_path / "home" / "mesh.obj")
-    source = urdf(tmp_path / "home", visual("mesh.obj"))
+    source = urdf(tmp_path / "home", visual(name))
     assert copy_robot(source, tmp_path / "copy").read_bytes() == source.read_bytes()
 
 
-def test_meshes_of_the_same_name_stay_two(tmp_path):
+@pytest.mark.parametrize("second", ["../b/mesh.obj", "meshes/mesh.obj"])
+def test_meshes_of_the_same_name_stay_two(second, tmp_path):
     home = tmp_path / "home"
     tetrahedron(tmp_path / "a" / "mesh.obj", 0.05)
-    tetrahedron(tmp_path / "b" / "mesh.obj", 0.01)
-    source = urdf(home, visual("../a/mesh.obj") + visual("../b/mesh.obj"))
-    copy = copy_robot(source, tmp_path / "copy")
-    names = {p.name for p in (copy.parent / "meshes").iterdir()}
-    assert names == {"mesh.obj", "mesh_2.obj"}
+    other = tetrahedron(home / second, 0.01)
+    copy = copy_robot(urdf(home, visual("../a/mesh.obj") + visual(second)), tmp_path / "copy")
+    assert {p.name for p in (copy.parent / "meshes").iterdir()} == {"mesh.obj", "mesh_2.obj"}
     text = copy.read_text()
     assert text.count('"meshes/mesh.obj"') == text.count('"meshes/mesh_2.obj"') == 2
-
-
-def test_a_mesh_that_is_missing_is_missing_in_the_copy_too(tmp_path):
-    source = urdf(tmp_path / "home", visual("nowhere.stl"))
-    assert copy_robot(source, tmp_path / "copy").read_bytes() == source.read_bytes()
-
-
-def test_a_moved_mesh_does_not_take_the_place_of_one_that_stays(tmp_path):
-    home = tmp_path / "home"
-    tetrahedron(tmp_path / "other" / "mesh.obj", 0.05)
-    stays = tetrahedron(home / "meshes" / "mesh.obj", 0.01)
-    source = urdf(home, visual("../other/mesh.obj") + visual("meshes/mesh.obj"))
-    copy = copy_robot(source, tmp_path / "copy")
-    assert (copy.parent / "meshes" / "mesh.obj").read_bytes() == stays.read_bytes()
-    assert len(list((copy.parent / "meshes").iterdir())) == 2
+    if second == "meshes/mesh.obj":  # A mesh inside the folder of the robot does not move.
+        assert (copy.parent / "meshes" / "mesh.obj").read_bytes() == other.read_bytes()
 
 
 SECRET = "only its owner reads this"
@@ -139,7 +115,7 @@ def naming(folder: Path, ending: str, name: str) -> Path:
 @pytest.mark.parametrize(
     "name", ["{0}/passwd", "../passwd", "file://{0}/passwd", "id_rsa", "./id_rsa", "pipe.png", "zero.png", "gone.png"]
 )
-def test_a_robot_that_names_what_is_none_of_it_gets_no_copy(tmp_path, ending, name):
+def test_files_that_do_not_belong_to_the_robot_are_not_copied(tmp_path, ending, name):
     home = tmp_path / "home"
     home.mkdir()
     (tmp_path / "passwd").write_text(SECRET)
@@ -165,21 +141,19 @@ def test_a_robot_keeps_its_textures(tmp_path, ending, name):
     assert texture.relative_to(copy.parent).as_posix() in copy.read_text()
 
 
-def test_a_robot_that_names_a_pipe_as_a_layer_is_refused(tmp_path):
-    os.mkfifo(tmp_path / "pipe.usda")
-    source = naming(tmp_path, "usda", "./pipe.usda")
-    with pytest.raises(WheellegError, match="is a pipe"):
+@pytest.mark.parametrize("name", ["pipe.usda", "robot.stl", "robot.urdf.xacro"])
+def test_a_pipe_as_a_layer_and_another_format_are_refused(name, tmp_path):
+    if name == "pipe.usda":
+        os.mkfifo(tmp_path / name)
+        source, message = naming(tmp_path, "usda", f"./{name}"), "is a pipe"
+    else:
+        (source := tmp_path / name).write_text("no robot")
+        message = None
+    with pytest.raises(WheellegError, match=message):
         copy_robot(source, tmp_path / "copy")
 
 
-@pytest.mark.parametrize("name", ["robot.stl", "robot.urdf.xacro"])
-def test_another_format_is_refused(name, tmp_path):
-    (tmp_path / name).write_text("no robot")
-    with pytest.raises(WheellegError):
-        copy_robot(tmp_path / name, tmp_path / "copy")
-
-
-def test_a_copy_of_each_of_the_corpus_is_the_same_robot(request, tmp_path):
+def test_a_copy_of_a_robot_of_the_corpus_is_the_same_robot(request, tmp_path):
     folder = corpus_folder(request.config.getoption("--corpus"))
     if folder is None:
         pytest.skip(ABSENT)

@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.project.create import NameTaken, require_name
 
 
 @pytest.mark.parametrize("name", ["myrobot", "my_robot", "Diablo2", "r2d2"])
-def test_good_names_are_accepted_and_suggested_for_similar_bad_ones(name):
+def test_valid_names_are_accepted_and_suggested_for_similar_invalid_ones(name):
     require_name(name)
     with pytest.raises(NameTaken) as caught:
         require_name(f"{name}-")
@@ -36,7 +34,7 @@ def test_good_names_are_accepted_and_suggested_for_similar_bad_ones(name):
         ("yes", "a value in YAML", "yes_robot"),
     ],
 )
-def test_bad_names_are_told_with_the_nearest_good_one(name, because, nearest):
+def test_invalid_names_are_refused_with_the_nearest_valid_name(name, because, nearest):
     with pytest.raises(NameTaken, match=because) as caught:
         require_name(name)
     assert caught.value.nearest == nearest

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, four_legs, knees, urdf, with_hip_yaw
+from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, edited, four_legs, knees, urdf, with_hip_yaw
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
@@ -22,6 +22,9 @@ from wheelleg_exp.project.create import create
 from wheelleg_exp.project.robot_yaml import leg_gains, names, number, robot_yaml, spawn_height, wheel_gains
 from wheelleg_exp.project.survey import survey
 from wheelleg_exp.project.task_yaml import config_files
+
+END = "</robot>"
+TRUNK = '<box size="0.2 0.1 0.1"/>'
 
 
 def surveyed(source):
@@ -33,38 +36,32 @@ def two(tmp_path_factory):
     return surveyed(urdf(tmp_path_factory.mktemp("two")))
 
 
-def test_wheels_are_the_unlimited_hinges_and_legs_the_others(two):
-    assert two.legs == ["l_hip", "r_hip"]
-    assert two.wheels == ["l_axle", "r_axle"]
-    assert two.wheel_bodies == ["l_wheel", "r_wheel"]
-    assert two.raised_bodies == ["body", "l_leg", "r_leg"]
+def test_wheels_are_the_unlimited_hinges_and_legs_are_the_remaining_hinges(two):
+    assert (two.legs, two.wheels) == (["l_hip", "r_hip"], ["l_axle", "r_axle"])
+    assert (two.wheel_bodies, two.raised_bodies) == (["l_wheel", "r_wheel"], ["body", "l_leg", "r_leg"])
     assert two.radius == pytest.approx(RADIUS)
 
 
-def test_a_hub_beside_its_tyre_does_not_touch_the_ground(tmp_path):
-    path = urdf(tmp_path)
+def test_a_hub_inside_its_tyre_does_not_touch_the_ground(tmp_path):
     hub = """
   <link name="l_hub"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
     </inertial><collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.02" length="0.05"/>
     </geometry></collision></link>
   <joint name="l_rim" type="fixed"><parent link="l_wheel"/><child link="l_hub"/></joint></robot>"""
-    path.write_text(path.read_text().replace("</robot>", hub))
-    found = surveyed(path)
+    found = surveyed(edited(urdf(tmp_path), (END, hub)))
     assert found.wheel_bodies == ["l_wheel", "r_wheel"]
     assert "l_hub" not in found.raised_bodies
 
 
 def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
-    path = urdf(tmp_path)
     ankle = 'type="revolute"><limit lower="-1" upper="1" effort="8" velocity="20"/>'
-    path.write_text(path.read_text().replace('type="continuous">', ankle))
-    found = surveyed(path)
+    found = surveyed(edited(urdf(tmp_path), ('type="continuous">', ankle)))
     assert found.wheels == found.wheel_bodies == []
     assert found.legs == ["l_hip", "r_hip", "l_axle", "r_axle"]
     # The feet are missing in the list, because they stand on the ground.
     assert found.raised_bodies == ["body", "l_leg", "r_leg"]
-    files = config_files("mine", found)
-    assert not [text for text in files.values() if "wheel_air" in text or "mine_wheels" in text]
+    texts = config_files("mine", found).values()
+    assert not [text for text in texts if "wheel_air" in text or "mine_wheels" in text]
 
 
 def test_a_robot_whose_legs_cannot_balance_it_leans(two):
@@ -72,8 +69,7 @@ def test_a_robot_whose_legs_cannot_balance_it_leans(two):
     assert two.positions == {"l_hip": pytest.approx(hip), "r_hip": pytest.approx(hip), "l_axle": 0.0, "r_axle": 0.0}
     assert two.standing.lean == pytest.approx(-hip, abs=1e-4)
     assert two.standing.frame == pytest.approx((math.cos(hip / 2), 0.0, math.sin(hip / 2), 0.0), abs=1e-4)
-    assert two.rotation == (1.0, 0.0, 0.0, 0.0)
-    assert two.up == pytest.approx((0.0, 0.0, 1.0), abs=1e-4)
+    assert (two.rotation, two.up) == ((1.0, 0.0, 0.0, 0.0), pytest.approx((0.0, 0.0, 1.0), abs=1e-4))
 
 
 def test_the_lowest_collider_touches_the_ground(two):
@@ -95,16 +91,21 @@ def test_a_robot_drawn_along_another_axis_stands_like_the_one_along_x(two, tmp_p
     assert turned.standing.frame == pytest.approx(product, abs=1e-3)
 
 
+def posed(path, positions):
+    """Pose the robot with MuJoCo's own URDF reader, which welds the base to the world."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for name, value in positions.items():
+        data.joint(name).qpos = value
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
 def test_a_leg_of_two_joints_brings_the_mass_over_the_axle(tmp_path):
     path = knees(tmp_path)
     found = surveyed(path)
-    assert found.standing.lean == 0.0
-    assert found.standing.frame is None
-    model = mujoco.MjModel.from_xml_path(str(path))  # MuJoCo welds the base of a URDF to the world.
-    data = mujoco.MjData(model)
-    for name, value in found.positions.items():
-        data.joint(name).qpos = value
-    mujoco.mj_forward(model, data)
+    assert (found.standing.lean, found.standing.frame) == (0.0, None)
+    model, data = posed(path, found.positions)
     mass = BODY + model.body_mass.sum()  # The mass of the base is missing, because the base is a part of the world.
     assert mass == pytest.approx(found.facts.mass)
     assert (model.body_mass @ data.xipos / mass)[0] == pytest.approx(data.joint("l_axle").xanchor[0], abs=2e-3)
@@ -113,12 +114,8 @@ def test_a_leg_of_two_joints_brings_the_mass_over_the_axle(tmp_path):
 
 
 def wheel_centres(path, positions) -> np.ndarray:
-    """Return the centres of the wheels, m, (wheels, 3), from MuJoCo's own URDF reader."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    for name, value in positions.items():
-        data.joint(name).qpos = value
-    mujoco.mj_forward(model, data)
+    """Return the centres of the wheels, m, (wheels, 3)."""
+    _, data = posed(path, positions)
     return np.array([data.joint(name).xanchor for name in positions if name.endswith("_axle")])
 
 
@@ -136,12 +133,8 @@ def test_hips_that_yaw_without_limits_do_not_make_casters_of_the_wheels(limits, 
 
 
 def test_a_wheel_with_written_limits_stays_a_wheel(tmp_path):
-    path = urdf(tmp_path)
-    text = path.read_text()
-    path.write_text(
-        re.sub(r'(_axle" type="continuous">.*?)(</joint>)', r'\1<limit lower="-1" upper="1"/>\2', text, flags=re.DOTALL)
-    )
-    assert surveyed(path).wheels == ["l_axle", "r_axle"]
+    limited = ('type="continuous">', 'type="continuous"><limit lower="-1" upper="1"/>')
+    assert surveyed(edited(urdf(tmp_path), limited)).wheels == ["l_axle", "r_axle"]
 
 
 @pytest.mark.parametrize("front", [LEG, 0.26, 0.14])
@@ -154,7 +147,6 @@ def test_all_four_wheels_touch_the_ground(front, tmp_path):
 
 
 def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
-    path = urdf(tmp_path)
     nose = """
   <link name="nose"><inertial><mass value="0.01"/><inertia ixx="2e-6" iyy="4e-6" izz="2e-6" ixy="0" ixz="0" iyz="0"/>
     </inertial><collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.02" length="0.01"/>
@@ -162,44 +154,37 @@ def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
   <joint name="nose_axle" type="continuous"><parent link="body"/><child link="nose"/><origin xyz="0.2 0 -0.08"/>
     <axis xyz="0 1 0"/></joint></robot>"""
     tall = '<origin xyz="0 0 0.2"/><geometry><box size="0.2 0.1 0.5"/>'
-    text = path.read_text().replace("</robot>", nose).replace('<geometry><box size="0.2 0.1 0.1"/>', tall)
-    path.write_text(text.replace(f'upper="{HIGH}"', 'upper="0.5"'))
-    found = surveyed(path)
+    changes = ((END, nose), (f"<geometry>{TRUNK}", tall), (f'upper="{HIGH}"', 'upper="0.5"'))
+    found = surveyed(edited(urdf(tmp_path), *changes))
     assert [wheel.joint for wheel in found.anatomy.standing] == ["l_axle", "r_axle"]
     assert "only 2 of 3 wheels touch the ground in the default pose, not those of nose_axle" in found.notes
 
 
+def task_of(found):
+    return yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]
+
+
 def test_a_root_link_without_mass_on_the_ground_changes_nothing(tmp_path):
-    plain = knees(tmp_path / "plain")
     foot = """<link name="base_footprint"/><joint name="foot" type="fixed"><parent link="base_footprint"/>
       <child link="body"/><origin xyz="0 0 0.51"/></joint><link name="body">"""
-    (tmp_path / "foot").mkdir()
-    source = tmp_path / "foot" / plain.name
-    source.write_text(plain.read_text().replace('<link name="body">', foot))
-    found, expected = surveyed(source), surveyed(plain)
+    found = surveyed(edited(knees(tmp_path / "foot"), ('<link name="body">', foot)))
+    expected = surveyed(knees(tmp_path / "plain"))
     assert found.facts.standing_height == pytest.approx(expected.facts.standing_height, abs=5e-4)
-    task = yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]["rewards"]["base_height"]
+    reward, plain = (task_of(robot)["rewards"]["base_height"] for robot in (found, expected))
     # The height is the distance from axle to hip plus the wheel radius.
-    assert task["target_height"] == pytest.approx(0.3815, abs=1e-3)
-    assert task["weight"] == yaml.safe_load(config_files("mine", expected)["task/mine.yaml"])["env"]["rewards"][
-        "base_height"
-    ]["weight"]  # fmt: skip
+    assert reward["target_height"] == pytest.approx(0.3815, abs=1e-3)
+    assert reward["weight"] == plain["weight"]
 
 
 def test_an_overlap_of_the_default_pose_is_not_simulated(tmp_path):
-    path = urdf(tmp_path)
-    wide = path.read_text().replace('<box size="0.2 0.1 0.1"/>', '<box size="0.2 0.3 0.3"/>')
-    path.write_text(wide)
-    found = surveyed(path)
-    text = robot_yaml("mine", "mine/two.urdf", found)
+    found = surveyed(edited(urdf(tmp_path), (TRUNK, '<box size="0.2 0.3 0.3"/>')))
     assert {"body", "l_wheel"} in map(set, found.overlaps)
-    assert yaml.safe_load(text)["self_collisions"] is False
+    assert yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["self_collisions"] is False
 
 
 def test_limits_are_the_files_and_missing_gains_follow_from_inertias(two):
     gains = leg_gains(two)
-    assert gains.effort == {"l_hip": 8.0, "r_hip": 8.0}
-    assert gains.velocity == {"l_hip": 20.0, "r_hip": 20.0}
+    assert (gains.effort, gains.velocity) == ({"l_hip": 8.0, "r_hip": 8.0}, {"l_hip": 20.0, "r_hip": 20.0})
     assert gains.given == ["effort", "velocity"]
     joint = two.facts.joints["l_hip"]
     kp, kd = gains.stiffness["l_hip"], gains.damping["l_hip"]
@@ -211,15 +196,13 @@ def test_wheels_follow_speeds_and_are_about_as_strong_as_their_traction(two):
     gains = wheel_gains(two)
     assert set(gains.stiffness.values()) == {0.0}
     slip = two.facts.friction * two.facts.weight / 2 * RADIUS
-    assert gains.effort["l_axle"] == pytest.approx(1.5 * slip, rel=0.1)
-    assert gains.given == []
+    assert (gains.effort["l_axle"], gains.given) == (pytest.approx(1.5 * slip, rel=0.1), [])
 
 
-def test_gains_of_drives_in_the_file_are_kept():
-    stock = compose(["task=stand"]).config["env"]["robot"]
-    found = survey(
-        assets_dir() / stock["asset"], compose(["task=stand"]).config["env"], stock["init_state"]["joint_pos"]
-    )
+def test_gains_of_drives_in_the_file_are_used():
+    env = compose(["task=stand"]).config["env"]
+    stock = env["robot"]
+    found = survey(assets_dir() / stock["asset"], env, stock["init_state"]["joint_pos"])
     text = yaml.safe_load(robot_yaml("mine", "mine/wheelleg.usda", found))
     for group in ("legs", "wheels"):
         for key in ("stiffness", "damping", "effort_limit", "velocity_limit"):
@@ -229,18 +212,16 @@ def test_gains_of_drives_in_the_file_are_kept():
     assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)
 
 
-def test_every_file_is_yaml_with_a_comment_on_top(two):
-    for file, text in {
-        **config_files("mine", two),
-        "robot/mine.yaml": robot_yaml("mine", "mine/two.urdf", two),
-    }.items():
+def test_every_file_is_yaml_with_a_comment_at_the_top(two):
+    robot = {"robot/mine.yaml": robot_yaml("mine", "mine/two.urdf", two)}
+    for file, text in {**config_files("mine", two), **robot}.items():
         assert text.startswith("#"), file
         assert yaml.safe_load(text)
         assert all(line == line.rstrip() for line in text.splitlines()), file
 
 
 @pytest.mark.parametrize(("without", "said"), [("joint", "no joints"), ("collision", "no shape of the robot collides")])
-def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
+def test_a_robot_that_cannot_stand_is_refused(without, said, tmp_path):
     path = urdf(tmp_path)
     text = re.sub(rf"<{without}\b.*?</{without}>", "", path.read_text(), flags=re.DOTALL)
     if without == "joint":  # A robot has one root link, so only one link remains.
@@ -255,14 +236,17 @@ def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
     [(0.25, "0.25"), (1.0, "1.0"), (-5100, "-5100.0"), (1e-5, "1.0e-05"), (2.5e-7, "2.5e-07"), (0, "0.0")],
 )
 def test_numbers_are_floats_to_yaml(value, text):
-    assert number(value) == text
-    assert yaml.safe_load(f"[{text}]") == [pytest.approx(value)]
+    assert (number(value), yaml.safe_load(f"[{text}]")) == (text, [pytest.approx(value)])
 
 
 def test_odd_names_survive_yaml_and_match_themselves_alone():
     odd = ["a.b", "on", "knee:L", "hip (left)", "x[1]", "-", "1", "plain_name"]
     for name, read in zip(odd, yaml.safe_load(names(odd, 4)), strict=True):
         assert [other for other in [*odd, "aXb"] if re.fullmatch(read, other)] == [name]
+
+
+def examined(made, *overrides):
+    return examine(compose(["task=mine", *overrides], config_dirs=[made.path / "configs"]))
 
 
 @pytest.mark.parametrize(
@@ -273,18 +257,17 @@ def test_odd_names_survive_yaml_and_match_themselves_alone():
         ('effort="0.6" velocity="7.46"', None),  # Rounding increases this velocity.
     ],
 )
-def test_every_project_passes_its_own_check(limit, said, tmp_path):
-    source = knees(tmp_path / "file")
-    source.write_text(source.read_text().replace('type="continuous">', f'type="continuous"><limit {limit}/>'))
+def test_a_project_of_a_robot_with_limited_wheels_passes_its_own_check(limit, said, tmp_path):
+    source = edited(knees(tmp_path / "file"), ('type="continuous">', f'type="continuous"><limit {limit}/>'))
     made = create(tmp_path / "mine", source)
-    assert examine(compose(["task=mine"], config_dirs=[made.path / "configs"])).open == []
+    assert examined(made).open == []
     assert (said is None) == ("weak_wheels" not in made.accepted)
     assert said is None or said in made.accepted["weak_wheels"]
 
 
 def test_the_stock_robots_file_makes_a_project_that_passes_its_own_check(tmp_path):
     made = create(tmp_path / "mine", assets_dir() / "wheelleg" / "wheelleg.usda")
-    assert examine(compose(["task=mine"], config_dirs=[made.path / "configs"])).open == []
+    assert examined(made).open == []
     assert "9.25 rad/s" in made.accepted["drive_bandwidth"]
 
 
@@ -292,9 +275,7 @@ POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 
 
 def with_lost_meshes(folder: Path, content: str | None) -> Path:
-    path = knees(folder)
-    cylinder = re.compile(r'<cylinder radius="0.06" length="0.02"/>')
-    path.write_text(cylinder.sub('<mesh filename="wheel.stl"/>', path.read_text()))
+    path = edited(knees(folder), ('<cylinder radius="0.06" length="0.02"/>', '<mesh filename="wheel.stl"/>'))
     if content is not None:
         (folder / "wheel.stl").write_text(content)
     return path
@@ -312,8 +293,7 @@ def test_wheels_whose_meshes_are_missing_make_no_project_unless_allowed(content,
     made = create(tmp_path / "mine", source, allow_missing=True)
     assert refused.value.message in made.robot.notes
     for _ in range(2):  # The second run reads the robot from the cache.
-        report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
-        assert [finding.message for finding in report.open] == [refused.value.message]
+        assert [finding.message for finding in examined(made).open] == [refused.value.message]
     assert main(["doctor", str(source), "--json"]) == 1
     assert refused.value.message in capsys.readouterr().out
 
@@ -343,55 +323,45 @@ def test_wheels_whose_layer_is_missing_make_no_project(arc, tmp_path):
     assert "'l03', 'r03' turn without limits" in refused.value.message
 
 
-def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
-    source = urdf(tmp_path / "file")
-    text = source.read_text()
-    text = re.sub(r'(_hip" type=")revolute', r"\1continuous", text)
-    source.write_text(text)
+def test_a_finding_that_only_the_file_can_solve_is_accepted_by_name(tmp_path):
+    source = edited(urdf(tmp_path / "file"), ('_hip" type="revolute', '_hip" type="continuous'))
     made = create(tmp_path / "mine", source)
     assert "joint_limits" in made.accepted
-    report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
+    report = examined(made)
     assert report.open == []
     assert "l_hip" in report.reasons["joint_limits"]
-    wild = compose(["task=mine", "env.actions.mine_legs.scale=50"], config_dirs=[made.path / "configs"])
     # The rule also checks user-defined numbers.
-    assert "action_scale" in {finding.rule for finding in examine(wild).open}
+    assert "action_scale" in {finding.rule for finding in examined(made, "env.actions.mine_legs.scale=50").open}
 
 
 def test_a_robot_of_implausible_size_is_reported_and_not_accepted(tmp_path):
-    source = urdf(tmp_path / "file")
-    source.write_text(source.read_text().replace(f'radius="{RADIUS}"', 'radius="100"'))
+    source = edited(urdf(tmp_path / "file"), (f'radius="{RADIUS}"', 'radius="100"'))
     made = create(tmp_path / "mine", source)
     assert any("kg in 200" in note for note in made.robot.notes)
-    report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
-    assert [finding.rule for finding in report.open].count("robot_size") == 1
+    assert [finding.rule for finding in examined(made).open].count("robot_size") == 1
     assert not set(made.accepted) & {"robot_size", "link_masses"}
 
 
-def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):
-    path = urdf(tmp_path)
-    wide = path.read_text().replace('effort="8"', 'effort="0.001"').replace('xyz="0 0 -0.1"', 'xyz="0.1 0 -0.1"')
-    path.write_text(wide)
-    gains = leg_gains(surveyed(path))
+def test_an_effort_that_cannot_hold_the_weight_is_not_used(tmp_path):
+    changes = (('effort="8"', 'effort="0.001"'), ('xyz="0 0 -0.1"', 'xyz="0.1 0 -0.1"'))
+    gains = leg_gains(surveyed(edited(urdf(tmp_path), *changes)))
     assert min(gains.effort.values()) > 1.0
     assert any("does not hold the weight at l_hip" in reason for reason in gains.refused)
 
 
-def test_joints_of_no_leg_are_held_and_no_action_moves_them(tmp_path):
-    path = urdf(tmp_path)
+def test_joints_that_do_not_belong_to_a_leg_are_held_and_no_action_moves_them(tmp_path):
     turret = """
   <link name="turret"><inertial><origin xyz="0 0 0.05"/><mass value="0.3"/>
     <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="turret_yaw" type="revolute"><parent link="body"/><child link="turret"/><origin xyz="0 0 0.05"/>
     <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="3" velocity="5"/></joint></robot>"""
-    path.write_text(path.read_text().replace("</robot>", turret))
-    found = surveyed(path)
+    found = surveyed(edited(urdf(tmp_path), (END, turret)))
     assert (found.legs, found.held) == (["l_hip", "r_hip"], ["turret_yaw"])
     assert yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["actuators"]["held"]["effort_limit"] == 3.0
     assert not [file for file, text in config_files("mine", found).items() if "turret_yaw" in text]
 
 
-def test_no_episode_begins_with_a_wheel_in_the_ground(two):
-    ranges = yaml.safe_load(config_files("mine", two)["task/mine.yaml"])["env"]["events"]["reset_base"]["pose_range"]
+def test_no_episode_starts_with_a_wheel_in_the_ground(two):
+    roll = task_of(two)["events"]["reset_base"]["pose_range"]["roll"][1]
     half = 0.08  # lateral distance of the hips from the middle in robots.py, m
-    assert half * ranges["roll"][1] <= 0.003 * two.anatomy.size < half * (ranges["roll"][1] + 1e-3)
+    assert half * roll <= 0.003 * two.anatomy.size < half * (roll + 1e-3)

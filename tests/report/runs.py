@@ -15,20 +15,9 @@ from wheelleg_exp.run.timestamps import parse_utc
 STARTED = parse_utc("2026-03-01T10:00:00.000000Z")
 ENDED = parse_utc("2026-03-01T10:02:30.000000Z")
 FIGURES = {
-    "checkpoint": "model_2.pt",
-    "seed": 1,
-    "overrides": [],
-    "episodes": 8,
-    "unfinished": 0,
-    "survival": 0.75,
-    "settle_s": 1.0,
-    "settled_episodes": 7,
-    "settled_steps": 1500,
-    "height_rmse_m": 0.0021,
-    "height_mean_m": 0.072,
-    "pitch_rms_deg": 1.1,
-    "pitch_mean_deg": 0.9,
-    "mean_return": 24.6,
+    **{"checkpoint": "model_2.pt", "seed": 1, "overrides": [], "episodes": 8, "unfinished": 0, "survival": 0.75},
+    **{"settle_s": 1.0, "settled_episodes": 7, "settled_steps": 1500, "height_rmse_m": 0.0021, "height_mean_m": 0.072},
+    **{"pitch_rms_deg": 1.1, "pitch_mean_deg": 0.9, "mean_return": 24.6},
     "ended_by": {"time_out": 6, "base_contact": 2},
 }
 # Weighted rewards per second; the sum of their absolute values over the last iterations is 6.

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import shutil
 
 import pytest
@@ -22,7 +20,7 @@ def run(root):
     return run
 
 
-def test_broken_lines_of_the_log_are_left_out_and_without_it_there_are_no_curves(page, run):
+def test_broken_lines_of_the_log_are_skipped_and_without_a_log_there_are_no_curves(page, run):
     run.iterations.write_text(run.iterations.read_text() + '{"iteration": 3, "sca')
     found = page(run)
     assert "1 of the lines of iterations.jsonl cannot be read" in found.text
@@ -35,7 +33,7 @@ def test_broken_lines_of_the_log_are_left_out_and_without_it_there_are_no_curves
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00\xff", b"[1, 2", b"- 1\n", b"a: !!python/object:os.system x\n"])
-def test_damaged_parameters_are_told(page, run, content):
+def test_damaged_parameters_are_reported(page, run, content):
     (run.params / "env.yaml").write_bytes(content)
     found = page(run)
     assert "env.yaml" in found.text
@@ -43,7 +41,7 @@ def test_damaged_parameters_are_told(page, run, content):
     assert "Survival 75 %" in found.text
 
 
-def test_without_hydra_source_and_asset_the_rest_stands(page, run):
+def test_without_hydra_source_and_asset_the_other_sections_exist(page, run):
     for folder in (run.hydra, run.source, run.asset):
         shutil.rmtree(folder)
     found = page(run)
@@ -57,16 +55,15 @@ def test_without_hydra_source_and_asset_the_rest_stands(page, run):
 
 
 @pytest.mark.parametrize("content", [b"", b"no recording", b"RRF2\x00\x00"])
-def test_a_damaged_recording_is_told_in_its_section(page, run, content):
+def test_a_damaged_recording_is_reported_in_its_section(page, run, content):
     run.recording.write_bytes(content)
-    found = page(run)
-    assert "recording" in found.section("learning")
-    assert "cannot be shown" in found.section("learning")
-    assert "Return, mean of the last 100 ended episodes" in found.section("learning")
+    text = page(run).section("learning")
+    for expected in ("recording", "cannot be shown", "Return, mean of the last 100 ended episodes"):
+        assert expected in text
 
 
 @pytest.mark.parametrize("value", [None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400], ids=repr)
-def test_whatever_a_manifest_holds_there_is_a_page(run, monkeypatch, value):
+def test_there_is_a_page_for_every_content_of_a_manifest(run, monkeypatch, value):
     for part in ("settings", "learning"):
         monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
     whole = run.manifest().data

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from report.runs import add_play, change_manifest, make_run
@@ -8,14 +6,8 @@ GROUPS = {"torque_rms_nm": {"legs": 0.1, "wheels": 5.8}, "at_limit": {"legs": 0.
 MOTORS = {**GROUPS, "sign_changes_per_s": {"legs": 0.0, "wheels": 10.0}}
 NONE = dict.fromkeys(("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg"), float("nan"))
 UNSETTLED = {"survival": 0.0, **NONE, "settled_episodes": 0, "settled_steps": 0}
-RESUME = {
-    "when": "2026-03-02T08:00:00.000000Z",
-    "command": ["wheelleg", "resume"],
-    "iteration": 2,
-    "overrides": ["agent.max_iterations=9"],
-    "exact": True,
-    "before": {"status": "interrupted"},
-}
+RESUME = {"when": "2026-03-02T08:00:00.000000Z", "command": ["wheelleg", "resume"], "iteration": 2, "exact": True}
+RESUME |= {"overrides": ["agent.max_iterations=9"], "before": {"status": "interrupted"}}
 # Each case: arguments that create the run, its plays, changes of its manifest, and expected texts by section ("" is the
 # whole page).
 PAGES = {
@@ -71,9 +63,8 @@ PAGES = {
 
 
 @pytest.mark.parametrize(("made", "plays", "changes", "texts"), PAGES.values(), ids=list(PAGES))
-def test_the_page_says_what_became_of_the_run(page, root, made, plays, changes, texts):
-    run = make_run(root, *([made["overrides"]] if "overrides" in made else []),
-                   **{key: value for key, value in made.items() if key != "overrides"})  # fmt: skip
+def test_the_page_reports_the_result_of_the_run(page, root, made, plays, changes, texts):
+    run = make_run(root, **made)
     for play in plays:
         add_play(run, **play)
     if changes:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -37,11 +35,8 @@ def evil(root):
         run,
         **dict.fromkeys(("id", "task", "replay_of"), EVIL),
         **{key: {EVIL: EVIL} for key in ("versions", "threads", "environment_variables")},
-        command=[EVIL, EVIL],
-        error={"type": EVIL, "message": EVIL},
-        seeds=[EVIL],
-        hardware={"cpu": EVIL, "cores": EVIL, "platform": EVIL},
-        process={"host": EVIL},
+        **{"command": [EVIL, EVIL], "error": {"type": EVIL, "message": EVIL}, "seeds": [EVIL]},
+        **{"hardware": {"cpu": EVIL, "cores": EVIL, "platform": EVIL}, "process": {"host": EVIL}},
         results={"iterations": EVIL, EVIL: EVIL},
         resumes=[{"when": EVIL, "overrides": [EVIL], "iteration": 1, "before": {"status": EVIL}}],
         additions=[{"kind": kind, **addition} for kind in ("play", "play", "evaluation", EVIL)],
@@ -50,12 +45,9 @@ def evil(root):
 
 
 def test_nothing_in_a_run_becomes_markup(evil, root):
-    html = make_report(evil.path, root, pictures=False).path.read_text()
-    found = Page(html)
-    assert found.wrong == []
-    assert found.all("script", "title")[0].tag == "title"
+    found = Page(make_report(evil.path, root, pictures=False).path.read_text())
+    assert (found.wrong, found.all("img"), found.all("script", "title")[0].tag) == ([], [], "title")
     assert len(found.all("title")) == 1
-    assert found.all("img") == []
     assert not [e for e in found.elements for name in e.attributes if name.startswith("on")]
     assert found.text.count("<script>alert(1)</script>") > 20
     assert "{{ 7 * 7 }}" in found.text
@@ -65,10 +57,8 @@ def test_nothing_in_a_run_becomes_markup(evil, root):
 @pytest.mark.usefixtures("drawings_too")
 def test_names_in_drawings_stay_text_as_well(evil, root):
     found = Page(make_report(evil.path, root, pictures=False).path.read_text())
-    letters = [e for e in found.all("text") if "<script>" in e.text]
-    assert letters
-    assert found.all("script") == []
-    assert found.wrong == []
+    assert [e for e in found.all("text") if "<script>" in e.text]
+    assert (found.all("script"), found.wrong) == ([], [])
 
 
 def test_a_folder_with_such_a_name_is_reported_and_its_report_is_written_again(root):
@@ -77,8 +67,7 @@ def test_a_folder_with_such_a_name_is_reported_and_its_report_is_written_again(r
     run.path.rename(moved)
     for _ in range(2):
         found = Page(make_report(moved, root, pictures=False).path.read_text())
-        assert found.all("img") == []
-        assert found.all("h1")[0].text == "stand"
+        assert (found.all("img"), found.all("h1")[0].text) == ([], "stand")
 
 
 def test_characters_that_hide_text_are_shown(page, root):

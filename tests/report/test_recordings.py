@@ -27,18 +27,22 @@ def asked(monkeypatch) -> list[list[float]]:
     return moments
 
 
+def add_recorded_play(run, write):
+    path = run.play / f"2026-03-01_{len(list(run.play.glob('*')))}" / "recording.rrd"
+    path.parent.mkdir(parents=True)
+    write(path)
+    run.manifest().add("play", [path], FIGURES, command=["wheelleg", "play"])
+
+
 @pytest.fixture
 def run(root):
     run = make_run(root)
     write_recording(run.recording, training=True)
-    folder = run.play / "2026-03-01_11-00-00"
-    folder.mkdir(parents=True)
-    write_recording(folder / "recording.rrd")
-    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    add_recorded_play(run, write_recording)
     return run
 
 
-def test_pictures_go_from_the_beginning_of_an_episode_to_its_end(run, root, asked):
+def test_pictures_show_an_episode_from_its_start_to_its_end(run, root, asked):
     found = Page(make_report(run.path, root).path.read_text())
     duration = FELL_AT * DT
     standing, learning = found.section("standing"), found.section("learning")
@@ -51,22 +55,22 @@ def test_pictures_go_from_the_beginning_of_an_episode_to_its_end(run, root, aske
     assert all(len(image.attributes["alt"]) > 20 for image in found.all("img"))
 
 
-def test_of_a_play_the_first_episode_is_shown_which_its_figures_are_of(root, page, asked):
+def test_the_first_episode_of_a_play_is_shown_because_its_figures_describe_that_episode(root, page, asked):
+    def write(path):
+        writer = Writer(path)
+        rows = np.arange(1, 61)
+        writer.numbers("base/height", 0.0 * rows)
+        for name in ("base_contact", "leg_contact"):
+            writer.numbers(f"terminations/{name}", rows == 10)
+        writer.close()
+
     run = make_run(root)
-    folder = run.play / "2026-03-01_11-00-00"
-    folder.mkdir(parents=True)
-    writer = Writer(folder / "recording.rrd")
-    rows = np.arange(1, 61)
-    writer.numbers("base/height", 0.0 * rows)
-    for name in ("base_contact", "leg_contact"):
-        writer.numbers(f"terminations/{name}", rows == 10)
-    writer.close()
-    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    add_recorded_play(run, write)
     text = Page(make_report(run.path, root).path.read_text()).section("standing")
     assert "The play, first episode: ended by base contact and leg contact after 0.20 s" in text
 
 
-def test_at_last_the_first_whole_episode_is_shown_and_not_the_longest(root, asked):
+def test_the_first_whole_episode_of_the_last_sample_is_shown_and_not_the_longest(root, asked):
     run = make_run(root)
     writer = Writer(run.recording)
     steps = np.r_[1:11, 101:201, 301:331, 501:541]
@@ -80,7 +84,7 @@ def test_at_last_the_first_whole_episode_is_shown_and_not_the_longest(root, aske
     assert "At last, iteration 30: ended by fell after 0.20 s" in text
 
 
-def test_what_happened_to_a_recording_is_told(root, page):
+def test_notes_of_a_recording_are_shown(root, page):
     run = make_run(root)
     writer = Writer(run.recording)
     writer.numbers("training/Train/mean_reward", [1.0], [1], None, [0])
@@ -91,7 +95,7 @@ def test_what_happened_to_a_recording_is_told(root, page):
     assert "No motion of this training was recorded" in text
 
 
-def test_tables_hold_what_was_recorded(run, page):
+def test_tables_contain_the_recorded_values(run, page):
     text = page(run).section("standing")
     time = DT * np.arange(1, STEPS + 1)
     error = 0.05 * np.cos(5 * time)  # the error of the forward velocity in the recording
@@ -101,18 +105,15 @@ def test_tables_hold_what_was_recorded(run, page):
     assert f"knee {number(float(np.sqrt(np.mean(effort**2))))} {number(float(np.abs(effort).max()))}" in text
 
 
-def test_curves_and_tables_say_of_which_environment_and_steps_they_are(run, page, root):
+def test_curves_and_tables_name_their_environments_and_steps(run, page, root):
     text = page(run).section("standing")
     assert f"The curves and tables are of environment 0 alone: all {STEPS} recorded steps, of 2 episodes." in text
-    folder = run.play / "2026-03-01_12-00-00"
-    folder.mkdir()
-    write_recording(folder / "recording.rrd", env_ids=(0, 3))
-    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    add_recorded_play(run, lambda path: write_recording(path, env_ids=(0, 3)))
     text = page(run).section("standing")
     assert "The curves are of environment 0, the tables of environments 0, 3: all 120 recorded steps" in text
 
 
-def test_without_a_renderer_the_report_says_what_to_install(run, root, monkeypatch):
+def test_without_a_renderer_the_report_names_the_missing_package(run, root, monkeypatch):
     def nothing(*_):
         raise WheellegError("no backend draws here", expected="a driver")
 
@@ -127,6 +128,5 @@ def test_a_recording_that_was_cut_off_is_shown_as_far_as_it_goes(run, page):
     content = run.recording.read_bytes()
     run.recording.write_bytes(content[: len(content) * 3 // 4])
     text = page(run).section("learning")
-    assert "not whole" in text
-    assert "inspect --repair" in text
-    assert "Return, mean of the last 100 ended episodes" in text
+    for expected in ("not whole", "inspect --repair", "Return, mean of the last 100 ended episodes"):
+        assert expected in text

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -45,8 +43,7 @@ def rows(page, section):
     for element in page.elements:
         if element.tag == "section" and "id" in element.attributes:
             inside = element.attributes["id"] == section
-        if inside and element.tag == "tr":
-            found.append(" ".join(element.text.split()))
+        found += [" ".join(element.text.split())] if inside and element.tag == "tr" else []
     return found
 
 
@@ -71,39 +68,29 @@ def subject(folder, config, scalars):
 
 
 @pytest.mark.parametrize(
-    ("configs", "time_outs", "told"),
+    ("configs", "time_outs", "expected"),
     [
         # The returns 1 and 3 are comparable only if both runs have equal rewards.
         (({"a": 1}, {"a": 2}), (0.5, 0.25), "The highest mean return, 3.00, is that of a=2."),
-        (
-            ({"env": {"rewards": {"alive": {"weight": 1}}}}, {"env": {"rewards": {"alive": {"weight": 3}}}}),
-            (0.5, 0.25),
-            "Their returns do not compare, as env.rewards.alive.weight differs. "
-            "The highest mean time-out share, 50 %, is that of weight=1.",
-        ),
-        (
-            ({"env": {"episode_length_s": 5}}, {"env": {"episode_length_s": 9}}),
-            (None, None),
-            "Their returns do not compare, as env.episode_length_s differs.",
-        ),
-        (
-            ({"agent": {"algorithm": {"gamma": 0.9}}}, {"agent": {"algorithm": {"gamma": 0.99}}}),
-            (1.0, 1.0),
-            "Their returns do not compare, as agent.algorithm.gamma differs. "
-            "The mean time-out share is the same, 100 %.",
-        ),
+        (({"env": {"rewards": {"alive": {"weight": 1}}}}, {"env": {"rewards": {"alive": {"weight": 3}}}}), (0.5, 0.25),
+         "Their returns do not compare, as env.rewards.alive.weight differs. "
+         "The highest mean time-out share, 50 %, is that of weight=1."),
+        (({"env": {"episode_length_s": 5}}, {"env": {"episode_length_s": 9}}), (None, None),
+         "Their returns do not compare, as env.episode_length_s differs."),
+        (({"agent": {"algorithm": {"gamma": 0.9}}}, {"agent": {"algorithm": {"gamma": 0.99}}}), (1.0, 1.0),
+         "Their returns do not compare, as agent.algorithm.gamma differs. The mean time-out share is the same, 100 %."),
     ],
-)
-def test_returns_are_ranked_where_they_are_of_the_same_reward(tmp_path, configs, time_outs, told):
+)  # fmt: skip
+def test_returns_of_the_same_reward_are_ranked(tmp_path, configs, time_outs, expected):
     runs = []
     for number, (config, share) in enumerate(zip(configs, time_outs, strict=True)):
         scalars = {"Train/mean_reward": 1.0 + 2 * number}
         scalars |= {} if share is None else {"Episode_Termination/time_out": share}
         runs.append(subject(tmp_path / str(number), config, scalars))
-    assert sentence(grouped(runs)) == f"2 runs with 2 settings. {told}"
+    assert sentence(grouped(runs)) == f"2 runs with 2 settings. {expected}"
 
 
-def test_where_trainings_have_no_time_out_the_last_plays_survival_ranks(root, runs):
+def test_trainings_without_a_time_out_are_ranked_by_the_survival_in_their_last_play(root, runs):
     found = [open_subject(run.path, root) for run in (runs[0], runs[3])]
     for subject in found:
         del subject.scalars["Episode_Termination/time_out"]
@@ -120,9 +107,8 @@ def test_curves_are_overlaid(root, runs, drawings_too):
 
 
 def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
-    at, mean, deviation = course(
-        [([0, 1, 2, 3], [1.0, 2.0, float("nan"), 4.0]), ([0, 2, 3], [3.0, 5.0, 4.0]), ([], [])]
-    )
+    runs = [([0, 1, 2, 3], [1.0, 2.0, float("nan"), 4.0]), ([0, 2, 3], [3.0, 5.0, 4.0]), ([], [])]
+    at, mean, deviation = course(runs)
     np.testing.assert_array_equal(at, [0, 3])
     np.testing.assert_allclose(mean, [2.0, 4.0])
     np.testing.assert_allclose(deviation, [np.sqrt(2), 0.0])
@@ -134,7 +120,7 @@ def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
     np.testing.assert_allclose(deviation, np.sqrt(2))
 
 
-def test_a_sweeps_report_stands_in_its_folder(root, runs):
+def test_a_sweeps_report_is_in_its_folder(root, runs):
     jobs = [([f"seed={i}"], [f"seed={i}"]) for i in range(6)]
     index = SweepIndex.create(root, command=[], launcher={}, jobs=jobs)
     for number, run in enumerate(runs, 1):
@@ -145,20 +131,16 @@ def test_a_sweeps_report_stands_in_its_folder(root, runs):
     assert wheelleg("report", index.folder, "--root", root).status == 0  # The second report replaces the first report.
 
 
-def test_a_single_seed_and_unequal_lengths_are_said(root, runs):
+def test_a_single_seed_and_unequal_lengths_are_mentioned(root, runs):
     make_run(root, ["seed=9", "env.rewards.alive.weight=3"], name="short", iterations=1)
     text = page_of(root, runs, sorted(root.glob("stand/*short"))[0]).section("ended")
     assert "One setting has a single run" in text
     assert "They were trained for 1 to 3 iterations." in text
 
 
-def test_something_else_is_not_overwritten(root, runs):
+def test_another_file_is_not_overwritten_and_a_sweep_without_runs_has_no_report(root, runs):
     (root.parent / "comparison.html").write_text("my notes")
-    said = wheelleg("report", runs[0].path, runs[1].path, "--root", root)
-    assert said.status == 2
-    assert "not overwritten" in said.err
-    root.mkdir(exist_ok=True)
     index = SweepIndex.create(root, command=[], launcher={}, jobs=[(["seed=1"], ["seed=1"])])
-    said = wheelleg("report", index.folder, "--root", root)
-    assert said.status == 2
-    assert "has no run yet" in said.err
+    for paths, expected in (([runs[0].path, runs[1].path], "not overwritten"), ([index.folder], "has no run yet")):
+        said = wheelleg("report", *paths, "--root", root)
+        assert (said.status, expected in said.err) == (2, True)

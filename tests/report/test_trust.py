@@ -34,15 +34,12 @@ def _repeat(run: RunDirectory, folder, change=None, **facts) -> RunDirectory:
     return RunDirectory(folder)
 
 
-def test_an_untouched_run_is_sound_and_says_what_would_prove_it(page, run):
+def test_an_unchanged_run_names_the_replay_that_proves_it_and_an_equal_replay_proves_it(page, run, root):
     found = page(run)
     assert "Reproducibility Untested" in found.text
     text = found.section("trust")
     assert "The run is what its manifest says" in text
     assert f"wheelleg replay {run.id}" in text
-
-
-def test_an_equal_replay_proves_it(page, run, root):
     _repeat(run, root / "replays" / "stand" / "again", replay_of=run.id)
     found = page(run)
     assert "Reproducibility Proven 1 repeated run, equal to the bit" in found.text
@@ -79,7 +76,7 @@ def test_a_run_of_the_same_settings_counts_and_one_of_other_settings_does_not(pa
     assert "Reproducibility Untested" in page(run).text
 
 
-def test_a_replay_is_held_against_its_original(page, run, root):
+def test_a_replay_is_compared_with_its_original(page, run, root):
     replay = _repeat(run, root / "replays" / "stand" / "again", replay_of=run.id)
     found = page(replay)
     assert f"This run is itself a replay of {run.id}" in found.section("trust")

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -25,21 +23,11 @@ def test_nan_of_a_json_file_becomes_none():
     assert len(value_format.brief("x" * 1000)) < 200
 
 
-@pytest.mark.parametrize(("share", "text"), [(1.0, "100 %"), (0.9999, "99.9 %"), (0.0, "0 %"), (1e-6, "0.1 %")])
-def test_a_share_is_never_rounded_to_all_or_nothing(share, text):
-    assert value_format.percent(share) == text
+PERCENT = [(1.0, "100 %"), (0.9999, "99.9 %"), (0.0, "0 %"), (1e-6, "0.1 %")]  # never rounded to all or nothing
+DURATION = [(0.5, "0.50 s"), (42, "42 s"), (157.2, "2 min 37 s"), (3600, "1 h 0 min"), (200000, "2 d 7 h")]
+SIZE = [(47, "47 B"), (2186, "2.19 kB"), (948898, "949 kB"), (4765257, "4.77 MB")]
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.5, "0.50 s"), (42, "42 s"), (157.2, "2 min 37 s"), (3600, "1 h 0 min"), (200000, "2 d 7 h")],
-)
-def test_durations_have_two_units(seconds, text):
-    assert value_format.duration(seconds) == text
-
-
-@pytest.mark.parametrize(
-    ("octets", "text"), [(47, "47 B"), (2186, "2.19 kB"), (948898, "949 kB"), (4765257, "4.77 MB")]
-)
-def test_sizes_have_three_digits(octets, text):
-    assert value_format.size(octets) == text
+@pytest.mark.parametrize(("kind", "rows"), {"percent": PERCENT, "duration": DURATION, "size": SIZE}.items())
+def test_shares_durations_and_sizes_are_short_and_have_units(kind, rows):
+    assert [getattr(value_format, kind)(value) for value, _ in rows] == [text for _, text in rows]

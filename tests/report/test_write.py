@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from report.runs import make_run
@@ -15,7 +13,7 @@ def _short(monkeypatch):
         monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
 
 
-def test_it_stands_in_the_run_and_the_manifest_tells_of_it(root):
+def test_the_report_is_in_the_run_and_in_its_manifest(root):
     run = make_run(root)
     made = make_report(run.path, root, command=["wheelleg", "report"], pictures=False)
     assert made.path == run.path / "report.html"
@@ -37,7 +35,7 @@ def test_a_run_that_has_changed_gets_a_new_report_in_place(root):
     assert not run.manifest().compare_files()
 
 
-def test_elsewhere_it_is_not_the_runs(root, tmp_path):
+def test_a_report_outside_the_run_is_not_in_its_manifest(root, tmp_path):
     run = make_run(root)
     made = make_report(run.path, root, tmp_path / "shared" / "mine.html", pictures=False)
     assert made.path.is_file()
@@ -51,7 +49,7 @@ def test_elsewhere_it_is_not_the_runs(root, tmp_path):
 
 
 @pytest.mark.parametrize("content", ["notes of mine", "<html></html>", ""])
-def test_another_file_is_not_overwritten(root, tmp_path, content):
+def test_another_file_and_the_report_of_another_run_are_not_overwritten(root, tmp_path, content):
     run = make_run(root)
     taken = tmp_path / "page.html"
     taken.write_text(content)
@@ -60,9 +58,13 @@ def test_another_file_is_not_overwritten(root, tmp_path, content):
     assert taken.read_text() == content
     with pytest.raises(RunDirectoryError, match="not overwritten"):
         make_report(run.path, root, run.iterations, pictures=False)
+    shared = make_report(run.path, root, tmp_path / "shared.html", pictures=False).path
+    with pytest.raises(RunDirectoryError, match="not a report of this run"):
+        make_report(make_run(root).path, root, shared, pictures=False)
+    make_report(run.path, root, shared, pictures=False)
 
 
-def test_a_place_where_nothing_can_be_written_is_told_before_the_work_begins(root, tmp_path, monkeypatch):
+def test_a_place_that_cannot_be_written_is_refused_before_the_work_starts(root, tmp_path, monkeypatch):
     run = make_run(root)
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(compile_of, "compile_page", lambda *_: pytest.fail("compiled"))
@@ -72,15 +74,7 @@ def test_a_place_where_nothing_can_be_written_is_told_before_the_work_begins(roo
     assert list(tmp_path.glob("**/*.tmp")) == []
 
 
-def test_the_report_of_another_run_is_not_overwritten(root, tmp_path):
-    first, second = make_run(root), make_run(root)
-    shared = make_report(first.path, root, tmp_path / "page.html", pictures=False).path
-    with pytest.raises(RunDirectoryError, match="not a report of this run"):
-        make_report(second.path, root, shared, pictures=False)
-    make_report(first.path, root, shared, pictures=False)
-
-
-def test_a_run_that_was_renamed_knows_its_report(root):
+def test_the_report_of_a_renamed_run_is_replaced(root):
     run = make_run(root)
     made = make_report(run.path, root, pictures=False)
     renamed = made.path.parent.rename(run.path.with_name("2026-03-01_10-00-00_0_mine"))
