@@ -126,33 +126,16 @@ def _trend(name: str, table: pa.Table) -> Trend | None:
     if not len(values):
         return None
     low, high = int(np.argmin(values)), int(np.argmax(values))
-    return Trend(
-        name=name,
-        count=len(values),
-        first=float(values[0]),
-        last=float(values[-1]),
-        last_at=int(iterations[-1]),
-        lowest=float(values[low]),
-        highest=float(values[high]),
-        lowest_at=int(iterations[low]),
-        highest_at=int(iterations[high]),
-    )
+    first, last, lowest, highest = (float(values[row]) for row in (0, -1, low, high))
+    last_at, lowest_at, highest_at = (int(iterations[row]) for row in (-1, low, high))
+    return Trend(name, len(values), first, last, last_at, lowest, highest, lowest_at, highest_at)
 
 
 def _sample(found: list[Episode]) -> Sample:
     iterations = [i for e in found for i in (e.iteration, e.last_iteration) if i is not None]
-    count = len(whole(found))
-    return Sample(
-        iteration=min(iterations),
-        last_iteration=max(iterations),
-        first_step=min(episode.first_step for episode in found),
-        last_step=max(episode.last_step for episode in found),
-        episodes=count,
-        cut=len(found) - count,
-        survival=survival(found),
-        mean_duration_s=mean_duration(found),
-        mean_reward=mean_reward(found),
-    )
+    first_step, last_step = min(e.first_step for e in found), max(e.last_step for e in found)
+    counts, means = (len(whole(found)), len(found) - len(whole(found))), (mean_duration(found), mean_reward(found))
+    return Sample(min(iterations), max(iterations), first_step, last_step, *counts, survival(found), *means)
 
 
 @dataclass(frozen=True)
@@ -254,7 +237,6 @@ def _summary(chosen: View) -> Summary:
         begin, end = Length(float(first), True), Length(float(last), True)
         view = View(recording, replace(chosen.selection, begin=begin, end=end))
         shown = [episode for episode in found if first <= episode.first_step and episode.last_step <= last]
-    reaches = {name: recording.reach(name) for name in recording.timelines()}
     return Summary(
         path=str(recording.path),
         recording_id=recording.recording_id,
@@ -264,7 +246,7 @@ def _summary(chosen: View) -> Summary:
         env_ids=view.env_ids,
         sample=sample,
         step_dt=recording.step_dt,
-        timelines={name: Span(*reach) for name, reach in reaches.items() if reach is not None},
+        timelines={name: Span(*r) for name in recording.timelines() if (r := recording.reach(name)) is not None},
         parts=_parts(recording),
         notes=recording.events("recording"),
         frames=_frames(view),
@@ -310,10 +292,7 @@ def _frames(view: View) -> tuple[int, int] | None:
 
 
 def _parts(recording: Recording) -> list[Part]:
-    entities: Counter[str] = Counter()
-    rows: Counter[str] = Counter()
+    rows: dict[str, list[int]] = {}
     for entity in recording.entities():
-        name = unescaped(BRANCH.sub("", entity).split("/")[0])
-        entities[name] += 1
-        rows[name] += recording.count(entity)
-    return [Part(name, count, rows[name]) for name, count in entities.items()]
+        rows.setdefault(unescaped(BRANCH.sub("", entity).split("/")[0]), []).append(recording.count(entity))
+    return [Part(name, len(counts), sum(counts)) for name, counts in rows.items()]
