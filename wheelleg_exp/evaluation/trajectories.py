@@ -94,6 +94,9 @@ class EffortMeter(SensorBase):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Do nothing, because the sums restart with each control step."""
 
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        """Do nothing, because only physics steps do work."""
+
 
 @dataclass
 class Trajectories:

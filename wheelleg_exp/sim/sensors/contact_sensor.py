@@ -377,6 +377,9 @@ class ContactSensor(SensorBase):
         self._found.index_fill_(0, ids, 0.0)
         self._largest_norm = None
 
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        """Do nothing, because contact forces exist only after a physics step."""
+
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
         overflowed = (self._found.index_select(0, env_ids) > self._slots).any(dim=1)

@@ -105,7 +105,6 @@ class Imu(SensorBase):
         self.data = ImuData(n, device)
         self._before = torch.zeros(n, 6, device=device)  # the IMU's velocities at the start of the last physics step
         self._acc = torch.zeros(n, 6, device=device)
-        self._is_new = torch.ones(n, dtype=torch.bool, device=device)
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
         self._std, self._low, self._high, self._walk = torch.tensor(spread, device=device).unbind(dim=1)
         self._bias_b, self._noise_b = torch.zeros(n, 6, device=device), torch.zeros(n, 6, device=device)
@@ -185,4 +184,3 @@ class Imu(SensorBase):
             value.copy_(saved[name])
         self._before, self._acc = saved["before"].clone(), saved["acc"].clone()
         self._bias_b, self._noise_b = saved["bias"].clone(), saved["noise"].clone()
-        self._is_new.fill_(False)
