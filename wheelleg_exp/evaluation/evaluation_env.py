@@ -42,12 +42,9 @@ def evaluation_cfg(
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
     if protocol.command not in commands:
-        raise ConfigError(
-            f"the task has no command '{protocol.command}'",
-            key="protocol.command",
-            expected="one of " + (", ".join(commands) or "(there are none)"),
-            nearest=nearest_name(protocol.command, commands),
-        )
+        expected = "one of " + (", ".join(commands) or "(there are none)")
+        message, nearest = f"the task has no command '{protocol.command}'", nearest_name(protocol.command, commands)
+        raise ConfigError(message, key="protocol.command", expected=expected, nearest=nearest)
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
     cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
@@ -93,9 +90,8 @@ def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
-        raise ConfigError(
-            "only robots with a floating base can be evaluated", key="env.robot.base", expected="floating"
-        )
+        message = "only robots with a floating base can be evaluated"
+        raise ConfigError(message, key="env.robot.base", expected="floating")
     return env
 
 

@@ -269,10 +269,8 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
     """Raise RunDirectoryError unless all evaluations have the same scenarios."""
     digests = list(dict.fromkeys(evaluation.scenarios_sha256 for evaluation in evaluations))
     if len(digests) > 1:
-        raise RunDirectoryError(
-            "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests),
-            expected="the same protocol, numbers, and seed for all evaluations",
-        )
+        message = "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests)
+        raise RunDirectoryError(message, expected="the same protocol, numbers, and seed for all evaluations")
 
 
 def plain(value: Any) -> Any:

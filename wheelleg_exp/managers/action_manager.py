@@ -166,12 +166,8 @@ class ActionManager(ManagerBase):
 def _require_actions(actions: ActionTerm, term: Term, env: Env) -> None:
     width = getattr(actions, "action_dim", None)
     if isinstance(width, bool) or not isinstance(width, int) or width < 1:
-        raise ConfigError(
-            f"action_dim of '{term.target}' is {width!r}",
-            key=term.path,
-            where=code_place(actions),
-            expected="a whole number of at least 1, set in __init__",
-        )
+        message, where = f"action_dim of '{term.target}' is {width!r}", code_place(actions)
+        raise ConfigError(message, key=term.path, where=where, expected="a whole number of at least 1, set in __init__")
     for name in ("raw_actions", "processed_actions"):
         source = f"{name} of '{term.target}'"
         require_form(row_form(env.num_envs, env.device), getattr(actions, name, None), source, term.path, actions)

@@ -368,11 +368,8 @@ class ManagerBase(OfEnv, Kept):
     def get_term_cfg(self, name: str) -> Term:
         """Return a term with ``func``, ``params``, and the manager's fields, which can be read and changed."""
         if name not in self._terms:
-            raise ConfigError(
-                f"there is no term '{name}' in env.{self.kind}",
-                expected="one of " + (", ".join(self._terms) or "(no terms)"),
-                nearest=nearest_name(name, self._terms),
-            )
+            message, nearest = f"there is no term '{name}' in env.{self.kind}", nearest_name(name, self._terms)
+            raise ConfigError(message, expected="one of " + (", ".join(self._terms) or "(no terms)"), nearest=nearest)
         return self._terms[name]
 
     def state_dict(self) -> dict[str, Any]:

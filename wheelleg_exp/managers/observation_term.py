@@ -46,9 +46,8 @@ class ObservationTerm(Kept):
         self._env = env
         modifiers = term.fields.get("modifiers") or []
         if not isinstance(modifiers, list):
-            raise ConfigError(
-                "modifiers is not a list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]"
-            )
+            message = "modifiers is not a list"
+            raise ConfigError(message, key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
         self._modifiers: list[Any] = list(modifiers)
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
@@ -59,11 +58,8 @@ class ObservationTerm(Kept):
                 if part is not None and not hasattr(part, method):
                     kind = type(part)
                     what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
-                    raise ConfigError(
-                        f"{what} has no {method}()",
-                        key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()",
-                    )
+                    expected = f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()"
+                    raise ConfigError(f"{what} has no {method}()", key=f"{self.term.path}.{name}", expected=expected)
         self._flatten = flatten
         term.form = row_form(env.num_envs, env.device, deep=True)
         sample = term(env)
@@ -227,11 +223,8 @@ class ObservationTerm(Kept):
         if scale is None or isinstance(scale, (int, float)):
             return scale
         if len(scale) != width:
-            raise ConfigError(
-                f"scale has {len(scale)} numbers for a term of width {width}",
-                key=f"{self.term.path}.scale",
-                expected=f"one number or {width}",
-            )
+            message = f"scale has {len(scale)} numbers for a term of width {width}"
+            raise ConfigError(message, key=f"{self.term.path}.scale", expected=f"one number or {width}")
         return torch.tensor(scale, dtype=torch.float32, device=self._env.device)
 
 
@@ -313,21 +306,16 @@ def _require_steps(terms: Mapping[str, ObservationTerm], options: GroupOptions, 
     plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms.values())
     lengths = {term.history_length for term in terms.values()}
     if not (plain and len(lengths) == 1 and lengths != {0} and options.concatenate_terms):
-        raise ConfigError(
-            "the histories of the terms cannot be ordered by step",
-            key=f"{path}.history_order",
-            expected="concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors",
-        )
+        message = "the histories of the terms cannot be ordered by step"
+        expected = "concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors"
+        raise ConfigError(message, key=f"{path}.history_order", expected=expected)
 
 
 def _require_joinable(shapes: Mapping[str, tuple[int, ...]], dim: int, path: str) -> None:
     deepest = max(map(len, shapes.values()))
     if not -deepest <= dim < deepest:
-        raise ConfigError(
-            f"the terms have no dimension {dim}",
-            key=f"{path}.concatenate_dim",
-            expected=f"from {-deepest} to {deepest - 1}",
-        )
+        message = f"the terms have no dimension {dim}"
+        raise ConfigError(message, key=f"{path}.concatenate_dim", expected=f"from {-deepest} to {deepest - 1}")
     others = {tuple(size for axis, size in enumerate(shape) if axis != dim % deepest) for shape in shapes.values()}
     if len({len(shape) for shape in shapes.values()}) > 1 or len(others) > 1:
         listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())

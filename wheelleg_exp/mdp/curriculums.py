@@ -108,9 +108,8 @@ class modify_term_cfg(modify_env_param):
         section, *rest = parse(address)
         if section not in _MANAGERS:
             known, nearest = "one of " + ", ".join(_MANAGERS), nearest_name(str(section), _MANAGERS)
-            raise ConfigError(
-                f"'{section}' is not a section with terms", key="address", expected=known, nearest=nearest
-            )
+            message = f"'{section}' is not a section with terms"
+            raise ConfigError(message, key="address", expected=known, nearest=nearest)
         return (_MANAGERS[str(section)], *rest)
 
 
@@ -273,9 +272,8 @@ class command_levels_by_skill(TermBase):
             raise error
         for name, values in (("std", std), ("step", step)):
             for axis in (axis for axis in self._limits if axis not in values):
-                raise ConfigError(
-                    f"{name} has no value for the axis '{axis}'", key=f"{name}.{axis}", expected="a number above 0"
-                )
+                message = f"{name} has no value for the axis '{axis}'"
+                raise ConfigError(message, key=f"{name}.{axis}", expected="a number above 0")
         self._names = tuple(self._limits)
         self._columns = [_AXES.index(axis) for axis in self._names]
         self._variances = tuple(float(std[axis]) ** 2 for axis in self._names)

@@ -40,9 +40,8 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     A file that is missing, damaged, or not a checkpoint of this program raises RunDirectoryError.
     """
     if not path.is_file():
-        raise RunDirectoryError(
-            "the checkpoint does not exist", key=str(path), expected="a model_<iteration>.pt of a run"
-        )
+        message = "the checkpoint does not exist"
+        raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run")
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
@@ -90,20 +89,17 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
         for name, value in network.items() if isinstance(network, Mapping) else ():
             if isinstance(value, torch.Tensor) and (bad := int((~value.isfinite()).sum())):
                 where = f"{key.removesuffix('_state_dict')}.{name}"
-                raise RunDirectoryError(
-                    f"{bad} of the {value.numel()} numbers of {where} are NaN or inf",
-                    key=str(path),
-                    expected="a checkpoint with finite parameters, perhaps an earlier one of this run",
-                )
+                message = f"{bad} of the {value.numel()} numbers of {where} are NaN or inf"
+                expected = "a checkpoint with finite parameters, perhaps an earlier one of this run"
+                raise RunDirectoryError(message, key=str(path), expected=expected)
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
     """Raise RunDirectoryError if the networks can be played, but the training cannot be resumed."""
     if state["format_version"] != FORMAT_VERSION:
-        raise RunDirectoryError(
-            f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
-            expected=f"version {FORMAT_VERSION}, which holds all that a training depends on",
-        )
+        message = f"the checkpoint has format version {state['format_version']}: it can be played, not resumed"
+        expected = f"version {FORMAT_VERSION}, which holds all that a training depends on"
+        raise RunDirectoryError(message, expected=expected)
 
 
 def _rebuilt(value: Any) -> Any:

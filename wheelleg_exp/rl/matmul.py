@@ -48,9 +48,8 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
         raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
     on_gpu = _kind(agent) == "cuda"
     if wanted == "tf32" and not on_gpu:
-        raise ConfigError(
-            f"tf32 is for GPUs, and agent.device is {agent['device']}", key=KEY, expected="auto or float32"
-        )
+        message = f"tf32 is for GPUs, and agent.device is {agent['device']}"
+        raise ConfigError(message, key=KEY, expected="auto or float32")
     if wanted == "auto" and on_gpu:
         return "tf32"
     if wanted == "auto":

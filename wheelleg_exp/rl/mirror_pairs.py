@@ -137,11 +137,8 @@ class BodyImages:
             raise ConfigError(message, key=key, expected="bodies of both sides, or in the middle")
         turned = MIRROR @ self._frames[body] @ MIRROR
         if with_axes and np.abs(turned - self._frames[image]).max() > _MAX_FRAME_ERROR:
-            raise ConfigError(
-                f"the axes of the body '{name}' are not mirror images of those of '{self.names[image]}'",
-                key=key,
-                expected="bodies whose frames are images, or a rule of your own",
-            )
+            message = f"the axes of the body '{name}' are not mirror images of those of '{self.names[image]}'"
+            raise ConfigError(message, key=key, expected="bodies whose frames are images, or a rule of your own")
         return self.names[image]
 
     def _by_place(self, body: int, parents: Sequence[int | None]) -> int | None:

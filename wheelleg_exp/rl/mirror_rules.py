@@ -134,9 +134,8 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     signs = np.round(mirrored)
     if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
         expected = "axes along the body's" if kind != "quaternion" else "a turn about y, or none"
-        raise ConfigError(
-            "the IMU's axes are not their own mirror image", key=f"{sensor.key}.offset.rot", expected=expected
-        )
+        message = "the IMU's axes are not their own mirror image"
+        raise ConfigError(message, key=f"{sensor.key}.offset.rot", expected=expected)
     if kind == "quaternion":
         return [(0, 1.0), (1, -1.0), (2, 1.0), (3, -1.0)]
     sign = -1.0 if kind == "pseudovector" else 1.0
@@ -198,11 +197,8 @@ class TermMirror:
         ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
         for joint in ids:
             if self._images[joint] not in ids:
-                raise ConfigError(
-                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
-                    key=path,
-                    expected="joints of both sides",
-                )
+                message = f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not"
+                raise ConfigError(message, key=path, expected="joints of both sides")
         joints = [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
         if rule == "joints_sin_cos":
             return joints + [(len(joints) + source, 1.0) for source, _ in joints]
@@ -226,9 +222,8 @@ class TermMirror:
     def _entity(self, term: ObservationTerm, parameter: str) -> Any:
         found = term.term.params.get(parameter)
         if found is None:
-            raise ConfigError(
-                f"the observation has no {parameter}", key=term.term.path, expected="a parameter that names the sensor"
-            )
+            message = f"the observation has no {parameter}"
+            raise ConfigError(message, key=term.term.path, expected="a parameter that names the sensor")
         return found
 
     def _phases(self, term: ObservationTerm, path: str) -> SignedSources:
@@ -254,9 +249,8 @@ class TermMirror:
         for name in names:
             image = self._bodies.image(name, path, with_axes=with_axes)
             if image not in names:
-                raise ConfigError(
-                    f"'{name}' is observed, and its image '{image}' is not", key=path, expected="bodies of both sides"
-                )
+                message = f"'{name}' is observed, and its image '{image}' is not"
+                raise ConfigError(message, key=path, expected="bodies of both sides")
             first = names.index(image) * len(signs)
             found += [(first + i, float(sign)) for i, sign in enumerate(signs)]
         return found

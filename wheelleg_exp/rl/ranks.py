@@ -69,11 +69,9 @@ def is_communication(error: BaseException) -> bool:
 
 def left() -> Left:
     """Return the error for a rank that lost another rank."""
-    return Left(
-        "another process of the training has ended",
-        key=f"rank {os.environ.get('RANK', '0')}",
-        expected="all processes to continue; the first one to end reports why, or torchrun's table names the signal",
-    )
+    message = "another process of the training has ended"
+    expected = "all processes to continue; the first one to end reports why, or torchrun's table names the signal"
+    return Left(message, key=f"rank {os.environ.get('RANK', '0')}", expected=expected)
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
@@ -143,11 +141,8 @@ class Ranks:
         if number not in ("", "0"):
             raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
-            raise ConfigError(
-                f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs",
-                key=key,
-                expected="as many GPUs as torchrun's --nproc-per-node",
-            )
+            message = f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs"
+            raise ConfigError(message, key=key, expected="as many GPUs as torchrun's --nproc-per-node")
         return f"cuda:{self.local}"
 
     def for_rsl_rl(self) -> dict[str, int] | None:
@@ -268,11 +263,9 @@ def joined() -> Iterator[Ranks]:
         return
     missing = [name for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
     if missing:
-        raise ConfigError(
-            f"torchrun announces {size} processes, but {missing[0]} is not set",
-            key="WORLD_SIZE",
-            expected="the variables that torchrun sets; or unset it to train with one process",
-        )
+        message = f"torchrun announces {size} processes, but {missing[0]} is not set"
+        expected = "the variables that torchrun sets; or unset it to train with one process"
+        raise ConfigError(message, key="WORLD_SIZE", expected=expected)
     ranks = Ranks(number("RANK", 0), size, number("LOCAL_RANK", 0), number("LOCAL_WORLD_SIZE", size))
     gpus = torch.cuda.is_available() and dist.is_nccl_available()
     with communicating():

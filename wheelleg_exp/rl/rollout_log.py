@@ -43,12 +43,9 @@ class FailureCount:
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
-            raise SimulationFailure(
-                f"numbers of this key were not finite and ended {count} episodes{others} {when}",
-                key=key,
-                expected=f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)",
-                evidence=self._evidence,
-            )
+            message = f"numbers of this key were not finite and ended {count} episodes{others} {when}"
+            expected = f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)"
+            raise SimulationFailure(message, key=key, expected=expected, evidence=self._evidence)
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:

@@ -98,18 +98,12 @@ class Mirror:
             image = (kind, names[self._images[source]])
             sign = self._signs[source]
             if image not in columns:
-                raise ConfigError(
-                    f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind",
-                    key="env.actions",
-                    expected="actions for both sides",
-                )
+                message = f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind"
+                raise ConfigError(message, key="env.actions", expected="actions for both sides")
             _, _, its_offset, its_scale = made[columns[image]]
             if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
-                raise ConfigError(
-                    f"an action sets another target for '{joint}' than for its image '{image[1]}'",
-                    key="env.actions",
-                    expected="one scale, and offsets that are images",
-                )
+                message = f"an action sets another target for '{joint}' than for its image '{image[1]}'"
+                raise ConfigError(message, key="env.actions", expected="one scale, and offsets that are images")
             turned.append((columns[image], sign))
         return turned
 
@@ -148,11 +142,9 @@ class Mirror:
         if rule == mirror_rules.COMMAND_RULE:
             rule = self._turning.command(term)
         if rule is None:
-            raise ConfigError(
-                f"'{term.term.target}' has no known mirror image (observation '{name}' of '{group}')",
-                key=f"{mirror_rules.RULES_KEY}.{name}",
-                expected="one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number",
-            )
+            message = f"'{term.term.target}' has no known mirror image (observation '{name}' of '{group}')"
+            expected = "one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number"
+            raise ConfigError(message, key=f"{mirror_rules.RULES_KEY}.{name}", expected=expected)
         return rule
 
 

@@ -169,13 +169,11 @@ class Trainer:
             if self.ranks.together and is_communication(error):
                 raise left() from error
             self._require_finite({}, error)
-            raise SimulationFailure(
-                f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}",
-                key="agent",
-                where=place(error),
-                expected="networks that work, and a learning_rate at which numbers do not grow without bound",
-                evidence=self._learning({}),
-            ) from error
+            message = f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}"
+            where = place(error)
+            expected = "networks that work, and a learning_rate at which numbers do not grow without bound"
+            evidence = self._learning({})
+            raise SimulationFailure(message, key="agent", where=where, expected=expected, evidence=evidence) from error
 
     def _require_finite(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
@@ -185,12 +183,9 @@ class Trainer:
             bad += [f"the {role}'s {name} is not finite" for name in wrong]
         if bad:
             more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
-            raise SimulationFailure(
-                f"{bad[0]}{more}, in the update of iteration {self.iteration}",
-                key="agent.algorithm",
-                expected="finite numbers; a lower learning_rate or max_grad_norm may help",
-                evidence=self._learning(losses),
-            ) from cause
+            expected = "finite numbers; a lower learning_rate or max_grad_norm may help"
+            message, evidence = f"{bad[0]}{more}, in the update of iteration {self.iteration}", self._learning(losses)
+            raise SimulationFailure(message, key="agent.algorithm", expected=expected, evidence=evidence) from cause
 
     def _learning(self, losses: Mapping[str, float]) -> dict[str, torch.Tensor]:
         rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
@@ -225,10 +220,8 @@ class Trainer:
                 torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
         except (RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise RunDirectoryError(
-                f"the saved state does not fit: {reason[:200]}",
-                expected="the state of the same networks, terms, robot and number of environments",
-            ) from error
+            expected = "the state of the same networks, terms, robot and number of environments"
+            raise RunDirectoryError(f"the saved state does not fit: {reason[:200]}", expected=expected) from error
         self.iteration = saved["iter"] + 1
 
     @contextmanager

@@ -31,11 +31,8 @@ class RobotLayout(Kept):
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
         wanted = options.base
         if wanted != "auto" and (wanted == "floating") != self.floating:
-            raise ConfigError(
-                f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'",
-                key="env.robot.base",
-                expected="auto, or the base that the model has",
-            )
+            message = f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'"
+            raise ConfigError(message, key="env.robot.base", expected="auto, or the base that the model has")
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
         for error in () if options.joint_order is None else order_errors(options.joint_order, found):
             raise error
@@ -76,11 +73,9 @@ class RobotLayout(Kept):
             index = model.joint(name).id
             low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
             if not low <= value <= high:
-                raise ConfigError(
-                    f"the default position {value} of joint '{name}' is outside its limits",
-                    key="env.robot.init_state.joint_pos",
-                    expected=f"a value in [{low:.6g}, {high:.6g}]",
-                )
+                message = f"the default position {value} of joint '{name}' is outside its limits"
+                key = "env.robot.init_state.joint_pos"
+                raise ConfigError(message, key=key, expected=f"a value in [{low:.6g}, {high:.6g}]")
             ranges.append((low, high))
         limits = self._numbers(ranges).view(-1, 2)
         self.joint_pos_limits = limits

@@ -277,10 +277,8 @@ class RobotWriters(Kept):
 
     def _require_floating(self) -> None:
         if self.is_fixed_base:
-            raise ConfigError(
-                "the robot's base is fixed, so its root cannot be moved",
-                expected="terms that do not move the root, or env.robot.base=floating",
-            )
+            message = "the robot's base is fixed, so its root cannot be moved"
+            raise ConfigError(message, expected="terms that do not move the root, or env.robot.base=floating")
 
     def write_joint_stiffness_to_sim(self, stiffness: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set kp of the joints' actuators, N·m/rad."""

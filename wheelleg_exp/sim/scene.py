@@ -143,12 +143,9 @@ class Scene(Kept):
         """Return a contact sensor by name; ConfigError if no contact sensor has that name."""
         sensor = self.sensors.get(name)
         if not isinstance(sensor, ContactSensor):
-            raise ConfigError(
-                f"'{name}' is not a contact sensor",
-                key="sensor_cfg.name",
-                expected="one of " + (", ".join(self.sensors) or "(the scene has none)"),
-                nearest=nearest_name(name, self.sensors),
-            )
+            expected = "one of " + (", ".join(self.sensors) or "(the scene has none)")
+            message, nearest = f"'{name}' is not a contact sensor", nearest_name(name, self.sensors)
+            raise ConfigError(message, key="sensor_cfg.name", expected=expected, nearest=nearest)
         return sensor
 
     def model_digest(self) -> str:

@@ -76,11 +76,8 @@ class Overflow:
             found = max(int(data.nacon.numpy()[0]), int(data.ncollision.numpy()[0]))
             key, has, needed = "env.sim.nconmax", self._room.contacts, -(-found // int(data.nworld))
             what = "contacts per simulation on average"
-        raise SimulationFailure(
-            f"there are more than {has} {what}, and the excess ones were dropped",
-            key=key,
-            expected=f"{max(needed, 2 * has)} or more",
-        )
+        message = f"there are more than {has} {what}, and the excess ones were dropped"
+        raise SimulationFailure(message, key=key, expected=f"{max(needed, 2 * has)} or more")
 
 
 _HUGE = 1e10  # Positions and velocities above MuJoCo's mjMAXVAL count as invalid.

@@ -71,11 +71,8 @@ class ModelFields:
             owner, last = self._place(name)
             array: Any = getattr(owner, last, None)
             if not self.may_differ(name):
-                raise ConfigError(
-                    f"mujoco-warp has one '{name}' for all simulations",
-                    key=ENGINE,
-                    expected="mujoco, or no event that gives each environment its own value",
-                )
+                expected = "mujoco, or no event that gives each environment its own value"
+                raise ConfigError(f"mujoco-warp has one '{name}' for all simulations", key=ENGINE, expected=expected)
             wp = self._wp
             each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
             wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))

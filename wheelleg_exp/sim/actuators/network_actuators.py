@@ -212,11 +212,8 @@ class ActuatorNetLSTM(ActuatorNet):
         super().read_files(folder, key, device)
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
-            raise ConfigError(
-                "the network has no LSTM named 'lstm'",
-                key=f"{key}.network_file",
-                expected="a batch-first LSTM whose memory is an input and an output",
-            )
+            expected = "a batch-first LSTM whose memory is an input and an output"
+            raise ConfigError("the network has no LSTM named 'lstm'", key=f"{key}.network_file", expected=expected)
         self._layers, self._width = len(layers), int(layers[0].shape[1])
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:

@@ -184,9 +184,7 @@ def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
     for name, part in layout.sub_terrains.items():
         for patch, wanted in part.flat_patches.items():
             if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
-                raise ConfigError(
-                    f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here",
-                    key=f"{TERRAIN_KEY}.sub_terrains.{name}.flat_patches.{patch}.num_patches",
-                    expected="the same number on all sub-terrains",
-                )
+                message = f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here"
+                key = f"{TERRAIN_KEY}.sub_terrains.{name}.flat_patches.{patch}.num_patches"
+                raise ConfigError(message, key=key, expected="the same number on all sub-terrains")
     return {name: np.zeros((*origins.shape[:2], count, 3)) for name, count in counts.items()}

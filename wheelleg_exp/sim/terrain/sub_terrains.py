@@ -78,11 +78,8 @@ class FlatPatches(Kept):
             found = np.concatenate((found, np.column_stack((places - origin[:2], heights[:, 0]))[flat]))
             if len(found) >= self.num_patches:
                 return found[: self.num_patches]
-        raise ConfigError(
-            f"{len(found)} of {self.num_patches} flat patches were found in {_ROUNDS * self.num_patches:,} tries",
-            key=key,
-            expected="a smaller patch_radius, a larger max_height_diff or wider ranges",
-        )
+        message = f"{len(found)} of {self.num_patches} flat patches were found in {_ROUNDS * self.num_patches:,} tries"
+        raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
 EDGE = 1e-9  # m; a point that is this close to an edge counts as inside

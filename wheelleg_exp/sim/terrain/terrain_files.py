@@ -140,11 +140,8 @@ class HeightField(_FromFile):
     def _scaled(self, values: npt.NDArray[Any]) -> Read:
         good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
         if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
-            raise ConfigError(
-                f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}",
-                key=self._key,
-                expected="two or more rows and columns of finite numbers",
-            )
+            message = f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}"
+            raise ConfigError(message, key=self._key, expected="two or more rows and columns of finite numbers")
         if self._range is not None:
             low, high = self._range
             heights = low + (high - low) * heights
