@@ -8,17 +8,9 @@ from typing import Any
 import torch
 
 from wheelleg_exp.managers import Env
-from wheelleg_exp.state import Memory, Outside, Stateful
+from wheelleg_exp.state import Memory, Outside, Stateful, saved_values
 from wheelleg_exp.state.object_graph import PLAIN
-from wheelleg_exp.state.saved_values import (
-    NOTHING,
-    Reference,
-    Unsaveable,
-    checkpoint_value,
-    restored_value,
-    same,
-    snapshot,
-)
+from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
 # The environment itself or its caller changes the attributes in this list, so they are not state of terms.
@@ -67,12 +59,14 @@ class EnvAttributes:
         self._memory.require_apart()
         found = {}
         for name, item in vars(self._env).items():
-            if name in self._names and not (_is_plain(name, item) and not same(item, self._plain.get(name, NOTHING))):
+            if name in self._names and not (
+                _is_plain(name, item) and not saved_values.same(item, self._plain.get(name, NOTHING))
+            ):
                 continue
             try:
                 seen = snapshot(item, name)
-                if not isinstance(seen, Reference):
-                    found[name] = checkpoint_value(seen, NOTHING, name)
+                if not isinstance(seen, saved_values.Reference):
+                    found[name] = saved_values.checkpoint_value(seen, NOTHING, name)
             except (Unsaveable, RecursionError) as error:
                 raise refusal(self._env, error, "env") from error
         return found
@@ -82,7 +76,7 @@ class EnvAttributes:
         for name in vars(self._env).keys() - self._names - saved.keys():
             delattr(self._env, name)
         for name, item in {**self._plain, **saved}.items():
-            setattr(self._env, name, restored_value(item, vars(self._env).get(name)))
+            setattr(self._env, name, saved_values.restored_value(item, vars(self._env).get(name)))
 
 
 def _is_plain(name: str, item: Any) -> bool:

@@ -31,18 +31,8 @@ from typing import Any, Protocol, TypeVar, cast
 
 import torch
 
-from wheelleg_exp.env.captured_values import (
-    Key,
-    TouchedMemory,
-    Values,
-    copy_tensors,
-    fits,
-    form_of,
-    frozen,
-    has_other_entries,
-    is_changed,
-    write_back,
-)
+from wheelleg_exp.env import captured_values
+from wheelleg_exp.env.captured_values import Key, Values, form_of, is_changed
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.object_graph import Slot, is_plain
@@ -231,10 +221,14 @@ class Recording:
         except (LookupError, TypeError):
             return [slot for slot, _ in self.buffers if not isinstance(slot.get(), torch.Tensor)]
         if moved:
-            wrong = {id(static) for (_, _, static), now in moved if not fits(now, static) or id(static) in self.shared}
+            wrong = {
+                id(static)
+                for (_, _, static), now in moved
+                if not captured_values.fits(now, static) or id(static) in self.shared
+            }
             if wrong:
                 return [slot for slot, static in self.buffers if id(static) in wrong]
-            copy_tensors([(static, now) for (_, _, static), now in moved])
+            captured_values.copy_tensors([(static, now) for (_, _, static), now in moved])
             for (container, key, static), _ in moved:
                 container[key] = static
         for static, now in zip(self.inputs, args, strict=True):
@@ -428,12 +422,12 @@ class CapturedPart:
         dictionaries = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
         with torch.inference_mode(False):
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
-        touched, outputs = TouchedMemory(), list[Any]()
+        touched, outputs = captured_values.TouchedMemory(), list[Any]()
 
         def work() -> None:
             with touched:
                 outputs.append(self._packed(self._work(*inputs)))
-                write_back(tensors)
+                captured_values.write_back(tensors)
 
         try:
             graph.record(work)
@@ -446,10 +440,12 @@ class CapturedPart:
             raise
         assigned = [(slot, slot.get()) for slot, value in (*tensors, *others) if slot.get() is not value]
         values.add_flags([slot for slot, value in (*tensors, *others) if is_changed(value, slot.get())])
-        filled = [(slot, dict(slot.get())) for slot, was in dictionaries if has_other_entries(slot.get(), was)]
+        filled = [
+            (slot, dict(slot.get())) for slot, was in dictionaries if captured_values.has_other_entries(slot.get(), was)
+        ]
         touched.note((outputs, inputs, [v for _, v in assigned], [c for _, c in filled]))
         buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return Recording(graph, inputs, buffers, assigned, filled, frozen(outputs[0]))
+        return Recording(graph, inputs, buffers, assigned, filled, captured_values.frozen(outputs[0]))
 
     def _packed(self, result: Any) -> Any:
         """Return the log of a reset as names and one tensor, because the log is copied at every replay."""

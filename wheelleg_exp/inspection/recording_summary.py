@@ -11,26 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from wheelleg_exp.definitions import ending
-from wheelleg_exp.inspection.episode_measures import (
-    FAILED,
-    TIMED_OUT,
-    UNFINISHED,
-    EffortUse,
-    Episode,
-    ForceExtreme,
-    RewardShare,
-    TrackingError,
-    base_motion,
-    effort_use,
-    episodes,
-    force_extremes,
-    mean_duration,
-    mean_reward,
-    reward_shares,
-    survival,
-    tracking_errors,
-    whole,
-)
+from wheelleg_exp.inspection import episode_measures as measures
+from wheelleg_exp.inspection.episode_measures import Episode, episodes, mean_duration, mean_reward, survival, whole
 from wheelleg_exp.inspection.recorded_numbers import Statistics, View
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.recording.layout import BRANCH, ITERATION, TRAINING
@@ -202,11 +184,11 @@ class Summary:
     frames: tuple[int, int] | None
     figures: EpisodeFigures
     episodes: list[Episode]
-    tracking: list[TrackingError]
+    tracking: list[measures.TrackingError]
     base: dict[str, Statistics]
-    forces: list[ForceExtreme]
-    efforts: list[EffortUse]
-    rewards: list[RewardShare]
+    forces: list[measures.ForceExtreme]
+    efforts: list[measures.EffortUse]
+    rewards: list[measures.RewardShare]
     events: dict[str, int]
     training: list[Trend]
     samples: list[Sample]
@@ -252,11 +234,11 @@ def _summary(chosen: View) -> Summary:
         frames=_frames(view),
         figures=episode_figures(shown),
         episodes=found,
-        tracking=tracking_errors(view),
-        base=base_motion(view),
-        forces=force_extremes(view),
-        efforts=effort_use(view),
-        rewards=reward_shares(view),
+        tracking=measures.tracking_errors(view),
+        base=measures.base_motion(view),
+        forces=measures.force_extremes(view),
+        efforts=measures.effort_use(view),
+        rewards=measures.reward_shares(view),
         events=dict(Counter(event.text for event in view.events("events"))),
         training=training_trends(recording, chosen.selection),
         samples=samples,
@@ -271,9 +253,9 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
         count=len(found),
         whole=len(kept),
         begun_before=sum(not episode.is_from_start for episode in found),
-        unfinished=sum(episode.outcome == UNFINISHED for episode in found),
-        failed=outcomes[FAILED],
-        timed_out=outcomes[TIMED_OUT],
+        unfinished=sum(episode.outcome == measures.UNFINISHED for episode in found),
+        failed=outcomes[measures.FAILED],
+        timed_out=outcomes[measures.TIMED_OUT],
         survival=survival(found),
         ended_by=dict(Counter(ending(episode.ended_by) for episode in kept)),
         mean_duration_s=mean_duration(found),

@@ -25,19 +25,8 @@ from wheelleg_exp.managers.streams import lent
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
-from wheelleg_exp.terms.term_binding import (
-    FIELD_TYPES,
-    TARGET,
-    TermNode,
-    cfg_class,
-    read_from,
-    resolve_target,
-    split_node,
-    takes_cfg,
-    target_arguments,
-    walk_nodes,
-    written_for_isaac_lab,
-)
+from wheelleg_exp.terms import term_binding
+from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET, TermNode, read_from, resolve_target
 from wheelleg_exp.terms.term_errors import failure, field_errors, nested_errors, parameter_errors, placed
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
@@ -225,7 +214,7 @@ def bind_terms(
     ``instantiate``, call ``instantiate_term`` later to make the term objects.
     """
     terms = {
-        name: _bound_term(kind, split_node(kind, f"{section}.{name}", node), env)
+        name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
         for name, node in (nodes or {}).items()
         if node is not None
     }
@@ -242,7 +231,7 @@ def _bound_term(kind: str, node: TermNode, env: Env) -> Term:
     fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
     term = Term(node.name, node.path, node.target, target, {}, fields)
     takes_generator = "generator" in inspect.signature(read_from(target)).parameters
-    if takes_generator or written_for_isaac_lab(target):
+    if takes_generator or term_binding.written_for_isaac_lab(target):
         term.generator, term.lends = env.streams.get(node.path), not takes_generator
     term.params = _params(term, node.params, env)
     term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
@@ -259,9 +248,9 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def _constructor_arguments(kind: Any, term: Term, env: Env) -> dict[str, Any]:
-    if not takes_cfg(kind):
+    if not term_binding.takes_cfg(kind):
         return _params(term, term.arguments, env)
-    config = cfg_class(kind)  # action and command terms read their config themselves
+    config = term_binding.cfg_class(kind)  # action and command terms read their config themselves
     return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
 
 
@@ -283,7 +272,9 @@ def instantiate_term(term: Term, env: Env) -> None:
             made_object: TermBase = cast(Any, kind)(env=env, **_constructor_arguments(kind, term, env))
         return made_object
 
-    term.made_by(make, keeps_params=takes_cfg(kind) and read_from(kind) is not cfg_class(kind))
+    term.made_by(
+        make, keeps_params=term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
+    )
 
 
 def build(value: Any, path: str) -> Any:
@@ -291,7 +282,7 @@ def build(value: Any, path: str) -> Any:
 
     Interpolations in the parameter are not resolved, because the config is already composed.
     """
-    for where, node in walk_nodes(value, path):
+    for where, node in term_binding.walk_nodes(value, path):
         if TARGET in node:
             for error in nested_errors(where, node, resolve_target(str(node[TARGET]), where)):
                 raise error
@@ -306,7 +297,7 @@ def _built(value: Any, path: str) -> Any:
         return copy.deepcopy(value)
     if TARGET not in value:
         return {key: _built(item, f"{path}.{key}") for key, item in value.items()}
-    arguments = {key: _built(item, f"{path}.{key}") for key, item in target_arguments(value, path).items()}
+    arguments = {key: _built(item, f"{path}.{key}") for key, item in term_binding.target_arguments(value, path).items()}
     try:
         with ending_as(ConfigError):
             return resolve_target(str(value[TARGET]), path)(**arguments)

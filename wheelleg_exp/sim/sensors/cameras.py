@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import mujoco
 import torch
 
-from wheelleg_exp.constraints import (
-    Broken,
-    Count,
-    NonNegative,
-    NotEmpty,
-    Positive,
-    PositiveInterval,
-    Targeted,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Count, NonNegative, NotEmpty, Positive, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rendering.camera_job import Layer
 from wheelleg_exp.rendering.live_pictures import CameraPictures
@@ -202,7 +194,7 @@ class Camera(LazySensor):
         horizontal_aperture_offset: float = 0.0,
         vertical_aperture_offset: float = 0.0,
         fovy: Positive | None = None,
-        clipping_range: PositiveInterval = (0.01, 20.0),
+        clipping_range: constraints.PositiveInterval = (0.01, 20.0),
         depth_clipping_behavior: DepthClipping = "none",
         max_num_envs: Count = 16,
         update_period: NonNegative = 0.0,
@@ -340,7 +332,7 @@ class RayCasterCamera(RayCaster):
     def __init__(
         self,
         body_name: str,
-        pattern: Annotated[PinholePattern, Targeted()],
+        pattern: Annotated[PinholePattern, constraints.Targeted()],
         data_types: Annotated[Sequence[RayDepth], NotEmpty()] = ("distance_to_image_plane",),
         offset: CameraOffset | None = None,
         max_distance: Positive = 1e6,

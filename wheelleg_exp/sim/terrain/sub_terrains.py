@@ -7,15 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from wheelleg_exp.constraints import (
-    Bounds,
-    Count,
-    Interval,
-    NonNegative,
-    NonNegativeInterval,
-    Positive,
-    PositiveInterval,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Bounds, Count, NonNegative, NonNegativeInterval, Positive, PositiveInterval
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
@@ -151,7 +144,7 @@ class RandomUniform(SubTerrain):
         downsampled_scale: distance between the drawn points, m; null means the edge of a cell.
     """
 
-    noise_range: Interval
+    noise_range: constraints.Interval
     noise_step: Positive
     downsampled_scale: Positive | None = None
 

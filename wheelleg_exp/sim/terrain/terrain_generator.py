@@ -11,20 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wheelleg_exp.constraints import (
-    Broken,
-    Count,
-    Length,
-    Natural,
-    Node,
-    NonNegative,
-    NotEmpty,
-    Ordered,
-    Positive,
-    Seed,
-    Share,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Count, NonNegative, Positive, Share, relation
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.progress import with_progress
 from wheelleg_exp.sim.terrain.relief import HeightMap, Layout, Tile, make_relief
@@ -123,20 +111,20 @@ class TerrainGenerator(TerrainBase):
 
     def __init__(
         self,
-        size: Annotated[Sequence[Positive], Length(2)],
+        size: Annotated[Sequence[Positive], constraints.Length(2)],
         num_rows: Count,
         num_cols: Count,
         border_width: NonNegative,
         horizontal_scale: Positive,
         vertical_scale: Positive,
         curriculum: bool,
-        difficulty_range: Annotated[Sequence[Share], Ordered()],
-        sub_terrains: Annotated[Mapping[str, Node | None], NotEmpty()],
+        difficulty_range: Annotated[Sequence[Share], constraints.Ordered()],
+        sub_terrains: Annotated[Mapping[str, constraints.Node | None], constraints.NotEmpty()],
         static_friction: NonNegative,
         dynamic_friction: NonNegative,
         restitution: Share,
-        seed: Seed | None = None,
-        max_init_terrain_level: Natural | None = None,
+        seed: constraints.Seed | None = None,
+        max_init_terrain_level: constraints.Natural | None = None,
         origin_window: Share = ORIGIN_WINDOW,
     ) -> None:
         super().__init__(static_friction, dynamic_friction, restitution)
