@@ -26,25 +26,17 @@ class EnvAttributes:
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
         terms = [term for manager in managers.values() for term in getattr(manager, "bound_terms", [])]
         robot, owners = env.scene.robot, _owners(env, terms)
-        watched = {
-            "env": env,
-            "env.scene": env.scene,
-            "env.scene.terrain": env.scene.terrain,
-            "env.robot": robot,
-            "env.robot.data": robot.data,
-        }
+        watched: dict[str, Any] = {"env": env, "env.scene": env.scene, "env.scene.terrain": env.scene.terrain}
+        watched |= {"env.robot": robot, "env.robot.data": robot.data}
         watched |= {f"env.scene.sensors.{name}": sensor for name, sensor in env.scene.sensors.items()}
         watched |= {f"env.{name}": manager for name, manager in managers.items() if name != "scene"}
         env.scene.require_compiled_model()
         self._env = env
         parts = owners | {k: v for k, v in watched.items() if k.startswith(("env.scene.sensors.", "env.scene.terrain"))}
-        self._outside = Outside(
-            {term.path: term.func for term in terms} | {key: type(value) for key, value in parts.items()},
-            {k: v for k, v in watched.items() if k != "env"}
-            | {"env.scene.sim": env.scene.sim, "env.streams": env.streams}
-            | {term.path: term for term in terms},
-            cfg,
-        )
+        code = {term.path: term.func for term in terms} | {key: type(value) for key, value in parts.items()}
+        owned = {k: v for k, v in watched.items() if k != "env"} | {term.path: term for term in terms}
+        owned |= {"env.scene.sim": env.scene.sim, "env.streams": env.streams}
+        self._outside = Outside(code, owned, cfg)
         self._memory = Memory(owners, lambda: _tensors(watched) | {"the state": env.scene.sim.state})
         self._names = {*vars(env), "_attributes"}
         self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
@@ -95,9 +87,5 @@ def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
 
 
 def _tensors(watched: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    return {
-        f"{owner}.{name}": item
-        for owner, value in watched.items()
-        for name, item in vars(value).items()
-        if isinstance(item, torch.Tensor)
-    }
+    items = ((f"{owner}.{name}", item) for owner, value in watched.items() for name, item in vars(value).items())
+    return {name: item for name, item in items if isinstance(item, torch.Tensor)}

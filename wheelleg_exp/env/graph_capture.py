@@ -158,16 +158,13 @@ class GraphCapture:
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
         """Run a part, or replay a recording of the part."""
         env = self._env
-        if method.__name__ not in self.parts:
-            self.parts[method.__name__] = CapturedPart(
-                functools.partial(method, env),
-                self.values,
-                self._make_graph,
-                reset_caches=env.scene.robot.data.invalidate,
-                streams=env.streams.all,
-                is_reset=any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args),
-            )
-        part = self.parts[method.__name__]
+        name = method.__name__
+        if name not in self.parts:
+            work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
+            resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
+            options: dict[str, Any] = {"reset_caches": caches, "streams": streams, "is_reset": resets}
+            self.parts[name] = CapturedPart(work, self.values, self._make_graph, **options)
+        part = self.parts[name]
         found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
             env.scene.robot.mark_written(args[0])
@@ -306,7 +303,9 @@ class CapturedPart:
                 return self._run(args)
             if self._generation == self._values.generation:
                 # If the recording found a new flag, the key lacks this flag, and the recording cannot be stored.
-                self._store(key, recording)
+                if len(self.recordings) >= self._room:
+                    del self.recordings[self._rarest()]
+                self.recordings[key] = recording
         elif unfit := recording.load(args):
             self._drop(key, unfit)
             return self._run(args)
@@ -339,11 +338,6 @@ class CapturedPart:
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
-
-    def _store(self, key: Key, recording: Recording) -> None:
-        if len(self.recordings) >= self._room:
-            del self.recordings[self._rarest()]
-        self.recordings[key] = recording
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
         """Drop a recording whose memory cannot take the present tensors.
@@ -426,7 +420,13 @@ class CapturedPart:
 
         def work() -> None:
             with touched:
-                outputs.append(self._packed(self._work(*inputs)))
+                result = self._work(*inputs)
+                if self.is_reset:
+                    # Store the log of a reset as names and one tensor, because the log is copied at every replay.
+                    if not all(isinstance(value, torch.Tensor) for value in result.values()):
+                        raise RuntimeError("the log of a reset contains a value that is not a tensor")
+                    result = list(result), torch.stack([value.reshape(()) for value in result.values()])
+                outputs.append(result)
                 captured_values.write_back(tensors)
 
         try:
@@ -446,11 +446,3 @@ class CapturedPart:
         touched.note((outputs, inputs, [v for _, v in assigned], [c for _, c in filled]))
         buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
         return Recording(graph, inputs, buffers, assigned, filled, captured_values.frozen(outputs[0]))
-
-    def _packed(self, result: Any) -> Any:
-        """Return the log of a reset as names and one tensor, because the log is copied at every replay."""
-        if not self.is_reset:
-            return result
-        if not all(isinstance(value, torch.Tensor) for value in result.values()):
-            raise RuntimeError("the log of a reset contains a value that is not a tensor")
-        return list(result), torch.stack([value.reshape(()) for value in result.values()])

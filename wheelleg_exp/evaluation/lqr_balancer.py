@@ -126,8 +126,7 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
     """Return the inertia of bodies about an axis through a point, or through each body's own centre, kg·m²."""
     total = 0.0
     for body in bodies:
-        frame = data.ximat[body].reshape(3, 3)
-        along = frame.T @ axis
+        along = data.ximat[body].reshape(3, 3).T @ axis
         total += float(along @ (model.body_inertia[body] * along))
         if point is not None:
             arm = data.xipos[body] - point
@@ -179,13 +178,8 @@ class Reference:
 
     def describe(self) -> dict[str, Any]:
         """Return the model and the gains for JSON."""
-        return {
-            "pendulum": asdict(self.pendulum),
-            "pole_per_s": self.pendulum.pole,
-            "gains": self.gains.tolist(),
-            "integrator_per_s": self.pendulum.pole,
-            "bandwidth_per_s": self.bandwidth,
-        }
+        model = {"pendulum": asdict(self.pendulum), "pole_per_s": self.pendulum.pole, "gains": self.gains.tolist()}
+        return {**model, "integrator_per_s": self.pendulum.pole, "bandwidth_per_s": self.bandwidth}
 
     def __call__(self, observations: Mapping[str, Any] | None = None) -> torch.Tensor:
         """Return raw actions (N, A). The observations are not used."""

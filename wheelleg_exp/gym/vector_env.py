@@ -18,11 +18,7 @@ from wheelleg_exp.gym import task_env
 from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arrays, observation_space
 from wheelleg_exp.state.tensor_trees import host_copy
 
-_MODES = {
-    "same_step": AutoresetMode.SAME_STEP,
-    "next_step": AutoresetMode.NEXT_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
+_MODES = {name: AutoresetMode[name.upper()] for name in ("same_step", "next_step", "disabled")}
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):

@@ -247,13 +247,6 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
     return params if term.generator is None or term.lends else {**params, "generator": term.generator}
 
 
-def _constructor_arguments(kind: Any, term: Term, env: Env) -> dict[str, Any]:
-    if not term_binding.takes_cfg(kind):
-        return _params(term, term.arguments, env)
-    config = term_binding.cfg_class(kind)  # action and command terms read their config themselves
-    return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
-
-
 def instantiate_term(term: Term, env: Env) -> None:
     """Create the object of a class term, and store the settings of every term. Functions are used unchanged."""
     kind: Any = term.func
@@ -269,7 +262,13 @@ def instantiate_term(term: Term, env: Env) -> None:
         for error in parameter_errors("commands", node, kind):  # command terms have no fields that the manager reads
             raise error
         with term.blamed():
-            made_object: TermBase = cast(Any, kind)(env=env, **_constructor_arguments(kind, term, env))
+            arguments: dict[str, Any] = {"cfg": term}
+            if not term_binding.takes_cfg(kind):
+                arguments = _params(term, term.arguments, env)
+            elif (config := term_binding.cfg_class(kind)) and config is read_from(kind):
+                # Action and command terms read their config themselves.
+                arguments = {"cfg": config(**_params(term, term.arguments, env))}
+            made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
 
     term.made_by(
@@ -393,12 +392,9 @@ class ManagerBase(OfEnv, Kept):
         return ()
 
     def __str__(self) -> str:
-        rows = [
-            (i, term.name, *self._cells(term), term.target.rsplit(".", 1)[-1])
-            for i, term in enumerate(self.bound_terms)
-        ]
-        title = f"{self.kind.capitalize()}: {len(rows)}"
-        return table(title, ("index", "name", *self.columns, "term"), rows)
+        cells = [(t.name, *self._cells(t), t.target.rsplit(".", 1)[-1]) for t in self.bound_terms]
+        rows = [(i, *row) for i, row in enumerate(cells)]
+        return table(f"{self.kind.capitalize()}: {len(rows)}", ("index", "name", *self.columns, "term"), rows)
 
 
 def _remembers(func: Any) -> bool:

@@ -270,22 +270,16 @@ class RecorderManager(ManagerBase):
             success = ends.get_term(_SUCCESS)[env_ids].tolist()
         lengths = self._env.episode_length_buf[env_ids].tolist()
         for place, (env_id, length) in enumerate(zip(env_ids.tolist(), lengths, strict=True)):
-            group = self._group(success[place])
-            if group is None or not length or not self._is_whole[env_id]:
+            mode, is_success = self._options.export_mode, success[place]
+            group = "episodes" if mode == "all" else "succeeded" if is_success else "failed"
+            is_wanted = is_success or mode != "succeeded_only"
+            if not is_wanted or not length or not self._is_whole[env_id]:
                 continue
             last_step = self._env.common_step_counter
             about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
             arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
             arrays |= {key: value[place : place + 1] for key, value in last.items()}
             self._finished.setdefault(group, []).append((about, arrays))
-
-    def _group(self, success: bool) -> str | None:
-        mode = self._options.export_mode
-        if mode == "all":
-            return "episodes"
-        if mode == "succeeded_failed":
-            return "succeeded" if success else "failed"
-        return "succeeded" if success and mode == "succeeded_only" else None
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
         hooks = [hook for hook, having in self._hooks.items() if any(owner is term for owner, _ in having)]
@@ -295,7 +289,6 @@ class RecorderManager(ManagerBase):
 def _joined(episodes: Sequence[tuple[Mapping[str, Any], Arrays]]) -> Arrays:
     arrays = {f"episode/{name}": np.array([about[name] for about, _ in episodes]) for name in episodes[0][0]}
     for key in dict.fromkeys(key for _, own in episodes for key in own):
-        parts = [own[key] for _, own in episodes if key in own]
-        arrays[key] = np.concatenate(parts)
+        arrays[key] = np.concatenate([own[key] for _, own in episodes if key in own])
         arrays[f"rows/{key}"] = np.array([len(own.get(key, ())) for _, own in episodes])
     return arrays

@@ -74,11 +74,9 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | 
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:
-        message, key = (
-            "the mirror applies to every second environment, and there is only one",
-            "agent.symmetry.mirrored_envs",
-        )
-        raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
+        message = "the mirror applies to every second environment, and there is only one"
+        expected = "false, or env.num_envs of at least 2"
+        raise ConfigError(message, key="agent.symmetry.mirrored_envs", expected=expected)
     groups = _seen(agent, env.get_observations(), options)
     return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 

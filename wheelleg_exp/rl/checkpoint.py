@@ -49,8 +49,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
         # Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file.
-        size = path.stat().st_size
-        waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
+        waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
         while waiting:
             value, depth = waiting.pop()
             parts += 1
@@ -113,9 +112,7 @@ def _rebuilt(value: Any) -> Any:
         return {_rebuilt(key): _rebuilt(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return type(value)(_rebuilt(item) for item in value)
-    if isinstance(value, str):
-        return sys.intern(value)
-    return value
+    return sys.intern(value) if isinstance(value, str) else value
 
 
 def roles_of(algorithm: Any) -> tuple[str, ...]:
@@ -130,10 +127,8 @@ def policy_state(state: Mapping[str, Any]) -> Any:
 
 def unsaved_state(algorithm: Any) -> dict[str, Any]:
     """Return state that rsl_rl does not save: hidden states, the state of RND, the progress of a distillation."""
-    state: dict[str, Any] = {
-        "learning_rate": float(algorithm.learning_rate),
-        "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)},
-    }
+    hidden = {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)}
+    state: dict[str, Any] = {"learning_rate": float(algorithm.learning_rate), "hidden": hidden}
     if hasattr(algorithm, "student"):
         state["distillation"] = {"updates": algorithm.num_updates, "hidden": cloned(algorithm.last_hidden_states)}
     if getattr(algorithm, "rnd", None) is not None:

@@ -152,6 +152,10 @@ def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
 
 Rule = str | Sequence[float]
 _MAX_PHASE_ERROR = 1e-6  # of a cycle
+_OFFSETS = (
+    "offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for legs that move together, "
+    "or a list of a sign for each number"
+)
 
 
 class TermMirror:
@@ -178,7 +182,13 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            return self._phases(term, path)
+            # The image is the clock half a cycle later, if this exchanges the legs of both sides.
+            offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
+            for offset in offsets:
+                if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:
+                    message = f"the clock at {offset:g} of the cycle has no counterpart half a cycle later"
+                    raise ConfigError(message, key=f"{path}.offsets", expected=_OFFSETS)
+            return [(i, -1.0) for i in range(term.width)]
         if rule == "actions":
             manager, name = self._env.action_manager, term.term.params.get("action_name")
             if name is None:
@@ -200,9 +210,7 @@ class TermMirror:
                 message = f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not"
                 raise ConfigError(message, key=path, expected="joints of both sides")
         joints = [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
-        if rule == "joints_sin_cos":
-            return joints + [(len(joints) + source, 1.0) for source, _ in joints]
-        return joints
+        return joints + [(len(ids) + source, 1.0) for source, _ in joints if rule == "joints_sin_cos"]
 
     def command(self, term: ObservationTerm) -> str | None:
         """Return the rule of the command that a term observes."""
@@ -226,25 +234,10 @@ class TermMirror:
             raise ConfigError(message, key=term.term.path, expected="a parameter that names the sensor")
         return found
 
-    def _phases(self, term: ObservationTerm, path: str) -> SignedSources:
-        """Return the clock half a cycle later, if this exchanges the legs of both sides."""
-        offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
-        for offset in offsets:
-            apart = [abs((offset + 0.5 - other + 0.5) % 1.0 - 0.5) for other in offsets]
-            if min(apart) > _MAX_PHASE_ERROR:
-                raise ConfigError(
-                    f"the clock at {offset:g} of the cycle has no counterpart half a cycle later",
-                    key=f"{path}.offsets",
-                    expected="offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for"
-                    " legs that move together, or a list of a sign for each number",
-                )
-        return [(i, -1.0) for i in range(term.width)]
-
     def _bodies_of(self, rule: str, term: ObservationTerm, path: str) -> SignedSources:
         signs, parameter, with_axes = BODY_RULES[rule]
         entity = self._entity(term, parameter)
-        owner = self._env.scene[entity.name]
-        names = _chosen(entity.body_ids, owner.body_names)
+        names = _chosen(entity.body_ids, self._env.scene[entity.name].body_names)
         found: SignedSources = []
         for name in names:
             image = self._bodies.image(name, path, with_axes=with_axes)

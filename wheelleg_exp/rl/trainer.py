@@ -126,7 +126,11 @@ class Trainer:
         with self.ranks.agreed():
             self._require_finite(losses)
         if self.ranks.together:
-            self._share_buffers()
+            # Copy the running means of observations from the first rank, because each rank collected different samples.
+            networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
+            with communicating():
+                for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
+                    torch.distributed.broadcast(buffer, src=0)
         self.average.take()
         return losses
 
@@ -138,13 +142,6 @@ class Trainer:
         scalars["Perf/total_fps"] = self.num_steps * self.env.num_envs / (collection_time + learning_time)
         times = {"Perf/collection_time": collection_time, "Perf/learning_time": learning_time}
         return self.ranks.merged(scalars | times, tuple(times))
-
-    def _share_buffers(self) -> None:
-        """Copy the running means of observations from the first rank, because each rank collected different samples."""
-        networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
-        with communicating():
-            for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
-                torch.distributed.broadcast(buffer, src=0)
 
     def networks(self) -> list[torch.nn.Module]:
         """Return actor and critic, or student and teacher."""
@@ -193,16 +190,17 @@ class Trainer:
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that later iterations depend on; ``iter`` is the last finished iteration."""
+        rng = {"torch": torch.get_rng_state()}
+        if torch.device(self.device).type not in ("cpu", "meta"):
+            rng["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
         return {
-            "format_version": FORMAT_VERSION,
-            "iter": self.iteration - 1,
-            "infos": None,
+            **{"format_version": FORMAT_VERSION, "iter": self.iteration - 1, "infos": None},
             **cloned(self.algorithm.save()),
             **self.average.state_dict(),
             "unsaved": unsaved_state(self.algorithm) | self.average.unsaved(),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
-            "rng": self._random_state(),
+            "rng": rng,
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -240,9 +238,3 @@ class Trainer:
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value
-
-    def _random_state(self) -> dict[str, torch.Tensor]:
-        state = {"torch": torch.get_rng_state()}
-        if torch.device(self.device).type not in ("cpu", "meta"):
-            state["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
-        return state

@@ -165,8 +165,7 @@ class ArticulationData(RobotData):
     @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
         """Linear velocities of the links' origins, m/s, (N, B, 3)."""
-        lever = self.body_pos_w - self.body_com_pos_w
-        return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, lever)
+        return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, self.body_pos_w - self.body_com_pos_w)
 
     @cached_until_change
     def body_com_pos_w(self) -> torch.Tensor:

@@ -94,10 +94,11 @@ class SensorBase(Kept):
 
     def refresh(self, env_ids: torch.Tensor) -> None:
         """After the state of ``env_ids`` was written, measure new episodes, so that their first observation is new."""
-        due = torch.zeros_like(self._is_new).index_fill_(0, env_ids, True) & self._is_new
-        if bool(due.any()):
+        new = env_ids[self._is_new[env_ids]]
+        if len(new):
+            due = torch.zeros_like(self._is_new).index_fill_(0, new, True)
             self.measure(due, self._elapsed if self.update_period > 0.0 else self._dt)
-            fill_rows(self._is_new, env_ids, False)
+            self._is_new.index_fill_(0, new, False)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return log entries, by name, about limits that the sensor exceeded in episodes that end now."""

@@ -303,10 +303,8 @@ class RandomGrid(SubTerrain):
         a = at(difficulty, self.grid_height_range)
         counts = [max(1, int(2 * half / self.grid_width + 1e-9)) for half in grid.half]
         drawn = rng.uniform(-a, a, counts)
-        i, j = (
-            np.floor((axis + 1e-9) / self.grid_width + count / 2).astype(int)
-            for axis, count in zip((grid.x, grid.y), counts, strict=True)
-        )
+        axes = zip((grid.x, grid.y), counts, strict=True)
+        i, j = (np.floor((axis + 1e-9) / self.grid_width + count / 2).astype(int) for axis, count in axes)
         inside = (i >= 0) & (i < counts[0]) & (j >= 0) & (j < counts[1]) & ~grid.is_within(self.platform_width)
         return np.where(inside, drawn[i.clip(0, counts[0] - 1), j.clip(0, counts[1] - 1)], 0.0)
 

@@ -134,8 +134,7 @@ class HeightField(_FromFile):
             picture = imread(file)
         except Exception as error:  # Matplotlib raises many kinds of errors for a damaged image.
             raise ConfigError(f"'{self.file}' is not an image", key=self._key, expected="a .png file") from error
-        grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
-        return self._scaled(grey[::-1].T)
+        return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
 
     def _scaled(self, values: npt.NDArray[Any]) -> Read:
         good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
@@ -177,10 +176,10 @@ class Mesh(_FromFile):
         return {".obj": self._from_above, ".stl": self._from_above}
 
     def _from_above(self, file: Path) -> Read:
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
         def add_to(spec: mujoco.MjSpec) -> None:
-            spec.add_mesh(
-                name="mesh", file=str(file), scale=[self._scale] * 3, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            )
+            spec.add_mesh(name="mesh", file=str(file), scale=[self._scale] * 3, inertia=shell)
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
 
         spec = mujoco.MjSpec()

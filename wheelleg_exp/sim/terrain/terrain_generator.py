@@ -58,15 +58,13 @@ def add_tile(
         # MuJoCo scales the heights to [0, 1], and its rows are along y.
         span, (columns, rows) = highest - lowest, heights.shape
         data = ((heights - lowest) / span).T.ravel()
-        half = [size[0] / 2, size[1] / 2, span, depth]
-        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=half, userdata=data)
+        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
         add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
 
 
 def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
     """Yield rectangles of cells that cover the mask: runs along y, extended along x while the run is the same."""
-    padded = np.pad(mask, ((0, 1), (1, 1))).astype(np.int8)
-    steps = np.diff(padded, axis=1)
+    steps = np.diff(np.pad(mask, ((0, 1), (1, 1))).astype(np.int8), axis=1)
     started: dict[tuple[int, int], int] = {}
     for i, row in enumerate(steps):
         runs = set(zip(np.flatnonzero(row == 1).tolist(), np.flatnonzero(row == -1).tolist(), strict=True))
@@ -148,20 +146,16 @@ class TerrainGenerator(TerrainBase):
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         key = f"{TERRAIN_KEY}.horizontal_scale"
         require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
-        seed = stream().initial_seed() if self._seed is None else self._seed
-        self.layout = replace(self.layout, seed=seed)
+        self.layout = replace(self.layout, seed=stream().initial_seed() if self._seed is None else self._seed)
         self.relief = make_relief(self.layout)
         self._map = HeightMap(self.relief.tiles, self.layout.num_rows, self.size, device)
         self.terrain_origins = torch.as_tensor(self.relief.origins, dtype=torch.float32, device=device)
-        self.flat_patches = {
-            name: torch.as_tensor(places, dtype=torch.float32, device=device)
-            for name, places in self.relief.patches.items()
-        }
+        patches = self.relief.patches.items()
+        self.flat_patches = {n: torch.as_tensor(p, dtype=torch.float32, device=device) for n, p in patches}
         super().place(num_envs, spacing, device, stream)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        origins = self.relief.origins.reshape(-1, 3)
-        tiles = list(enumerate(zip(self.relief.tiles, origins, strict=True)))
+        tiles = list(enumerate(zip(self.relief.tiles, self.relief.origins.reshape(-1, 3), strict=True)))
         for number, (tile, origin) in with_progress("laying tiles", tiles):
             row, col = divmod(number, self.layout.num_cols)
             name = f"{GROUND}/{row}_{col}"
