@@ -21,7 +21,7 @@ from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
 from wheelleg_exp.evaluation.policy_rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
-from wheelleg_exp.evaluation.scenarios import Scenarios, combined_digest
+from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.terms.config_sections import read_section
 
@@ -86,7 +86,8 @@ def evaluate(
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
     starts, episodes = {part.test: part.starts for part in parts}, joined([part.columns for part in parts])
     about_robot = parts[0].about if parts else {}
-    return Evaluation(dict(protocol), seed, combined_digest(tables, seed), starts, episodes, found, about_robot)
+    digest = hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
+    return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 
@@ -50,11 +49,6 @@ class Scenarios:
         """Return the sha256 of the table and of the seed of its starts."""
         table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, self.settings, seed]
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
-
-
-def combined_digest(tables: Sequence[Scenarios], seed: int) -> str:
-    """Return one sha256 of several tables in order."""
-    return hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
 
 
 def standing(options: Stand) -> Scenarios:

@@ -66,11 +66,8 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": round(1 / self.env.step_dt),
-            "autoreset_mode": self.autoreset_mode,
-        }
+        self.metadata = {"render_modes": list(RENDER_MODES), "autoreset_mode": self.autoreset_mode}
+        self.metadata["render_fps"] = round(1 / self.env.step_dt)
         self._pictures = task_env.Pictures(self.env, render_mode, width, height)
         self._done = np.zeros(num_envs, dtype=np.bool_)
 

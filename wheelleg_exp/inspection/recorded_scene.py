@@ -26,11 +26,6 @@ _GREY = (0.6, 0.62, 0.65, 1.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def shapes_in(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
-    """Yield the drawable shapes of one rerun entity; an entity can contain several shapes."""
-    return filter(_is_drawable, _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes))
-
-
 def _is_drawable(shape: Shape) -> bool:
     numbers = np.asarray([*shape.size, *shape.pos], dtype=np.float64)
     if shape.vertices is None or shape.faces is None:
@@ -206,7 +201,9 @@ def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
     for entity in source.recording.entities():
         tail = entity.removeprefix(head)
         if entity.startswith(head) and "/" not in tail.replace("\\/", ""):
-            yield from shapes_in(source.recording.static(entity), source.recording.archetypes(entity))
+            statics, archetypes = source.recording.static(entity), source.recording.archetypes(entity)
+            shapes = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
+            yield from filter(_is_drawable, shapes)
 
 
 def _ground(source: Source) -> Ground | None:

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.inspection import episode_measures as measures
@@ -65,10 +64,17 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
     found = []
     for entity in recording.entities():
         parts = [unescaped(part) for part in parts_of(entity)]
-        if parts[0] == TRAINING and {"scalars", ITERATION} <= recording.columns(entity):
-            trend = _trend("/".join(parts[1:]), selection.apply(recording.numbers(entity)))
-            if trend is not None:
-                found.append(trend)
+        if parts[0] != TRAINING or not {"scalars", ITERATION} <= recording.columns(entity):
+            continue
+        table = selection.apply(recording.numbers(entity))
+        values, iterations = np.asarray(table.columns[-1]), np.asarray(table.column(ITERATION))
+        values, iterations = values[np.isfinite(values)], iterations[np.isfinite(values)]
+        if len(values):
+            low, high = int(np.argmin(values)), int(np.argmax(values))
+            first, last, lowest, highest = (float(values[row]) for row in (0, -1, low, high))
+            last_at, lowest_at, highest_at = (int(iterations[row]) for row in (-1, low, high))
+            name, numbers = "/".join(parts[1:]), (first, last, last_at, lowest, highest, lowest_at, highest_at)
+            found.append(Trend(name, len(values), *numbers))
     return found
 
 
@@ -99,18 +105,6 @@ def _stretches(found: Sequence[Episode]) -> Iterator[list[Episode]]:
             stretch.append(episode)
     if stretch:
         yield stretch
-
-
-def _trend(name: str, table: pa.Table) -> Trend | None:
-    values, iterations = np.asarray(table.columns[-1]), np.asarray(table.column(ITERATION))
-    known = np.isfinite(values)
-    values, iterations = values[known], iterations[known]
-    if not len(values):
-        return None
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    first, last, lowest, highest = (float(values[row]) for row in (0, -1, low, high))
-    last_at, lowest_at, highest_at = (int(iterations[row]) for row in (-1, low, high))
-    return Trend(name, len(values), first, last, last_at, lowest, highest, lowest_at, highest_at)
 
 
 def _sample(found: list[Episode]) -> Sample:

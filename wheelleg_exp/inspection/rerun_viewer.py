@@ -130,11 +130,6 @@ def viewer_files() -> Files:
                 time.sleep(0.05)
 
 
-def page_url(base: str) -> str:
-    """Return the URL that shows the recording in rerun's web viewer."""
-    return f"{base}?url={quote(base.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
-
-
 def _fetched(port: int, name: str) -> tuple[str, bytes]:
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     with opener.open(f"http://{LOOPBACK}:{port}/{name}", timeout=_WEB_START_S) as answer:
@@ -175,7 +170,10 @@ class _Handler(BaseHTTPRequestHandler):
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            self._reply(HTTPStatus.FOUND, {"Location": page_url(f"http://{self.headers['Host']}/")})
+            # The page shows the recording in rerun's web viewer.
+            page = f"http://{self.headers['Host']}/"
+            query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
+            self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
         elif address.path == RECORDING and self._recording.is_file():
             with self._recording.open("rb") as file, suppress(ConnectionError):
                 # A training can append to the recording while the server sends the file.

@@ -152,7 +152,11 @@ class RecorderManager(ManagerBase):
             if not isinstance(term.func, RecorderTerm):
                 expected = "a subclass of RecorderTerm"
                 raise ConfigError(f"'{term.target}' is not a recorder", key=term.path, expected=expected)
-        self._hooks = {name: self._having(name) for name in vars(RecorderTerm) if name.startswith("record_")}
+        self._hooks: dict[str, list[tuple[Term, RecorderTerm]]] = {}
+        for hook in (name for name in vars(RecorderTerm) if name.startswith("record_")):
+            pairs: Any = [(term, term.func) for term in self._terms.values()]
+            own = getattr(RecorderTerm, hook)
+            self._hooks[hook] = [(t, f) for t, f in pairs if getattr(type(f), hook) is not own]
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
         self._rows: dict[str, Rows] = {}
         self._initial: dict[str, Rows] = {}
@@ -233,10 +237,6 @@ class RecorderManager(ManagerBase):
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         for name, state in saved.get("terms", {}).items():
             self._terms[name].load_state_dict(state)
-
-    def _having(self, hook: str) -> list[tuple[Term, RecorderTerm]]:
-        pairs = [(term, term.func) for term in self._terms.values()]
-        return [(t, f) for t, f in pairs if getattr(type(f), hook) is not getattr(RecorderTerm, hook)]  # type: ignore[misc]
 
     def _recorded(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
         for term, recorder in self._hooks[hook]:

@@ -43,7 +43,7 @@ IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quatern
 COMMAND_RULE = "command"  # The rule of the observed command replaces this entry.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
-_OBSERVATIONS = "wheelleg_exp.mdp.observations"
+OBSERVATIONS = "wheelleg_exp.mdp.observations"
 # The rules of stock observations by the name of their function.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
@@ -80,12 +80,6 @@ COMMAND_RULES: Mapping[str, str] = {
     "UniformPoseCommand": "pose",
     "NullCommand": "invariant",
 }
-
-
-def rule_of_target(target: str) -> str | None:
-    """Return the rule of a stock observation by its dotted name, or None."""
-    module, _, name = target.rpartition(".")
-    return TERM_RULES.get(name) if f"{module}.".startswith(f"{_OBSERVATIONS}.") else None
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:

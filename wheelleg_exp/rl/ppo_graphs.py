@@ -42,17 +42,14 @@ def is_plain_ppo(algorithm: Any) -> bool:
     return not (extras or others or compiled)
 
 
-def captured_ppo(algorithm: Any) -> Any:
-    """Return an object that acts and updates as the algorithm does, with CUDA graphs where possible."""
-    return CapturedPPO(algorithm) if can_capture_update(algorithm) else algorithm
-
-
 class CapturedPPO:
     """Acting and updating of rsl_rl's PPO as CUDA graphs."""
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        self.act = CapturedActing(algorithm) if can_capture_acting(algorithm) else algorithm.act
+        # Only actions that are drawn from normal distributions can be captured.
+        is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
+        self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
 
 class CapturedUpdate:
@@ -209,11 +206,6 @@ class CapturedUpdate:
         clip = self._algorithm.clip_param
         clipped = old + (values - old).clamp(-clip, clip)
         return torch.max(error, (clipped - returns).pow(2)).mean()
-
-
-def can_capture_acting(algorithm: Any) -> bool:
-    """Return whether an algorithm whose update can be captured draws actions from normal distributions."""
-    return getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
 
 
 class CapturedActing:

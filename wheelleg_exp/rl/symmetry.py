@@ -122,8 +122,9 @@ class Mirror:
         return [found[i] for i in range(len(found))]
 
     def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSources:
-        path, given = term.term.path, self._options.terms.get(name)
-        rule = given if given is not None else mirror_rules.rule_of_target(term.term.target)
+        path, (module, _, function) = term.term.path, term.term.target.rpartition(".")
+        is_stock = f"{module}.".startswith(f"{mirror_rules.OBSERVATIONS}.")
+        rule = self._options.terms.get(name, mirror_rules.TERM_RULES.get(function) if is_stock else None)
         if rule == mirror_rules.COMMAND_RULE:
             rule = self._turning.command(term)
         if rule is None:

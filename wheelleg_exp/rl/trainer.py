@@ -22,7 +22,7 @@ from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
 from wheelleg_exp.rl.policy_average import PolicyAverage
-from wheelleg_exp.rl.ppo_graphs import captured_ppo
+from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -74,7 +74,8 @@ class Trainer:
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
         # This object acts and updates with the same numbers as the rsl_rl algorithm, which it replaces.
-        self._ppo = captured_ppo(self.algorithm) if agent.get("graph_update") else self.algorithm
+        captures = agent.get("graph_update") and can_capture_update(self.algorithm)
+        self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total, and yield after each iteration.

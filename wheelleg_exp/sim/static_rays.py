@@ -100,15 +100,12 @@ class StaticGeoms:
         flat = (np.resize(rays.reshape(-1, 3), (blocks * together, 3)) for rays in (origins, directions))
         starts, ways = (rays.reshape(blocks, together, 3) for rays in flat)
         far = np.empty((blocks, together))
-        for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            far[some] = self._cast(starts[some], ways[some])
-        return far.reshape(-1)[:count].reshape(shape)
-
-    def _cast(self, origins: Floats, directions: Floats) -> Floats:
-        """Cast one block of rays in each of the first simulations."""
         assert self._batch is not None
-        ids, shown = np.arange(len(origins)), None
-        if self._reach is not None:
-            self._groups[: len(ids)] = np.where(self._reach.reached(origins, directions), _SHOWN, _HIDDEN)
-            shown = np.arange(mujoco.mjNGROUP) == _SHOWN
-        return np.asarray(self._batch.ray(origins, directions, geomgroup=shown, ids=ids)[0])
+        for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
+            # Cast one block of rays in each of the first simulations.
+            ids, shown = np.arange(some.stop - some.start), None
+            if self._reach is not None:
+                self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)
+                shown = np.arange(mujoco.mjNGROUP) == _SHOWN
+            far[some] = self._batch.ray(starts[some], ways[some], geomgroup=shown, ids=ids)[0]
+        return far.reshape(-1)[:count].reshape(shape)

@@ -13,7 +13,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import SimOptions
-from wheelleg_exp.sim.warp_fields import DERIVED, DataFields, ModelFields
+from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
 # Contacts per simulation, on average. A wheel-legged robot that lies on the ground has about twelve contacts.
@@ -178,8 +178,10 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
+            # The outputs of ``set_const`` get one value per simulation.
             self._graphs.forget()
-            self._fields.expand_constants()
+            for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
+                self._fields.expand(name)
         self._graphs.run("set_const", lambda: self._mjw.set_const(self._m, self._d))
         self.forward()
 

@@ -88,13 +88,6 @@ class ModelFields:
         for name, values in self.own.items():
             values.copy_(saved.get(name, self._first[name]).expand_as(values))
 
-    def expand_constants(self) -> None:
-        """Give the outputs of ``set_const`` one value per simulation."""
-        for name in CONSTANTS:
-            array = getattr(self._on_device, name, None)
-            if array is not None and array.size:
-                self.expand(name)
-
     def _like(self, name: str) -> Any:
         found: Any = self._model
         for part in name.split("."):

@@ -29,9 +29,7 @@ def draw(
     if distribution == "gaussian":
         return low + high * torch.randn(shape, generator=generator, device=generator.device)
     u = torch.rand(shape, generator=generator, device=generator.device)
-    if distribution == "log_uniform":
-        return low * (high / low) ** u
-    return low + (high - low) * u
+    return low * (high / low) ** u if distribution == "log_uniform" else low + (high - low) * u
 
 
 def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) -> torch.Tensor:

@@ -90,7 +90,13 @@ class NumberNames:
             yield Number(".".join(below), entity, 0)
         elif width <= _WIDEST:
             for i in range(width):
-                yield Number(_dotted(below, names[i] if i < len(names) else f"[{i}]"), entity, i)
+                name = names[i] if i < len(names) else f"[{i}]"
+                if name.startswith("["):
+                    dotted = ".".join(below) + name
+                else:
+                    repeats = below and name.startswith(f"{below[-1]}[")
+                    dotted = ".".join([*(below[:-1] if repeats else below), name])
+                yield Number(dotted, entity, i)
 
     def _within_bounds(self, numbers: Iterable[Number]) -> Iterator[Number]:
         for count, number in enumerate(numbers):
@@ -115,15 +121,6 @@ def parts_of(path: str) -> list[str]:
 def unescaped(part: str) -> str:
     """Return a part of a rerun entity path without escape characters."""
     return re.sub(r"\\(.)", r"\1", part)
-
-
-def _dotted(below: list[str], name: str) -> str:
-    """Return the dotted name of a number within its group."""
-    if name.startswith("["):
-        return ".".join(below) + name
-    if below and name.startswith(f"{below[-1]}["):
-        below = below[:-1]
-    return ".".join([*below, name])
 
 
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-import mujoco
 import numpy as np
 import rerun as rr
 import torch
@@ -111,13 +110,6 @@ MEGABYTE = 1_000_000
 # The measured numbers of bytes of a chunk's metadata with its index entry, of a row's three times, of a transform, and
 # of a number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
-_FACE, _CELL, _TEXTS = 150, 40, 2 * MEGABYTE
-
-
-def static_bytes(model: mujoco.MjModel, envs: int) -> float:
-    """Return an upper estimate of the bytes of all shapes, texts and names of a recording."""
-    return envs * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
-
 
 # The lengths of arrows are proportional to the robot's height, so that the arrows are readable for a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6

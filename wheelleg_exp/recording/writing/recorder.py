@@ -28,6 +28,7 @@ from wheelleg_exp.state.tensor_trees import host_copy
 # At least 16 frames are written together, because each rerun chunk has about 1.5 kB of metadata.
 ROWS_TOGETHER = 16
 _US = 1e6
+_FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
 
 
 class Recorder:
@@ -98,7 +99,9 @@ class Recorder:
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        return recorded_environment.static_bytes(self._env.scene.model, len(self._environments))
+        # This is an upper estimate of the bytes of all shapes, texts, and names.
+        model, environments = self._env.scene.model, len(self._environments)
+        return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
     def _frame_bytes(self) -> float:
         return sum(recorded.frame_bytes(ROWS_TOGETHER) for recorded in self._environments)

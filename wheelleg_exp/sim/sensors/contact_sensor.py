@@ -355,8 +355,20 @@ class ContactSensor(SensorBase):
             points = self._pairs.points() if self._tracked["track_contact_points"] else None
             friction = self._pairs.friction_forces() if self._tracked["track_friction_forces"] else None
             self.data.take_pairs(self._pairs.normal_forces(), points, friction, due)
-        if self.track_air_time:
-            self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
+        if not self.track_air_time:
+            return
+        elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
+        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
+        for mode, active in (("contact", contact), ("air", ~contact)):
+            # Add up the time in contact and in the air. When a phase has just ended, store its duration.
+            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
+            ended = ~active & (current > 0.0)
+            lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
+            if due is not None:
+                rows = due.unsqueeze(1)
+                lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
+            last.copy_(lasted)
+            current.copy_(counted)
 
     def reset(self, ids: torch.Tensor) -> None:
         super().reset(ids)
@@ -386,16 +398,3 @@ class ContactSensor(SensorBase):
         for name in self.data.of_pairs():
             setattr(self.data, name, saved[name].clone())
         self._largest_norm = None
-
-    def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Add up the time in contact and in the air; when a phase has just ended, store its duration."""
-        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
-        for mode, active in (("contact", contact), ("air", ~contact)):
-            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
-            ended = ~active & (current > 0.0)
-            lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
-            if due is not None:
-                rows = due.unsqueeze(1)
-                lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
-            last.copy_(lasted)
-            current.copy_(counted)
