@@ -26,7 +26,7 @@ def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
     return property(get, doc=compute.__doc__)
 
 
-def concatenation(first: str, second: str, doc: str) -> property:
+def joined(first: str, second: str, doc: str) -> property:
     """Make a cached property that concatenates two other properties along the last dimension."""
 
     def compute(self: Any) -> torch.Tensor:
