@@ -377,7 +377,7 @@ class ContactSensor(SensorBase):
         self._largest_norm = None
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Do nothing, because contact forces exist only after a physics step."""
+        self._is_new.index_fill_(0, env_ids, False)  # Contact forces exist only after a physics step.
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
